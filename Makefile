@@ -1,0 +1,57 @@
+# The commands of this project; `make` alone lists them.  Each makes its own .venv, from Python 3.11+ and PyPI alone.
+
+PYTHON ?= python3
+LINK ?= zenoh
+BENCH ?= *
+ARGS ?=
+PIP_ENV := PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_ROOT_USER_ACTION=ignore
+BIN := .venv/bin
+
+.PHONY: help run test lint format check bench clean
+.DELETE_ON_ERROR:
+
+help: ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+
+run: .venv/.run ## the simulated satellite feeds the daemon over a real link (LINK=zenoh or LINK=serial)
+	@$(BIN)/python -m sim_sensor.demo --link $(LINK) $(ARGS)
+
+test: .venv/.dev ## all tests
+	@$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
+
+lint: .venv/.dev ## formatting, lint, types
+	@$(BIN)/python -m ruff format --check .
+	@$(BIN)/python -m ruff check .
+	@$(BIN)/python -m mypy
+
+format: .venv/.dev ## put the code in the project's format
+	@$(BIN)/python -m ruff format .
+	@$(BIN)/python -m ruff check --fix .
+
+check: lint test ## what CI runs
+
+bench: .venv/.dev ## the measured figures of the documentation, again (BENCH=wire: one of tests/benchmarks)
+	@set -e; for file in tests/benchmarks/bench_$(BENCH).py; do \
+	  module=$${file%.py}; echo "== $$module"; $(BIN)/python -m $$(echo $$module | tr / .) $(ARGS); done
+
+clean: ## remove what the other commands made; recordings in output/ stay
+	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.run: pyproject.toml | $(BIN)/python
+	@echo "installing magcal with its simulator and its view into .venv (once, about a minute) ..."
+	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[sim,view]'
+	@touch $@
+
+.venv/.dev: pyproject.toml | $(BIN)/python
+	@echo "installing magcal with everything its tests need into .venv (once, one to two minutes) ..."
+	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[dev]'
+	@touch $@ .venv/.run
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not installed; on Debian: apt install python3 python3-venv" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$$($(PYTHON) --version) is too old, 3.11 or later is needed; name one with: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
+	  echo "this Python cannot make a virtual environment; on Debian: apt install python3-venv" >&2; exit 1; }
+	@$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }

@@ -1,0 +1,3 @@
+"""magcal: real-time, attitude-independent magnetometer calibration."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,92 @@
+"""Every error this project raises on purpose, as one tree.
+
+A message names the value that was refused, what is accepted, and the next step.  The command line prints
+``MagcalError`` texts without a traceback and ends with ``exit_code``.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ConfigError",
+    "DecodeError",
+    "ExtraMissingError",
+    "Fault",
+    "InputRefusedError",
+    "LinkAddressError",
+    "LinkError",
+    "MagcalError",
+    "RecordingError",
+]
+
+
+class MagcalError(Exception):
+    """Root of the tree; ``exit_code`` is what a command ends with when this reaches it."""
+
+    exit_code = 2
+
+
+class Fault:
+    """One thing wrong with an input: where, what, and what would have been accepted.
+
+    Parameters
+    ----------
+    where: file and field, such as ``"flight.toml: magnetometer.unit"``.
+    value: the refused value as the user wrote it.
+    accepted: what is accepted there, and the next step.
+    """
+
+    __slots__ = ("accepted", "value", "where")
+
+    def __init__(self, where: str, value: object, accepted: str) -> None:
+        self.where, self.value, self.accepted = where, value, accepted
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.value!r} is refused; {self.accepted}"
+
+    def __repr__(self) -> str:
+        return f"Fault({str(self)!r})"
+
+
+class InputRefusedError(MagcalError):
+    """An input file or argument was refused; carries every fault found, one line each."""
+
+    def __init__(self, faults: list[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in faults))
+
+
+class ConfigError(InputRefusedError):
+    """A configuration or scenario file was refused."""
+
+
+class RecordingError(InputRefusedError):
+    """A recording or its descriptor was refused."""
+
+
+class LinkAddressError(MagcalError):
+    """A link address was refused: unknown scheme, missing part, or an option nobody reads."""
+
+
+class LinkError(MagcalError):
+    """A link could not be opened at all (a link that dies later reconnects instead of raising)."""
+
+
+class ExtraMissingError(MagcalError):
+    """A command needs a package that the base installation does not bring."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs the package {package!r}; install it with: pip install 'magcal[{extra}]'")
+
+
+class DecodeError(MagcalError):
+    """Bytes that are not an acceptable message; ``reason`` is the counter they fall under.
+
+    Parameters
+    ----------
+    reason: a short fixed name from ``wire.messages.REFUSALS``.
+    detail: the value and what is accepted.
+    """
+
+    def __init__(self, reason: str, detail: str) -> None:
+        self.reason = reason
+        super().__init__(f"{reason}: {detail}")
