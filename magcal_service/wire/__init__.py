@@ -1,0 +1,1 @@
+"""The wire: typed messages to and from bytes, without any input or output of its own."""
