@@ -1,0 +1,108 @@
+"""``recording:FILE.toml``: a recorded log arrives as if its craft were on the line.
+
+Options: ``speed`` (times real time; 0, the default, is as fast as it goes), ``craft`` (the name its messages carry),
+``telemetry`` (``no`` leaves the channels out).  Needs numpy, and the extra ``sim`` where the reference is a model.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from urllib.parse import unquote
+
+from magcal_service.links.address import LinkAddress, parse_address
+from magcal_service.links.base import Link
+from magcal_service.recordings.messages import messages
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
+from magcal_service.wire.fields import NAME
+from magcal_service.wire.messages import Message
+
+_BATCH = 256  # messages per poll: small against memory, large against the cost of a call
+
+
+class RecordingLink(Link):
+    """Plays a recording once, in file order, and is then exhausted.
+
+    Parameters
+    ----------
+    address: ``recording:FILE.toml?speed=0&craft=craft&telemetry=yes``, or its parsed form.
+    crafts: as for every link; where it names just one, that is the default of ``craft``.
+    recording: the recording itself where it has been read already; the address' file is not opened then.
+    sink: is called with every message sent; without one, messages sent are only counted.
+
+    Raises ``LinkAddressError`` for the address, ``RecordingError`` for the recording.
+    """
+
+    def __init__(
+        self,
+        address: LinkAddress | str,
+        crafts: Sequence[str] = (),
+        *,
+        recording: Recording | None = None,
+        sink: Callable[[Message], None] | None = None,
+    ) -> None:
+        parsed = parse_address(address) if isinstance(address, str) else address
+        super().__init__(parsed.text, crafts)
+        self._speed = parsed.real("speed", 0.0, 0.0, 1e6)
+        default = crafts[0] if len(crafts) == 1 else "craft"
+        craft = parsed.text_of("craft", default, NAME.pattern, "1 to 32 characters of A-Z a-z 0-9 _ -")
+        telemetry = parsed.flag("telemetry", True)
+        parsed.finish()
+        if not parsed.rest:
+            parsed.refuse("file", parsed.rest, "recording:FILE.toml is accepted")
+        self.recording = recording if recording is not None else read_recording(Path(unquote(parsed.rest)))
+        self._sink = sink
+        self._stream = messages(self.recording, craft, telemetry=telemetry)
+        self._next: Message | None = next(self._stream, None)
+        self._first_ns = self._next.time_ns if self._next is not None else 0
+        self._started_s: float | None = None
+        self._closed = False
+        self._count("up")
+
+    @property
+    def exhausted(self) -> bool:
+        """True after the last message, and after ``close``."""
+        return self._next is None
+
+    def _poll(self, wait_s: float) -> list[Message]:
+        if self._speed == 0.0:
+            return self._take(lambda message: True)
+        now_s = time.monotonic()
+        if self._started_s is None:
+            self._started_s = now_s
+        batch = self._take_due(now_s)
+        if not batch and self._next is not None and wait_s > 0.0:
+            time.sleep(min(wait_s, self._due_s(self._next) - now_s))
+            batch = self._take_due(time.monotonic())
+        return batch
+
+    def _due_s(self, message: Message) -> float:
+        """When a message is to arrive, on the monotonic clock [s]; one that lies in the past arrives at once."""
+        return (self._started_s or 0.0) + (message.time_ns - self._first_ns) / 1e9 / self._speed
+
+    def _take_due(self, now_s: float) -> list[Message]:
+        return self._take(lambda message: self._due_s(message) <= now_s)
+
+    def _take(self, wanted: Callable[[Message], bool]) -> list[Message]:
+        batch: list[Message] = []
+        while self._next is not None and len(batch) < _BATCH and wanted(self._next):
+            batch.append(self._next)
+            self._next = next(self._stream, None)
+        return batch
+
+    def send(self, message: Message) -> None:
+        """Count one message, and hand it to the sink where there is one; a recording cannot answer."""
+        if self._closed:
+            self._count("dropped")
+            return
+        if self._sink is not None:
+            self._sink(message)
+        self._count("sent")
+
+    def close(self) -> None:
+        """Play no more; what is sent afterwards is dropped."""
+        if not self._closed:
+            self._closed, self._next = True, None
+            self._count("down")

@@ -1,0 +1,288 @@
+"""``zenoh:ENDPOINT``: messages over zenoh, with recovery of lost samples, late joiners and liveliness.
+
+Threads: zenoh's own call ``_arrived``, ``_transport`` and ``_presence``, which only queue or count; a keeper thread
+lives while a session has to be opened; ``receive`` and ``send`` belong to the caller.  ``_lock`` guards the session
+and is never taken by a callback, since zenoh may call back from inside a declaration.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zenoh
+from zenoh import ext, handlers
+
+from magcal_service.errors import LinkError
+from magcal_service.links.address import LinkAddress
+from magcal_service.links.base import Link, Role
+from magcal_service.links.inbox import Inbox
+from magcal_service.links.presence import Presence, PresenceBoard
+from magcal_service.links.zenoh_settings import ZenohSettings
+from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
+from magcal_service.wire.keys import ROOT, encoding_of, group_of, key_of
+from magcal_service.wire.kinds import Kind, kind_of
+from magcal_service.wire.messages import Message
+
+_log = logging.getLogger("magcal.links.zenoh")
+
+_BACK_OFF_S = (0.2, 5.0)  # first and longest pause between attempts to open [s]
+_HEARTBEAT_S = 0.5  # an advanced publisher repeats its last number this long after a change, so the last one counts too
+_KEPT_RESULTS = ("estimate", "status")  # a late joiner gets the newest of these at once
+_FIRST_ATTEMPT_S = 1.0  # how long the constructor of a connecting link waits, so that most links are up when it returns
+
+_RECOVERY = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+
+
+class ZenohLink(Link):
+    """One end of a zenoh link; options in ``ZenohSettings`` and ``docs/links.md``.
+
+    Counts besides those of every link: ``deferred`` (put while nobody was connected, kept for recovery),
+    ``joined`` and ``left`` (liveliness), ``refused.wrong_craft`` and ``refused.wrong_key`` (key and payload disagree).
+
+    Raises
+    ------
+    LinkAddressError: an option, the endpoint or the configuration file is refused.
+    LinkError: a listening link cannot open its endpoint.
+    """
+
+    def __init__(self, address: LinkAddress, role: Role, crafts: Sequence[str] = ()) -> None:
+        super().__init__(address.text, crafts)
+        self.counters.update(dict.fromkeys(("joined", "left", "refused.too_large"), 0))
+        self.role = role
+        self._settings = ZenohSettings.read(address, role)
+        self._config = self._settings.session_config(address)
+        self._inbox: Inbox[zenoh.Sample] = Inbox(self._settings.queue, lambda: self._count("overflow"))
+        self._board = PresenceBoard(self._count)
+        self._lock = threading.RLock()
+        self._closed = threading.Event()
+        self._session: zenoh.Session | None = None
+        self._held: list[object] = []  # declarations live as long as they are referred to
+        self._publishers: dict[str, ext.AdvancedPublisher] = {}
+        self._announced: set[str] = set()
+        self._transports: set[str] = set()
+        self._transports_lock = threading.Lock()
+        if self._settings.listen:
+            self._listen()
+        else:
+            self._keep_trying().wait(_FIRST_ATTEMPT_S)
+
+    def alive(self) -> frozenset[Presence]:
+        """Who else is there, by craft, role and name; who is shown here hears what is sent from now on."""
+        own = (self.role, self._name())
+        return frozenset(presence for presence in self._board.present() if (presence.role, presence.name) != own)
+
+    @property
+    def connected(self) -> bool:
+        """Whether at least one other end is connected now."""
+        return bool(self._transports)
+
+    def _poll(self, wait_s: float) -> list[Message]:
+        decoded = (self._taken(sample) for sample in self._inbox.drain(wait_s))
+        return [message for message in decoded if message is not None]
+
+    def send(self, message: Message) -> None:
+        """Put one message; never waits for the other end and never raises.
+
+        While a connecting link is down, samples, estimates and statuses stay in the publisher's cache and are counted
+        as ``deferred``; everything else, and everything before the first connection, is counted as ``dropped``.
+        """
+        payload = self._encoded(message)
+        if payload is None:
+            self._count("dropped")
+            return
+        with self._lock:
+            put = self._put(message, payload)
+        kept = _cached(kind_of(message))
+        if not put or not (self.connected or self._settings.listen or kept):
+            self._count("dropped")
+            return
+        self._count("sent")
+        if not self.connected and not self._settings.listen:
+            self._count("deferred")
+
+    def close(self) -> None:
+        """Close the session; an attempt to connect that is under way ends by itself within seconds."""
+        self._closed.set()
+        with self._lock:
+            self._drop_session()
+
+    # Sending
+
+    def _put(self, message: Message, payload: bytes) -> bool:
+        if self._session is None:
+            return False
+        kind, key = kind_of(message), key_of(message)
+        try:
+            self._announce(self._session, message.craft)
+            publisher = self._publisher(self._session, key, kind) if _cached(kind) else None
+            if publisher is None:  # a publisher drops what it is given before it knows of a router's subscribers
+                self._session.put(key, payload, encoding=encoding_of(kind), express=True)
+            else:
+                publisher.put(payload)
+        except zenoh.ZError as error:
+            self._failed(error)
+            return False
+        return True
+
+    def _publisher(self, session: zenoh.Session, key: str, kind: Kind) -> ext.AdvancedPublisher | None:
+        """The publisher of a kind that is kept for recovery and late joiners; None beyond the number of sources."""
+        if key not in self._publishers and len(self._publishers) < self.most_sources:
+            depth = self._settings.cache if group_of(kind) == "sample" else 1
+            self._publishers[key] = ext.declare_advanced_publisher(
+                session,
+                key,
+                encoding=encoding_of(kind),
+                express=True,
+                cache=ext.CacheConfig(depth),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S),
+                publisher_detection=True,
+            )
+        return self._publishers.get(key)
+
+    def _announce(self, session: zenoh.Session, craft: str) -> None:
+        if craft not in self._announced and len(self._announced) < self.most_sources:
+            self._announced.add(craft)
+            self._held.append(session.liveliness().declare_token(Presence(craft, self.role, self._name()).key))
+
+    def _name(self) -> str:
+        session = self._session
+        return self._settings.name or ("" if session is None else str(session.zid())[:32])
+
+    # Receiving
+
+    def _taken(self, sample: zenoh.Sample) -> Message | None:
+        if sample.kind != zenoh.SampleKind.PUT:
+            return None
+        message = self._decoded(sample.payload.to_bytes())
+        if message is None:
+            return None
+        key = str(sample.key_expr)
+        if key != key_of(message):
+            same_craft = key.startswith(f"{ROOT}/{message.craft}/")
+            self._count("refused.wrong_key" if same_craft else "refused.wrong_craft")
+            return None
+        return message
+
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        if len(sample.payload) > MAX_PAYLOAD_BYTES:
+            self._count("refused.too_large")
+        else:
+            self._inbox.put(sample)
+
+    def _transport(self, event: zenoh.TransportEvent) -> None:
+        self._connection(str(event.transport.zid), event.kind == zenoh.SampleKind.PUT)
+
+    def _connection(self, other: str, up: bool) -> None:
+        with self._transports_lock:
+            if up != (other in self._transports):
+                (self._transports.add if up else self._transports.discard)(other)
+                self._count("up" if up else "down")
+
+    def _presence(self, sample: zenoh.Sample) -> None:
+        self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+    # The session
+
+    def _listen(self) -> None:
+        try:
+            self._open()
+        except zenoh.ZError as error:
+            reason = str(error).partition(" at /")[0]
+            raise LinkError(f"link {self.address!r} cannot listen: {reason}; free the port or choose another") from None
+
+    def _keep_trying(self) -> threading.Event:
+        """Have a keeper open the session; the event is set once its first attempt is over."""
+        tried = threading.Event()
+        # Not a daemon thread: one that sits inside zenoh while the interpreter ends would abort the process.
+        threading.Thread(target=self._keep, args=(tried,), name="magcal-zenoh-keeper").start()
+        return tried
+
+    def _keep(self, tried: threading.Event) -> None:
+        pause_s, longest_s = _BACK_OFF_S
+        while not self._closed.is_set() and threading.main_thread().is_alive():
+            try:
+                self._open()
+                return
+            except zenoh.ZError as error:
+                if not tried.is_set():
+                    _log.info("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
+            finally:
+                tried.set()
+            self._closed.wait(pause_s)
+            pause_s = min(2.0 * pause_s, longest_s)
+
+    def _open(self) -> None:
+        session = zenoh.open(self._config)
+        with self._lock:
+            self._session = session
+            try:
+                self._declare(session)
+            except zenoh.ZError:
+                self._drop_session()
+                raise
+            if self._closed.is_set():
+                self._drop_session()
+
+    def _declare(self, session: zenoh.Session) -> None:
+        self._held.append(session.info.declare_transport_events_listener(_direct(self._transport), history=True))
+        names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
+        if not names or self._settings.listen:  # at a listening end, what is addressed to nobody is counted as well
+            names = [f"{ROOT}/*"]
+        for name in names:
+            self._held.extend(self._subscriptions(session, name))
+            presence = session.liveliness().declare_subscriber(f"{name}/alive/*", _direct(self._presence), history=True)
+            self._held.append(presence)
+        for craft in sorted(self.crafts):  # after the subscriptions, so that who is seen alive also hears
+            self._announce(session, craft)
+
+    def _subscriptions(self, session: zenoh.Session, name: str) -> list[object]:
+        arrived = _direct(self._arrived)
+        if self.role is Role.SERVICE:
+            history = _history(self._settings.history)
+            samples = ext.declare_advanced_subscriber(
+                session, f"{name}/sample/**", arrived, recovery=_RECOVERY, history=history
+            )
+            return [samples, session.declare_subscriber(f"{name}/command", arrived)]
+        results = ext.declare_advanced_subscriber(
+            session, f"{name}/result/**", arrived, recovery=_RECOVERY, history=_history(1)
+        )
+        held: list[object] = [results, session.declare_subscriber(f"{name}/reply", arrived)]
+        if self.role is Role.VIEWER and self._settings.samples:
+            held.append(session.declare_subscriber(f"{name}/sample/**", arrived))
+        return held
+
+    def _failed(self, error: zenoh.ZError) -> None:
+        """After a failed put: a session that has died is opened anew in the background."""
+        session = self._session
+        if session is None or not session.is_closed() or self._closed.is_set():
+            return
+        _log.warning("%s: the session died (%s); opening it again", self.address, str(error).partition(" at /")[0])
+        self._drop_session()
+        self._keep_trying()
+
+    def _drop_session(self) -> None:
+        session, self._session = self._session, None
+        self._held.clear()
+        self._publishers.clear()
+        self._announced.clear()
+        if session is not None and not session.is_closed():
+            session.close()  # type: ignore[no-untyped-call]
+        for other in tuple(self._transports):
+            self._connection(other, up=False)
+        self._board.clear()
+
+
+def _cached(kind: Kind) -> bool:
+    return group_of(kind) == "sample" or kind.name in _KEPT_RESULTS
+
+
+def _history(depth: int) -> ext.HistoryConfig | None:
+    return ext.HistoryConfig(detect_late_publishers=True, max_samples=depth) if depth else None
+
+
+def _direct(callback: Callable[[Any], None]) -> Any:
+    """A callback on zenoh's own thread: a thread between them would keep the process alive at its end."""
+    return handlers.Callback(callback, indirect=False)

@@ -1,0 +1,129 @@
+"""What a ``zenoh:`` address asks for, and the session configuration that follows from it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from magcal_service.links.address import LinkAddress
+from magcal_service.links.base import Role
+from magcal_service.typed_toml import nearest
+from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
+from magcal_service.wire.fields import NAME
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+_IP_PROTOCOLS = ("quic", "tcp", "tls", "udp", "ws")
+_PROTOCOLS = (*_IP_PROTOCOLS, "serial", "unixpipe", "unixsock-stream", "vsock")
+
+# Set unless the configuration file says otherwise: nobody is sought, only the named endpoint is used; reconnection is
+# quick (0.4 s after a restart, where zenoh's own takes 3-4 s); and there are time stamps, without which advanced
+# publishers cannot recover what was lost.
+_DEFAULTS: dict[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "timestamping/enabled": True,
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+    "transport/unicast/open_timeout": 3000,  # how long a mute host can hold one attempt to connect [ms]
+    # How long a burst may wait for room, once, until the other end keeps up again [us].  zenoh's own 1 ms drops a
+    # third of a burst of 200 in silence on a busy machine.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 50_000,
+    "transport/link/tx/queue/size/data": 16,
+    # A connection that takes nothing for this long is closed [us].  With zenoh's own 5 s, giving up one viewer that
+    # hangs leaves every other end without messages for 4 s.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
+    "transport/link/rx/max_message_size": 4 * MAX_PAYLOAD_BYTES,  # bounds what a peer can make this side hold
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenohSettings:
+    """A ``zenoh:`` address, read and checked.
+
+    Parameters
+    ----------
+    endpoint: zenoh endpoint, such as ``"tcp/127.0.0.1:7447"``.
+    mode: ``"peer"``, ``"client"`` or ``"router"``.
+    listen: listen on the endpoint, or connect to it.
+    file: zenoh configuration file (JSON5) that this is laid over, such as certificates and access rules; or None.
+    name: this end's name in liveliness tokens; taken from the session where empty.
+    cache: samples of each kind and source that a node keeps for recovery.
+    history: samples of each kind and source that a service asks for where it joins a running node.
+    queue: messages held at most between arrival and ``receive``.
+    lease_ms: silence after which the other end takes this one for gone [ms].
+    samples: whether a viewer receives samples too.
+    """
+
+    endpoint: str
+    mode: str
+    listen: bool
+    file: Path | None
+    name: str
+    cache: int
+    history: int
+    queue: int
+    lease_ms: int
+    samples: bool
+
+    @classmethod
+    def read(cls, address: LinkAddress, role: Role) -> ZenohSettings:
+        """Read the address; ``LinkAddressError`` where a part of it is refused."""
+        service = role is Role.SERVICE
+        mode = address.choice("mode", ("peer", "client", "router"), "peer" if service else "client")
+        listen = address.flag("listen", service and mode != "client")
+        if listen and mode == "client":
+            address.refuse("listen", "yes", "a client cannot listen; mode=peer or mode=router is accepted with it")
+        file = address.text_of("config", "")
+        settings = cls(
+            endpoint=_endpoint(address),
+            mode=mode,
+            listen=listen,
+            file=Path(file) if file else None,
+            name=address.text_of("name", "", NAME.pattern, "a name of 1-32 characters of A-Z a-z 0-9 _ -"),
+            cache=address.integer("cache", 1000, 1, 1_000_000),
+            history=address.integer("history", 100, 0, 1_000_000),
+            queue=address.integer("queue", 4096, 1, 1_000_000),
+            lease_ms=address.integer("lease_ms", 4000, 100, 600_000),
+            samples=address.flag("samples", True),
+        )
+        address.finish()
+        return settings
+
+    def session_config(self, address: LinkAddress) -> zenoh.Config:
+        """The configuration of the session; ``LinkAddressError`` where zenoh refuses the file or the endpoint."""
+        try:
+            config = zenoh.Config() if self.file is None else zenoh.Config.from_file(self.file)
+        except zenoh.ZError as error:
+            address.refuse("config", str(self.file), f"a readable zenoh configuration is accepted ({_short(error)})")
+        untouched = zenoh.Config()
+        defaults = _DEFAULTS | {"listen/endpoints": [], "transport/link/tx/lease": self.lease_ms}
+        for key, value in defaults.items():
+            if config.get_json(key) == untouched.get_json(key):
+                config.insert_json5(key, json.dumps(value))
+        config.insert_json5("mode", json.dumps(self.mode))
+        try:
+            config.insert_json5("listen/endpoints" if self.listen else "connect/endpoints", json.dumps([self.endpoint]))
+        except zenoh.ZError as error:
+            address.refuse("endpoint", self.endpoint, f"a zenoh endpoint is accepted ({_short(error)})")
+        return config
+
+
+def _endpoint(address: LinkAddress) -> str:
+    endpoint = address.rest or DEFAULT_ENDPOINT
+    protocol, slash, place = endpoint.partition("/")
+    if not slash or not place:
+        address.refuse("endpoint", endpoint, f"protocol/place such as {DEFAULT_ENDPOINT!r} is accepted")
+    if protocol not in _PROTOCOLS:
+        address.refuse("protocol", protocol, nearest(protocol, _PROTOCOLS))
+    port = re.search(r":([0-9]{1,5})$", place.partition("#")[0])
+    if protocol in _IP_PROTOCOLS and (port is None or int(port[1]) > 65535):
+        address.refuse("endpoint", endpoint, f"host and port, such as {DEFAULT_ENDPOINT!r}, are accepted")
+    return endpoint
+
+
+def _short(error: Exception) -> str:
+    """zenoh's message without the place in its source."""
+    return str(error).partition(" at /")[0]
