@@ -1,0 +1,46 @@
+"""Levels of a residual: all of it, and the part that is white noise."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+
+_FLOOR_SAMPLES: Final = 64
+"""Shortest evenly sampled stretch whose spectrum is looked at."""
+
+
+def white_floor(residual_nt: Array) -> float:
+    """Noise level of the white part of an evenly spaced residual (n,) [nT], n >= 16: lines and slow drifts don't count.
+
+    The median of the periodogram is ln 2 times the mean for white noise, and lines or a low-frequency hump touch only
+    few of its bins.  Relative error about 0.6 / sqrt(n / 2); it overestimates when more than half of the band is hit.
+    """
+    power = np.abs(np.fft.rfft(residual_nt - residual_nt.mean())[1:]) ** 2 / len(residual_nt)
+    return math.sqrt(float(np.median(power)) / math.log(2.0))
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the values (n,)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def noise_floor(time_ns: NDArray[np.int64], residual_nt: Array) -> float:
+    """White noise level [nT] of a residual, over its evenly sampled stretches; the plain rms where all are short.
+
+    Parameters
+    ----------
+    time_ns: times of the samples (n,) [ns], rising.
+    residual_nt: residuals (n,) [nT].
+    """
+    steps = np.diff(time_ns)
+    pauses = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
+    floors = [(len(part), white_floor(part)) for part in np.split(residual_nt, pauses) if len(part) >= _FLOOR_SAMPLES]
+    if not floors:
+        return rms(residual_nt)
+    total = sum(count for count, _ in floors)
+    return float(np.sqrt(sum(count * floor**2 for count, floor in floors) / total))
