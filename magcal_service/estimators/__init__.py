@@ -1,0 +1,37 @@
+"""The estimators, one method a file, found by its presence.
+
+A file of this package that defines ``METHOD`` (an ``interface.Method``) is a method; nothing has to be registered.
+Method ``two-step`` is in ``two_step.py``: one that is asked for by name is imported without the others.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+
+from magcal_service.errors import ConfigError, Fault
+from magcal_service.estimators.interface import Method
+from magcal_service.typed_toml import nearest
+
+
+@cache
+def methods() -> tuple[Method, ...]:
+    """Every method there is, by name."""
+    found = [_method_in(entry.name) for entry in pkgutil.iter_modules(__path__)]
+    return tuple(sorted((method for method in found if method is not None), key=lambda method: method.name))
+
+
+def _method_in(file: str) -> Method | None:
+    method = getattr(importlib.import_module(f"{__name__}.{file}"), "METHOD", None)
+    return method if isinstance(method, Method) else None
+
+
+def find_method(name: str) -> Method:
+    """The method of that name; ConfigError with the nearest name where there is none."""
+    file = name.replace("-", "_")
+    if file in {entry.name for entry in pkgutil.iter_modules(__path__)}:
+        method = _method_in(file)
+        if method is not None and method.name == name:
+            return method
+    raise ConfigError([Fault("method", name, nearest(name, (method.name for method in methods())))])

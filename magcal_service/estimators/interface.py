@@ -1,0 +1,105 @@
+"""What every estimator offers, so that the pipeline and the verdict need not know which it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Protocol
+
+from magcal_service.config import CraftConfig
+from magcal_service.estimators.start import StartGate
+from magcal_service.model import Array
+from magcal_service.ticks import Tick
+
+
+class Phase(StrEnum):
+    """Where an estimator is in its life: collecting for a start, or running."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+
+
+@dataclass(frozen=True, slots=True)
+class TickOutcome:
+    """What one tick did to the estimate.
+
+    Parameters
+    ----------
+    phase: the estimator's phase after the tick.
+    residual_nt: scalar residuals e = |w| - |H| of the tick's samples, before they were used (n,) [nT].
+    used, rejected: samples that entered the estimate or the start, and samples stopped by the gate.
+    squared_innovation, degrees: normalised innovation squared of the scalar update and its expectation (0: no update).
+    spin_squared_innovation: the same for a spin window that ended in this tick (expectation 2), or None.
+    spin_rejected: the spin window was stopped by the gate.
+    """
+
+    phase: Phase
+    residual_nt: Array
+    used: int
+    rejected: int = 0
+    squared_innovation: float = 0.0
+    degrees: int = 0
+    spin_squared_innovation: float | None = None
+    spin_rejected: bool = False
+
+    def with_spin(self, squared_innovation: float, *, rejected: bool) -> TickOutcome:
+        """The same outcome with what a spin window did."""
+        return replace(self, spin_squared_innovation=squared_innovation, spin_rejected=rejected)
+
+
+@dataclass(frozen=True, slots=True)
+class StateEstimate:
+    """The estimate as it stands.
+
+    Parameters
+    ----------
+    x, covariance: state (9,) and covariance (9, 9) in the order of ``model.STATE_NAMES`` [nT, -].
+    phase: whether a start has been made (before that, x and covariance are the prior's).
+    noise_nt: sensor noise that the covariance assumes [nT], 0 while unknown.
+    samples, rejected: magnetometer samples used and stopped so far.
+    restarts: times the estimator lost consistency and started anew.
+    waiting_for: the gate that stopped the last attempt at a start, None where none did.
+    spin_given_up: the spin windows contradicted the scalar measurement and are no longer used.
+    """
+
+    x: Array
+    covariance: Array
+    phase: Phase
+    noise_nt: float
+    samples: int
+    rejected: int
+    restarts: int
+    waiting_for: StartGate | None
+    spin_given_up: bool
+
+
+class Estimator(Protocol):
+    """A calibration method in real time: ticks in, an estimate at any moment; no clock, file or socket inside."""
+
+    @property
+    def name(self) -> str:
+        """The method's name in configurations and messages."""
+
+    def reset(self) -> None:
+        """Back to the prior, before any sample."""
+
+    def handle(self, tick: Tick) -> TickOutcome:
+        """Take one tick, in order of time."""
+
+    def estimate(self) -> StateEstimate:
+        """The estimate after the last tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """An entry of the registry: the method's name, one line about it, and how one is made for a craft.
+
+    ``needs`` is the quantity (``units.CHANNEL_UNITS``) of a telemetry channel of three values without which the method
+    learns nothing; empty where it needs none.
+    """
+
+    name: str
+    summary: str
+    build: Callable[[CraftConfig], Estimator]
+    needs: str = ""

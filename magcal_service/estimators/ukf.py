@@ -1,0 +1,324 @@
+"""The paper's filter: a nine-state UKF with the scalar measurement and two spin pseudo-measurements.
+
+State x = [b, D], random walk.  Each tick: predict, scalar update with equation (3), and at the end of each spin window
+the two pseudo-measurements (6).  Added to the paper, because measured to matter: the mean of v, the noise inside B
+(``model.without_radial_noise``), windows that don't share data, their leak, a batch start, and an innovation gate.
+
+The pseudo-measurements are taken on vectors projected to the known magnitude.  A plain window mean contains the radial
+noise that the scalar updates have already used, and counting it twice makes the filter overconfident by up to a third
+in variance; the projected one contains tangential noise only.
+
+Source: Cetin, Soken, Tekinalp 2020, equations (2)-(8); Crassidis, Lai & Harman 2003.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.config import CraftConfig, SpinConfig, SpinWindow
+from magcal_service.estimators.adaptive import ChangeDetector
+from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.spin_window import SpinWindows, Window
+from magcal_service.estimators.start import StartCollector, prior_sigma
+from magcal_service.estimators.unscented import (
+    Innovation,
+    UnscentedWeights,
+    cholesky,
+    scalar_innovation,
+    sigma_points,
+    transformed_innovation,
+)
+from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
+from magcal_service.ticks import Tick
+
+REJECTED_MEMORY: Final = 60
+REJECTED_LIMIT: Final = 0.5
+"""Samples over which the rejected share is averaged, and the share at which the filter is wrong and not the samples."""
+
+INNOVATION_MEMORY: Final = 100
+INNOVATION_LIMIT: Final = 2.5
+"""Accepted samples over which their squared innovation is averaged, and the mean that says that the errors changed.
+
+Its expectation is 1, and the mean of 100 scatters by 0.14; outliers don't raise it, because the gate stops them.
+"""
+
+_NOISE_MEMORY: Final = 600
+"""Samples over which an unknown noise level is averaged."""
+
+SMALLEST_VARIANCE_NT2: Final = 1e-4
+"""Least noise variance that is learnt: 0.01 nT is better than any sensor in orbit, and keeps the arithmetic sound."""
+
+RUNAWAY_SHARE: Final = 0.3
+"""A learnt noise level of this share of |H| is no noise: the filter has lost its way."""
+
+SPIN_WINDOWS: Final = 16
+SPIN_LIMIT: Final = 3.0
+"""Spin windows over which their squared innovation is averaged, and the multiple of its expectation that is too much.
+
+The mean of 16 windows exceeds 3 times its expectation by chance less than once in 10^9.
+"""
+
+
+_SCALAR_FITS: Final = 0.1
+"""Share of rejected samples below which contradicting windows are the spin's fault; above, the errors have changed."""
+
+_SPIN_MOST: Final = SPIN_WINDOWS * 2.0 * SPIN_LIMIT / 4.0
+"""A single window counts no more than this, so that it takes four bad ones of sixteen to give the spin up."""
+
+
+def _only(tick: Tick, used: NDArray[np.bool_]) -> Tick:
+    """The tick with some of its samples (n,)."""
+    vectors = tick.reference_eci_nt
+    return replace(
+        tick,
+        times_s=tick.times_s[used],
+        field_body_nt=tick.field_body_nt[used],
+        reference_magnitude_nt=tick.reference_magnitude_nt[used],
+        reference_eci_nt=None if vectors is None else vectors[used],
+    )
+
+
+class Ukf:
+    """One craft's filter.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, spin, filter).
+
+    Attributes
+    ----------
+    changes: jumps of the errors that ``filter.adaptive`` has found and followed.
+    """
+
+    name = "ukf"
+
+    def __init__(self, config: CraftConfig) -> None:
+        self.config = config
+        settings = config.filter
+        self._weights = UnscentedWeights.scaled(settings.alpha, settings.beta, settings.kappa)
+        walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
+        self._walk = np.diag(walk**2) if walk.any() else None
+        self._prior = prior_sigma(settings)
+        self._detector = ChangeDetector(self._walk) if settings.adaptive else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the prior, before any sample."""
+        self._x: Array = np.zeros(STATE_SIZE)
+        self._covariance: Array = np.diag(self._prior**2)
+        self._samples = self._rejected = self._restarts = 0
+        self._spin_given_up = False
+        self.changes = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start collecting; the estimate stays what it was until the new start is accepted."""
+        spin = self.config.spin
+        usable = spin is not None and spin.window is not SpinWindow.OFF and not self._spin_given_up
+        self._windows = SpinWindows(spin) if usable and spin is not None else None
+        self._start = StartCollector(self.config)
+        self._phase = Phase.STARTING
+        self._noise_variance = self._white_variance = (self.config.sensor.noise_nt or 0.0) ** 2
+        self._noise_samples = 0
+        self._residuals_before = (0.0, 0.0)
+        self._rejected_share, self._innovation_mean, self._innovation_count = 0.0, 1.0, 0
+        self._learning = self.config.sensor.noise_nt is None
+        self._time_s: float | None = None
+        self._last_field: Array | None = None
+        self._spin_norm, self._spin_count = 2.0, 0
+        if self._detector is not None:
+            self._detector.clear()
+
+    def estimate(self) -> StateEstimate:
+        """The estimate after the last tick."""
+        return StateEstimate(
+            x=self._x,
+            covariance=self._covariance,
+            phase=self._phase,
+            noise_nt=math.sqrt(self._noise_variance),
+            samples=self._samples,
+            rejected=self._rejected,
+            restarts=self._restarts,
+            waiting_for=self._start.gate if self._phase is Phase.STARTING else None,
+            spin_given_up=self._spin_given_up,
+        )
+
+    def handle(self, tick: Tick) -> TickOutcome:
+        """Take one tick: collect it towards the start, or update with its samples and the window it ends."""
+        if self._phase is Phase.STARTING:
+            return self._collect(tick, self._windows.push(tick) if self._windows is not None else None)
+        try:
+            return self._update(tick)
+        except np.linalg.LinAlgError:  # a covariance beyond repair: samples that no sensor near its reference sends
+            self._restarts += 1
+            self._x, self._covariance = np.zeros(STATE_SIZE), np.diag(self._prior**2)
+            self._begin()
+            return TickOutcome(self._phase, self._residual(tick), 0, len(tick.times_s))
+
+    def _update(self, tick: Tick) -> TickOutcome:
+        self._predict(tick)
+        outcome, used = self._scalar_update(tick)
+        if self.config.spin is not None and self.config.spin.fourth:
+            self._fourth_update(tick, self.config.spin)
+        window = self._window(tick, used)
+        if window is not None:
+            outcome = self._spin_update(window, outcome)
+        self._time_s = float(tick.times_s[-1])
+        if self._detector is not None:
+            self._follow_change(self._detector, self._time_s)
+        self._guard_consistency(float(tick.reference_magnitude_nt[-1]))
+        return outcome
+
+    def _collect(self, tick: Tick, window: Window | None) -> TickOutcome:
+        self._samples += len(tick.times_s)
+        solution = self._start.push(tick, window)
+        if solution is not None:
+            self._x, self._covariance = solution.x, self.config.filter.start_inflation**2 * solution.covariance
+            self._noise_variance, self._white_variance = solution.sigma_nt**2, solution.noise_nt**2
+            self._noise_samples = self._start.samples
+            self._learning |= self._start.noise_contradicted
+            if self._start.spin_contradicted:
+                self._spin_given_up, self._windows = True, None
+            self._phase = Phase.RUNNING
+            self._time_s = float(tick.times_s[-1])
+        return TickOutcome(self._phase, self._residual(tick), used=len(tick.times_s))
+
+    def _residual(self, tick: Tick) -> Array:
+        w = tick.field_body_nt + tick.field_body_nt @ d_matrix(self._x) - self._x[BIAS]
+        residual: Array = np.sqrt((w * w).sum(axis=1)) - tick.reference_magnitude_nt
+        return residual
+
+    def _predict(self, tick: Tick) -> None:
+        """Random walk: the state stays, its covariance grows with the time since the last tick."""
+        if self._walk is not None and self._time_s is not None:
+            self._covariance = self._covariance + self._walk * (float(tick.times_s[-1]) - self._time_s)
+
+    def _window(self, tick: Tick, used: NDArray[np.bool_]) -> Window | None:
+        """The window that ends in this tick; a sample that the gate has stopped would spoil a whole one."""
+        if self._windows is None:
+            return None
+        if used.all():
+            return self._windows.push(tick)
+        if not used.any():
+            if tick.after_gap:
+                self._windows.clear()
+            return None
+        return self._windows.push(_only(tick, used))
+
+    def _scalar_update(self, tick: Tick) -> tuple[TickOutcome, NDArray[np.bool_]]:
+        """Equation (3), sample by sample; a sample beyond the gate is counted and left out: which were used (n,)."""
+        gate = self.config.filter.gate_sigma**2
+        residuals, squared, used = np.empty(len(tick.times_s)), 0.0, np.zeros(len(tick.times_s), dtype=bool)
+        for i, magnitude in enumerate(tick.reference_magnitude_nt.tolist()):
+            root = cholesky(self._covariance)
+            field = tick.field_body_nt[i]
+            innovation = scalar_innovation(
+                self._x, root, self._weights, field, magnitude, self._noise_variance, self._white_variance
+            )
+            residuals[i] = innovation.residual_nt
+            norm = innovation.squared_norm()
+            self._rejected_share += (float(norm > gate) - self._rejected_share) / REJECTED_MEMORY
+            if norm > gate:
+                continue
+            self._innovation_count = min(self._innovation_count + 1, INNOVATION_MEMORY)
+            self._innovation_mean += (norm - self._innovation_mean) / self._innovation_count
+            self._x, self._covariance = innovation.apply(self._x, self._covariance)
+            squared += norm
+            used[i] = True
+            if self._learning:
+                self._learn_noise(innovation.residual_nt)
+        count = int(np.count_nonzero(used))
+        rejected = len(residuals) - count
+        self._samples += count
+        self._rejected += rejected
+        return TickOutcome(self._phase, residuals, count, rejected, squared, count), used
+
+    def _learn_noise(self, residual_nt: float) -> None:
+        """Follow an unknown noise level by the running mean square of the residual and of its second difference.
+
+        The second difference (variance 6 s^2 for white noise s^2) leaves out what is slow: only white noise has the
+        mean 3 s^2 in equation (3), physics that was left out has not.
+        """
+        self._noise_samples = min(self._noise_samples + 1, _NOISE_MEMORY)
+        variance_before = self._noise_variance
+        self._noise_variance += (residual_nt**2 - variance_before) / self._noise_samples
+        self._noise_variance = max(self._noise_variance, SMALLEST_VARIANCE_NT2)
+        self._covariance = self._covariance * (self._noise_variance / variance_before)  # all samples weigh the same
+        before, last = self._residuals_before
+        rough = (residual_nt - 2.0 * last + before) ** 2 / 6.0
+        self._residuals_before = (last, residual_nt)
+        self._white_variance += (min(rough, 9.0 * self._noise_variance) - self._white_variance) / self._noise_samples
+        self._white_variance = min(self._white_variance, self._noise_variance)
+
+    def _spin_update(self, window: Window, outcome: TickOutcome) -> TickOutcome:
+        """Equations (6) on the projected vectors of one window."""
+        innovation = self._spin_innovation(window)
+        squared = innovation.squared_norm()
+        accepted = squared <= self.config.filter.gate_sigma**2 + 2.0
+        if accepted:
+            self._x, self._covariance = innovation.apply(self._x, self._covariance)
+        self._spin_count = min(self._spin_count + 1, SPIN_WINDOWS)
+        self._spin_norm += (min(squared, _SPIN_MOST) - self._spin_norm) / self._spin_count
+        return outcome.with_spin(squared, rejected=not accepted)
+
+    def _spin_innovation(self, window: Window) -> Innovation:
+        matrix = np.eye(3) + d_matrix(self._x)
+        magnitude, weights = window.reference_magnitude_nt, window.weights
+        w = window.field_body_nt @ matrix - self._x[BIAS]
+        projected = w * (magnitude / np.sqrt((w * w).sum(axis=1)))[:, None]
+        mean = window.across @ (weights @ projected)
+        # the sensitivity is taken where neither radial noise nor the window's own mean is left in the vectors
+        clean = projected - mean @ window.across
+        field_clean = (clean + self._x[BIAS]) @ np.linalg.inv(matrix)
+        root = cholesky(self._covariance)
+        points = sigma_points(self._x, root, self._weights)
+        moved = field_clean + np.einsum("kij,pj->pki", field_jacobian(field_clean), points)
+        moved *= (magnitude / np.sqrt((moved * moved).sum(axis=2)))[:, :, None]
+        outputs = np.einsum("k,pki->pi", weights, moved) @ window.across.T
+        unit = (projected / magnitude[:, None]) @ window.across.T
+        square = weights**2
+        tangential = np.eye(2) * square.sum() - np.einsum("k,ki,kj->ij", square, unit, unit)
+        noise = self._noise_variance * window.share * tangential + window.leak_nt**2 * np.eye(2)
+        return transformed_innovation(root, self._weights, outputs, outputs[0] - mean, noise)
+
+    def _fourth_update(self, tick: Tick, spin: SpinConfig) -> None:
+        """Equation (8), which the paper rejects: the field along the axis does not change from sample to sample."""
+        field = tick.field_body_nt if self._last_field is None else np.vstack([self._last_field, tick.field_body_nt])
+        self._last_field = tick.field_body_nt[-1]
+        if tick.after_gap or len(field) < 2:
+            return
+        step = np.diff(field, axis=0)
+        jacobian = np.array(spin.axis) @ (field_jacobian(step) * np.repeat([0.0, 1.0], [3, 6]))
+        value = -(step @ np.array(spin.axis) + jacobian @ self._x)
+        cross = self._covariance @ jacobian.T
+        covariance = jacobian @ cross + 2.0 * self._noise_variance * np.eye(len(step))
+        self._x, self._covariance = Innovation(value, covariance, cross).apply(self._x, self._covariance)
+
+    def _follow_change(self, detector: ChangeDetector, now_s: float) -> None:
+        """Where the errors have jumped, give their covariance what the jump needs, and judge consistency afresh."""
+        change = detector.push(now_s, self._x, self._covariance, self._noise_variance)
+        if change is None:
+            return
+        self.changes += 1
+        self._x, self._covariance = change.x, change.covariance
+        self._innovation_mean, self._innovation_count = 1.0, 0
+        self._spin_norm, self._spin_count = 2.0, 0
+
+    def _guard_consistency(self, magnitude_nt: float) -> None:
+        """Start anew where the samples, or the spin windows, keep contradicting the estimate."""
+        spin_lost = self._spin_count == SPIN_WINDOWS and self._spin_norm > 2.0 * SPIN_LIMIT
+        settled = self._innovation_count == INNOVATION_MEMORY
+        changed = settled and self._innovation_mean > INNOVATION_LIMIT and not self._learning
+        changed |= self._learning and self._noise_variance > (RUNAWAY_SHARE * magnitude_nt) ** 2
+        if self._rejected_share > REJECTED_LIMIT or changed or spin_lost:
+            self._spin_given_up |= spin_lost and self._rejected_share < _SCALAR_FITS
+            self._restarts += 1
+            self._begin()
+
+
+METHOD = Method("ukf", "nine-state UKF: scalar measurement and two spin pseudo-measurements, in real time", Ukf)

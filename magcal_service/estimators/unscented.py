@@ -1,0 +1,185 @@
+"""Unscented measurement updates in the form this model allows: every sigma point moves w on a straight line.
+
+Because w = B + J(B) x is affine in x, the 18 symmetric points of Julier & Uhlmann give w_0 +- U_i with one matrix
+product, and the transform of |w|^2 needs no loop over points: with a_i = 2 w_0'U_i and q_i = |U_i|^2 the point pairs
+are |w_0|^2 + q_i +- a_i.  The result is the unscented transform itself, not an approximation of it.
+
+Source: Julier & Uhlmann 1997; Crassidis, Lai & Harman 2003 for its use on equation (3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import STATE_SIZE, Array, vector_jacobian
+
+_IDENTITY: Final = np.eye(STATE_SIZE)
+
+
+@dataclass(frozen=True, slots=True)
+class UnscentedWeights:
+    """Spread and weights of the 2 n + 1 sigma points for n = 9.
+
+    ``spread`` multiplies the columns of the Cholesky factor; ``mean_0`` and ``covariance_0`` weigh the centre point,
+    ``pair`` each of the 18 others.
+    """
+
+    spread: float
+    mean_0: float
+    covariance_0: float
+    pair: float
+
+    @classmethod
+    def scaled(cls, alpha: float, beta: float, kappa: float) -> UnscentedWeights:
+        """The scaled transform: lambda = alpha^2 (n + kappa) - n."""
+        scale = alpha**2 * (STATE_SIZE + kappa)
+        mean_0 = 1.0 - STATE_SIZE / scale
+        return cls(scale**0.5, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """A measurement update before it is applied: innovation (m,), its covariance S (m, m), cross covariance (9, m)."""
+
+    value: Array
+    covariance: Array
+    cross: Array
+
+    def squared_norm(self) -> float:
+        """Normalised innovation squared, v' S^-1 v; its expectation is m."""
+        return float(self.value @ np.linalg.solve(self.covariance, self.value))
+
+    def apply(self, x: Array, covariance: Array) -> tuple[Array, Array]:
+        """The updated state (9,) and covariance (9, 9), symmetric to the last bit."""
+        gain = np.linalg.solve(self.covariance, self.cross.T).T
+        updated = covariance - gain @ self.cross.T
+        return x + gain @ self.value, 0.5 * (updated + updated.T)
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarInnovation:
+    """One scalar update before it is applied.
+
+    Parameters
+    ----------
+    residual_nt: e = |w| - |H| at the measured vector [nT].
+    value, variance: innovation of equation (3) [nT^2] and its variance [nT^4].
+    cross: covariance of the state with it (9,).
+    """
+
+    residual_nt: float
+    value: float
+    variance: float
+    cross: Array
+
+    def squared_norm(self) -> float:
+        """Normalised innovation squared; its expectation is 1."""
+        return self.value * self.value / self.variance
+
+    def apply(self, x: Array, covariance: Array) -> tuple[Array, Array]:
+        """The updated state (9,) and covariance (9, 9), symmetric to the last bit."""
+        cross = self.cross
+        return x + cross * (self.value / self.variance), covariance - np.outer(cross, cross) / self.variance
+
+
+def scalar_innovation(
+    x: Array,
+    root: Array,
+    weights: UnscentedWeights,
+    field_nt: Array,
+    magnitude_nt: float,
+    noise_variance: float,
+    white_variance: float,
+) -> ScalarInnovation:
+    """Innovation of equation (3) for one sample, in plain floats where vectors have three elements: it is the hot path.
+
+    The sensitivity is taken at the vector projected to the known magnitude (``model.without_radial_noise`` explains why
+    and is the same arithmetic for arrays), the innovation at the measured one, and the mean of v is taken off.
+
+    Parameters
+    ----------
+    x, root: state (9,) and the lower Cholesky factor of its covariance (9, 9).
+    field_nt: measured vector B (3,) [nT].
+    magnitude_nt: |H| [nT].
+    noise_variance: s^2 of the isotropic noise that the residual is weighted with [nT^2].
+    white_variance: its part that is sensor noise; the same unless physics was left out [nT^2].
+    """
+    b1, b2, b3, d11, d22, d33, m12, m13, m23 = x.tolist()
+    B1, B2, B3 = field_nt.tolist()
+    m11, m22, m33 = 1.0 + d11, 1.0 + d22, 1.0 + d33
+    w1 = m11 * B1 + m12 * B2 + m13 * B3 - b1
+    w2 = m12 * B1 + m22 * B2 + m23 * B3 - b2
+    w3 = m13 * B1 + m23 * B2 + m33 * B3 - b3
+    length = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
+    residual = length - magnitude_nt
+    share = white_variance / noise_variance * residual / length if length > 0.0 else 0.0
+    r1, r2, r3 = share * w1, share * w2, share * w3  # the radial part, taken off w and, through (I + D)^-1, off B
+    c11, c12, c13 = m22 * m33 - m23 * m23, m13 * m23 - m12 * m33, m12 * m23 - m13 * m22
+    c22, c23, c33 = m11 * m33 - m13 * m13, m12 * m13 - m11 * m23, m11 * m22 - m12 * m12
+    determinant = m11 * c11 + m12 * c12 + m13 * c13
+    B1 -= (c11 * r1 + c12 * r2 + c13 * r3) / determinant
+    B2 -= (c12 * r1 + c22 * r2 + c23 * r3) / determinant
+    B3 -= (c13 * r1 + c23 * r2 + c33 * r3) / determinant
+    moved = (vector_jacobian(B1, B2, B3) @ root) * weights.spread  # U (3, 9)
+    linear = np.array((2.0 * (w1 - r1), 2.0 * (w2 - r2), 2.0 * (w3 - r3))) @ moved  # a (9,)
+    quadratic = (moved * moved).sum(axis=0)  # q (9,)
+    shift = 2.0 * weights.pair * float(quadratic.sum())  # mean of |w|^2 over the points, less its value at the centre
+    quadratic -= shift
+    spread = 2.0 * weights.pair * float(linear @ linear + quadratic @ quadratic) + weights.covariance_0 * shift * shift
+    noise = 4.0 * noise_variance * magnitude_nt * magnitude_nt + 6.0 * noise_variance * noise_variance
+    value = 3.0 * white_variance - residual * (length + magnitude_nt) - shift
+    cross = (root @ linear) * (2.0 * weights.pair * weights.spread)
+    return ScalarInnovation(residual, value, spread + noise, cross)
+
+
+def sigma_points(x: Array, root: Array, weights: UnscentedWeights) -> Array:
+    """The 19 points (19, 9): centre, then x + and x - the scaled columns of the Cholesky factor."""
+    offsets = weights.spread * root.T
+    return np.concatenate([x[None], x + offsets, x - offsets])
+
+
+def transformed_innovation(
+    root: Array, weights: UnscentedWeights, outputs: Array, measured: Array, noise_covariance: Array
+) -> Innovation:
+    """Innovation for any measurement from its values at the 19 sigma points.
+
+    Parameters
+    ----------
+    outputs: predicted measurements at ``sigma_points``, (19, m).
+    measured: what the prediction at the centre is compared with, (m,).
+    noise_covariance: (m, m).
+    """
+    centre, pairs = outputs[0], outputs[1:]
+    mean = weights.mean_0 * centre + weights.pair * pairs.sum(axis=0)
+    d_0, d = centre - mean, pairs - mean
+    covariance = weights.covariance_0 * np.outer(d_0, d_0) + weights.pair * d.T @ d + noise_covariance
+    half = STATE_SIZE
+    cross = (weights.pair * weights.spread) * root @ (d[:half] - d[half:])
+    return Innovation(measured - mean, covariance, cross)
+
+
+def cholesky(covariance: Array) -> Array:
+    """Lower factor of a covariance (9, 9); where rounding has cost definiteness, the nearest floor is restored.
+
+    The floor adds 1e-12 of each variance to the diagonal; it is tried up to a millionth before giving up.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError: the matrix is not a covariance at all.
+    """
+    try:
+        factor: Array = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        diagonal = np.abs(np.diagonal(covariance))
+        for floor in (1e-12, 1e-10, 1e-8):
+            try:
+                factor = np.linalg.cholesky(covariance + _IDENTITY * (floor * diagonal))
+            except np.linalg.LinAlgError:
+                continue
+            return factor
+        factor = np.linalg.cholesky(covariance + _IDENTITY * (1e-6 * diagonal))
+    return factor
