@@ -1,0 +1,1 @@
+"""Recordings: a log described by a TOML file, read row by row into the messages of the wire."""

@@ -1,0 +1,77 @@
+"""What became of the rows of a log: every fault counted by kind, with the first line it was seen on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class RowFault(StrEnum):
+    """Kinds of fault in a row, a cell or its time."""
+
+    BLANK_LINE = "blank_line"
+    SHORT_ROW = "short_row"
+    LONG_ROW = "long_row"
+    MISSING = "missing"
+    NOT_A_NUMBER = "not_a_number"
+    INFINITE = "infinite"
+    UNPARSABLE = "unparsable"
+    ABSURD = "absurd"
+    OUT_OF_ORDER = "out_of_order"
+    DOUBLED_TIME = "doubled_time"
+    TRUNCATED_FILE = "truncated_file"
+
+
+@dataclass(frozen=True, slots=True)
+class RowCount:
+    """One kind of fault in one part of the rows.
+
+    Parameters
+    ----------
+    part: ``row``, ``time``, ``magnetometer``, ``reference``, ``position`` or ``channels.<name>``.
+    fault: the kind.
+    count: rows that have it.
+    first_line: line of the file, from 1, that has it first.
+    kept: whether the row is used all the same (without the faulty part).
+    """
+
+    part: str
+    fault: RowFault
+    count: int
+    first_line: int
+    kept: bool
+
+    def __str__(self) -> str:
+        fate = "kept" if self.kept else "refused"
+        return f"{self.part}: {self.fault.value} x {self.count}, first on line {self.first_line}, {fate}"
+
+
+@dataclass(frozen=True, slots=True)
+class RowReport:
+    """The account of one log: ``rows`` seen, ``used`` of them, and every fault."""
+
+    rows: int
+    used: int
+    entries: tuple[RowCount, ...] = ()
+
+    @property
+    def refused(self) -> int:
+        """Rows that are not used at all."""
+        return self.rows - self.used
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Total of each kind of fault over all parts, kept or refused."""
+        total: Counter[str] = Counter()
+        for entry in self.entries:
+            total[entry.fault.value] += entry.count
+        return total
+
+    def count(self, part: str, fault: RowFault) -> int:
+        """Rows with this fault in this part."""
+        return sum(entry.count for entry in self.entries if entry.part == part and entry.fault is fault)
+
+    def lines(self) -> list[str]:
+        """The account in words, one line per kind."""
+        return [f"{self.rows} rows, {self.used} used, {self.refused} refused", *map(str, self.entries)]

@@ -1,0 +1,27 @@
+"""The descriptions in docs/recording-format.md are loaded as they stand there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from magcal_service.recordings.descriptor import load_descriptor
+from magcal_service.recordings.report import RowFault
+from magcal_service.units import CHANNEL_UNITS
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text()
+EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_each_example_of_the_page_is_accepted(tmp_path: Path, number: int) -> None:
+    (tmp_path / "log.toml").write_text(EXAMPLES[number])
+    assert load_descriptor(tmp_path / "log.toml").samples.parent == tmp_path
+
+
+def test_the_page_names_every_unit_of_a_channel() -> None:
+    assert [unit for unit in CHANNEL_UNITS if unit and f"`{unit}`" not in PAGE] == []
+
+
+def test_the_page_names_every_kind_of_fault() -> None:
+    assert [fault.value for fault in RowFault if f"`{fault.value}`" not in PAGE] == []
