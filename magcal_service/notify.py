@@ -1,0 +1,45 @@
+"""Tells systemd how the daemon is doing: the ``sd_notify`` protocol, a datagram on the socket it names."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+READY = "READY=1"
+STOPPING = "STOPPING=1"
+WATCHDOG = "WATCHDOG=1"
+
+
+def notify(*assignments: str) -> bool:
+    """Send ``assignments`` such as ``READY``, ``WATCHDOG``, ``STOPPING`` or ``status("...")`` in one datagram.
+
+    Returns False, having done nothing, where no service manager listens (``NOTIFY_SOCKET`` unset); it never blocks
+    and a manager that has gone away or is too busy to listen is False as well: the daemon works on without it.
+    Send ``WATCHDOG`` only when the service has moved on, not from a timer: a stuck daemon is to be restarted.
+
+    Source: sd_notify(3); a name that starts with ``@`` is an abstract socket, unix(7).
+    """
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address.startswith(("/", "@")):
+        return False
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as out:
+        try:
+            out.sendto("\n".join(assignments).encode(), "\0" + address[1:] if address.startswith("@") else address)
+        except OSError:
+            return False
+    return True
+
+
+def status(text: str) -> str:
+    """The assignment that ``systemctl status`` shows as one line."""
+    return "STATUS=" + " ".join(text.split())
+
+
+def watchdog_period_s() -> float | None:
+    """Half of the time within which ``WATCHDOG`` has to arrive [s]; None where this process is not watched.
+
+    Source: sd_watchdog_enabled(3).
+    """
+    watched = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+    micros = os.environ.get("WATCHDOG_USEC", "")
+    return int(micros) / 2e6 if watched and micros.isdecimal() and int(micros) > 0 else None

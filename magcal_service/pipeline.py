@@ -1,0 +1,247 @@
+"""One craft, pure: a message in, messages out.  Ticks -> estimator -> trust; no link, file or clock inside.
+
+A live link, a recording and the simulator all end here, so what is proved on one holds for the others.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from magcal_service.config import CraftConfig
+from magcal_service.estimators import find_method
+from magcal_service.estimators.interface import Phase, StateEstimate
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, vector_jacobian
+from magcal_service.ticks import Tick, TickAssembler
+from magcal_service.trust import NOT_STARTED, TrustMonitor
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    Clock,
+    Command,
+    CommandReply,
+    Estimate,
+    MagnetometerSample,
+    Message,
+    PositionSample,
+    ReferenceSample,
+    Status,
+    TelemetrySample,
+)
+
+SOURCE: Final = "magcal"
+COMMANDS: Final = ("status", "freeze", "resume", "reset")
+
+_UPPER = np.triu_indices(STATE_SIZE)
+_UPPER_3 = np.triu_indices(3)
+_IDENTITY_3 = np.eye(3)
+
+
+class Pipeline:
+    """Everything the daemon does for one craft.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    """
+
+    def __init__(self, config: CraftConfig) -> None:
+        self.config = config
+        self.ticks = TickAssembler(config.ticks, config.sensor)
+        self.estimator = find_method(config.filter.method).build(config)
+        self.monitor = TrustMonitor(config)
+        self.trust = NOT_STARTED
+        self.frozen = False
+        self.counters: Counter[str] = Counter()
+        self._sequence = itertools.count()
+        self._state: StateEstimate = self.estimator.estimate()
+        self._last_time_ns = 0
+        self._clock = Clock.ELAPSED
+        self._stuck = False
+        self._thawed = False  # ticks have passed unused since the estimator's last one
+
+    def handle(self, message: Message) -> list[Message]:
+        """Take one message; what is to be published because of it, in order: ``answer``, then ``advance``."""
+        return [*self.answer(message), *self.advance()]
+
+    def answer(self, message: Message) -> list[Message]:
+        """Take one message; what has to leave at once: a sample's vector, a command's reply.
+
+        ``advance`` has to follow, once the answer is on its way: a control loop waits for the vector, not for the tick.
+        """
+        match message:
+            case MagnetometerSample():
+                return self._sample(message)
+            case ReferenceSample():
+                self.ticks.add_reference(message)
+            case PositionSample():
+                self.counters["position"] += 1
+            case TelemetrySample():
+                self.counters["telemetry"] += 1
+                self.counters["rate"] += self.ticks.add_rate(message)
+            case Command():
+                return [self._command(message)]
+            case _:
+                self.counters["unexpected"] += 1
+        return []
+
+    def advance(self) -> list[Message]:
+        """Work through the ticks that have closed; their estimates."""
+        return [self._tick(tick) for tick in self.ticks.ready()]
+
+    def flush(self) -> list[Message]:
+        """Close every open tick: the end of the stream."""
+        return [self._tick(tick) for tick in self.ticks.flush()]
+
+    def _sample(self, sample: MagnetometerSample) -> list[Message]:
+        refused = self.ticks.add(sample)
+        if refused:
+            return self._refused(sample, refused)
+        if self._stuck:
+            self._stuck = False
+            self.monitor.observe_stuck(False)
+        self._last_time_ns, self._clock = sample.time_ns, sample.clock
+        return [self._calibrated(sample)]
+
+    def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
+        """Only a sensor that has just got stuck is worth an estimate of its own: its verdict has changed."""
+        if reason != "stuck" or self._stuck:
+            return []
+        self._stuck = True
+        self.monitor.observe_stuck(True)
+        self.trust = self.monitor.judge(self._state)
+        return [self._estimate(sample.time_ns, sample.clock)]
+
+    def _calibrated(self, sample: MagnetometerSample) -> CalibratedVector:
+        """The sample's vector by the estimate at hand; its covariance is of noise and estimate together."""
+        b1, b2, b3 = sample.field_body_nt
+        jacobian = vector_jacobian(b1, b2, b3)
+        covariance = jacobian @ self._state.covariance @ jacobian.T + self._state.noise_nt**2 * _IDENTITY_3
+        dx, dy, dz = (jacobian @ self._state.x).tolist()  # w = B + J(B) x
+        xx, xy, xz, yy, yz, zz = covariance[_UPPER_3].tolist()
+        return CalibratedVector(
+            craft=sample.craft,
+            source=sample.source,
+            sequence=sample.sequence,
+            time_ns=sample.time_ns,
+            clock=sample.clock,
+            field_body_nt=(b1 + dx, b2 + dy, b3 + dz),
+            covariance_nt2=(xx, xy, xz, yy, yz, zz),
+            verdict=self.trust.verdict,
+        )
+
+    def _tick(self, tick: Tick) -> Estimate:
+        if not tick.times_s.size:
+            self.monitor.observe_skipped(1.0)
+        elif self.frozen:
+            self.counters["ticks_frozen"] += 1
+            self.monitor.observe_frozen()
+            self._thawed = True
+        else:
+            if self._thawed:  # what lies before the freeze is as far away as after a gap
+                self._thawed, tick = False, replace(tick, after_gap=True)
+            self._learn(tick)
+        self.trust = self.monitor.judge(self._state)
+        return self._estimate(tick.time_ns, tick.clock)
+
+    def _learn(self, tick: Tick) -> None:
+        """Give a tick to the estimator; where its arithmetic fails it begins anew, and the other craft work on."""
+        try:
+            outcome = self.estimator.handle(tick)
+            state = self.estimator.estimate()
+            if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
+                raise np.linalg.LinAlgError("the estimate is not finite")
+        except np.linalg.LinAlgError:
+            self.counters["estimator_failed"] += 1
+            self._reset()
+            return
+        self._state = state
+        self.monitor.observe(tick, outcome, state)
+        self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
+
+    def _reset(self) -> None:
+        self.estimator.reset()
+        self.monitor.reset()
+        self._state, self.trust = self.estimator.estimate(), NOT_STARTED
+        self._stuck = False
+
+    def _count(self, rejected: int, window: bool, window_rejected: bool) -> None:
+        self.counters["rejected"] += rejected
+        self.counters["spin_windows"] += window
+        self.counters["spin_windows_rejected"] += window_rejected
+
+    def _estimate(self, time_ns: int, clock: Clock) -> Estimate:
+        state = self._state
+        bx, by, bz = state.x[BIAS].tolist()
+        d11, d22, d33, d12, d13, d23 = state.x[D_ALL].tolist()
+        return Estimate(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=next(self._sequence) % (1 << 32),
+            time_ns=time_ns,
+            clock=clock,
+            method=self.estimator.name,
+            tick=self.ticks.counters["ticks"],
+            bias_nt=(bx, by, bz),
+            D=(d11, d22, d33, d12, d13, d23),
+            covariance=tuple(state.covariance[_UPPER].tolist()),
+            verdict=self.trust.verdict,
+            reasons=tuple(str(reason) for reason in self.trust.reasons),
+            remedy=self.trust.remedy,
+            residual_rms_nt=self.monitor.residual_rms_nt,
+            noise_nt=state.noise_nt,
+            samples_used=state.samples,
+        )
+
+    def _command(self, command: Command) -> CommandReply:
+        """``status`` says how things are; ``freeze`` stops learning, ``resume`` goes on, ``reset`` begins anew."""
+        accepted, text = command.name in COMMANDS, ""
+        match command.name:
+            case "freeze":
+                self.frozen = True
+            case "resume":
+                self.frozen = False
+            case "reset":
+                self._reset()
+            case "status":
+                pass
+            case _:
+                text = f"{command.name!r} is not known; known: {', '.join(COMMANDS)}"
+        self.counters["commands" if accepted else "commands_refused"] += 1
+        return CommandReply(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=next(self._sequence) % (1 << 32),
+            time_ns=self._last_time_ns,
+            clock=self._clock,
+            name=command.name,
+            command_source=command.source,
+            command_sequence=command.sequence,
+            accepted=accepted,
+            text=text or self.summary(),
+        )
+
+    def summary(self) -> str:
+        """One line: verdict, reasons, ticks."""
+        reasons = f" ({', '.join(self.trust.reasons)})" if self.trust.reasons else ""
+        state = "frozen, " if self.frozen else ""
+        return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
+
+    def status(self, uptime_s: float, counters: Counter[str]) -> Status:
+        """Health of this craft; ``counters`` are the link's, added to the craft's own."""
+        own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
+        return Status(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=next(self._sequence) % (1 << 32),
+            time_ns=self._last_time_ns,
+            clock=self._clock,
+            uptime_s=uptime_s,
+            verdict=self.trust.verdict,
+            counters=dict(self.ticks.counters + self.counters + own + counters),
+            text=self.summary(),
+        )

@@ -1,0 +1,164 @@
+"""The daemon: open, loop, publish.  Everything that thinks is in ``pipeline``."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from typing import Final
+
+from magcal_service import notify
+from magcal_service.config import Config
+from magcal_service.errors import InputRefusedError
+from magcal_service.links import Link, Role, open_link
+from magcal_service.output import EstimateCsv
+from magcal_service.pipeline import Pipeline
+from magcal_service.wire.messages import Estimate, Message
+
+log = logging.getLogger("magcal")
+log.addHandler(logging.NullHandler())  # where nobody listens to logs, the command line tells the error itself
+
+WAIT_S: Final = 0.5
+"""Longest wait for a message: how late a status, the watchdog and a request to stop may be."""
+
+
+WATCHDOG_S: Final = 10.0
+"""How often ``systemctl status`` gets a new line where no watchdog asks for more."""
+
+
+class Timer:
+    """Something that is due every ``period_s`` [s] of the monotonic clock."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._next_s = time.monotonic() + period_s
+
+    def due(self) -> bool:
+        """Whether it is time; a period that was slept through is not made up for."""
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + self._period_s
+        return True
+
+
+class Service:
+    """One link, any number of crafts.
+
+    Parameters
+    ----------
+    config: the daemon's configuration.
+    link: an open link in the role of the service.
+    csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
+    """
+
+    def __init__(self, config: Config, link: Link, csv: EstimateCsv | None = None) -> None:
+        self.config = config
+        self.link = link
+        self.csv = csv
+        self.csv_error: InputRefusedError | None = None
+        self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
+        self.counters: Counter[str] = Counter()
+        self._verdicts: dict[str, str] = {}
+        self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
+        self._started_s = time.monotonic()
+
+    def run(self, stop: threading.Event) -> None:
+        """Work until ``stop`` is set or the link is exhausted, then close the open ticks."""
+        status = Timer(self.config.output.status_period_s)
+        watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
+        while not stop.is_set():
+            messages = self.link.receive(WAIT_S)
+            for message in messages:
+                self.handle(message)
+            if self.link.exhausted and not messages:
+                break
+            if status.due():
+                self.publish_status()
+            if watchdog.due():
+                self.feed_watchdog()
+        for pipeline in self.pipelines.values():
+            self._publish(pipeline.flush())
+        self.publish_status()
+
+    def handle(self, message: Message) -> None:
+        """Give one message to its craft and publish what comes of it."""
+        pipeline = self.pipelines.get(message.craft)
+        if pipeline is None:
+            self.counters["unknown_craft"] += 1
+            return
+        self._publish(pipeline.answer(message))
+        self._publish(pipeline.advance())
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        for message in messages:
+            self.link.send(message)
+            if isinstance(message, Estimate):
+                self._note(message)
+
+    def _note(self, estimate: Estimate) -> None:
+        """Write the row and log a changed verdict."""
+        if self.csv_error is not None:
+            self.counters["csv_lost"] += 1
+        elif self.csv is not None:
+            self._to_disk(lambda csv: csv.add(estimate))
+        state = " ".join((estimate.verdict, *estimate.reasons))
+        if self._verdicts.get(estimate.craft) != state:
+            self._verdicts[estimate.craft] = state
+            log.info("%s: %s at tick %d; %s", estimate.craft, state, estimate.tick, estimate.remedy or "nothing to do")
+
+    def publish_status(self) -> None:
+        """Send each craft's status, with the link's counters as ``link.*``, and put the rows written so far on disk."""
+        counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
+        for pipeline in self.pipelines.values():
+            self.link.send(pipeline.status(time.monotonic() - self._started_s, counters))
+        self._to_disk(EstimateCsv.flush)
+
+    def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
+        """A full disk ends the file, not the service: the error is kept, and rows from then on are counted."""
+        if self.csv is None or self.csv_error is not None:
+            return
+        try:
+            work(self.csv)
+        except InputRefusedError as error:
+            self.csv_error = error
+            with suppress(InputRefusedError):
+                self.csv.close()
+            log.error("no more rows are written: %s", error)
+
+    def feed_watchdog(self) -> None:
+        """Tell the service manager that all is well: ticks were made of the samples that came, or none came.
+
+        A daemon that takes samples and makes nothing of them is not well, and is to be restarted.
+        """
+        accepted = sum(pipeline.ticks.counters["accepted"] for pipeline in self.pipelines.values())
+        closed = sum(pipeline.ticks.closed for pipeline in self.pipelines.values())
+        if closed > self._fed[1] or accepted == self._fed[0]:
+            text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
+            notify.notify(notify.WATCHDOG, notify.status(text))
+        self._fed = (accepted, closed)
+
+
+def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:
+    path = config.output.csv
+    return None if path is None else stack.enter_context(EstimateCsv(path, append=True))
+
+
+def run_daemon(config: Config, stop: threading.Event) -> None:
+    """Open what the configuration names and serve until ``stop`` is set.
+
+    Raises ``LinkAddressError``, ``LinkError`` or ``InputRefusedError`` where something cannot be opened at all.
+    """
+    crafts = [craft.name for craft in config.crafts]
+    with ExitStack() as stack:
+        csv = _csv(config, stack)
+        link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
+        service = Service(config, link, csv)
+        log.info("serving %s on %s", ", ".join(crafts), config.link)
+        notify.notify(notify.READY)
+        service.run(stop)
+        notify.notify(notify.STOPPING)
+        log.info("stopped")
