@@ -1,0 +1,283 @@
+"""A scenario and a seed become samples: vectorised blocks, the truth behind them, and the messages they are sent as.
+
+Nothing here reads a clock or a link.  The same scenario and seed give the same numbers on every run, and every random
+stream has its own child seed, so switching one effect on leaves every other number as it was.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_service.wire.messages import (
+    Frame,
+    MagnetometerSample,
+    Message,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+)
+from sim_sensor import faults, sensor, streams
+from sim_sensor.faults import Emission
+from sim_sensor.scenario import UNITS, Channel, ReferenceForm, Scenario, resolve
+from sim_sensor.streams import Stream
+from sim_sensor.sunlight import lit_fraction, sun_direction_eci
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+_BLOCK = 8192  # magnetometer samples computed at once: 0.1 s of work, 20 MB
+_LIGHT_STEP_S = 5.0  # grid of light and temperature; an eclipse edge moves by at most half of it
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive magnetometer samples with the truth behind them; n samples.
+
+    Parameters
+    ----------
+    times_ns: source times (n,) UTC [ns].
+    measured_nt: B (n, 3) [nT], body.
+    ambient_body_nt: A H before the response lag (n, 3) [nT], body, without noise.
+    true_eci_nt: field that acts (n, 3) [nT], ECI.
+    body_from_eci: attitude A (n, 3, 3).
+    bias_nt, D: true errors at each sample (n, 3) [nT], (n, 6) [-]; without what temperature adds.
+    """
+
+    times_ns: Times
+    measured_nt: Floats
+    ambient_body_nt: Floats
+    true_eci_nt: Floats
+    body_from_eci: Floats
+    bias_nt: Floats
+    D: Floats
+
+
+class Simulation:
+    """One run of a scenario.
+
+    Parameters
+    ----------
+    scenario: what to simulate; its random parts are drawn here (see ``truth``).
+    seed: the seed; the scenario's own where None.
+    duration_s: length [s]; the scenario's own where None.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int | None = None, duration_s: float | None = None) -> None:
+        self.seed = scenario.seed if seed is None else seed
+        self.truth = resolve(scenario, self.seed)
+        """The scenario with nothing left to chance: the nine errors, the spin, the orbit.  Never sent."""
+        self.duration_s = scenario.duration_s if duration_s is None else duration_s
+        self._newest_field: tuple[Times, Floats] | None = None
+
+    def times_ns(self, rate_hz: float, offset_s: float = 0.0) -> Times:
+        """Source times (n,) UTC [ns] of a sensor at ``rate_hz``, from the start to the end of the run."""
+        count = max(0, math.ceil((self.duration_s - offset_s) * rate_hz - 1e-9))
+        ticks = np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+        return np.asarray(self.truth.start_ns + round(offset_s * 1e9) + ticks, dtype=np.int64)
+
+    def elapsed_s(self, times_ns: Times) -> Floats:
+        """Seconds since the start (n,)."""
+        return np.asarray((times_ns - self.truth.start_ns) * 1e-9, dtype=np.float64)
+
+    def blocks(self) -> Iterator[Block]:
+        """All magnetometer samples in order, in blocks of at most 8192."""
+        scenario = self.truth
+        rng = streams.generator(self.seed, Stream.MAGNETOMETER)
+        times = self.times_ns(scenario.sensor.rate_hz)
+        for first in range(0, len(times), _BLOCK):
+            part = times[first : first + _BLOCK]
+            noise = rng.standard_normal((len(part), 3)) * np.array(scenario.sensor.noise_nt)
+            yield self._block(part, noise)
+
+    def arrays(self) -> Block:
+        """The whole run as one block."""
+        parts = list(self.blocks())
+        return Block(*(np.concatenate([getattr(part, name) for part in parts]) for name in Block.__annotations__))
+
+    def _true_eci_nt(self, times_ns: Times) -> Floats:
+        """The true field; that of the newest block is kept, since sensor and reference mostly ask for the same."""
+        if self._newest_field is None or not np.array_equal(self._newest_field[0], times_ns):
+            self._newest_field = times_ns, self.truth.field.true_eci_nt(self.truth.orbit, times_ns)
+        return self._newest_field[1]
+
+    def _reference_eci_nt(self, times_ns: Times) -> Floats:
+        if not self.truth.field.differs:
+            return self._true_eci_nt(times_ns)
+        return self.truth.field.reference_eci_nt(self.truth.orbit, times_ns)
+
+    def _block(self, times_ns: Times, noise_nt: Floats) -> Block:
+        scenario, elapsed_s = self.truth, self.elapsed_s(times_ns)
+        true_eci = self._true_eci_nt(times_ns)
+        attitude = scenario.spin.body_from_eci(elapsed_s)
+        ambient = _rotate(attitude, true_eci)
+        response = ambient
+        if scenario.sensor.lag_s > 0.0:
+            response = sensor.lagged(self._delayed_field(times_ns, true_eci), elapsed_s, scenario.sensor.lag_s)
+        measured = sensor.measured_nt(scenario.sensor, scenario.effects, self, elapsed_s, response, noise_nt)
+        bias, D = sensor.errors_at(scenario.sensor, scenario.effects.steps, elapsed_s)
+        return Block(times_ns, measured, ambient, true_eci, attitude, bias, D)
+
+    def _delayed_field(self, times_ns: Times, true_eci: Floats) -> sensor.FieldAt:
+        """The body field at times near those of a block: the attitude exactly, H along its tangent (0.1 nT in 10 s)."""
+        scenario, elapsed_s = self.truth, self.elapsed_s(times_ns)
+        second = 10**9
+        slope = scenario.field.true_eci_nt(scenario.orbit, times_ns + second) - true_eci
+
+        def field_body_nt(at_s: Floats) -> Floats:
+            return _rotate(scenario.spin.body_from_eci(at_s), true_eci + slope * (at_s - elapsed_s)[:, None])
+
+        return field_body_nt
+
+    # What a disturbance may ask of the craft (``disturbances.Craft``).
+
+    def lit(self, elapsed_s: Floats) -> Floats:
+        """Lit fraction (n,)."""
+        grid_s, lit = self._light
+        return np.asarray(np.interp(elapsed_s, grid_s, lit))
+
+    def sun_body(self, elapsed_s: Floats) -> Floats:
+        """Direction of the Sun (n, 3), body, unit."""
+        times = self.truth.start_ns + np.rint(elapsed_s * 1e9).astype(np.int64)
+        return _rotate(self.truth.spin.body_from_eci(elapsed_s), sun_direction_eci(times))
+
+    def temperature_degc(self, elapsed_s: Floats) -> Floats:
+        """Sensor temperature (n,) [degC]."""
+        return np.asarray(np.interp(elapsed_s, self._light[0], self._temperatures))
+
+    @cached_property
+    def _light(self) -> tuple[Floats, Floats]:
+        count = math.ceil(self.duration_s / _LIGHT_STEP_S) + 2
+        grid_s = np.asarray(np.arange(count) * _LIGHT_STEP_S, dtype=np.float64)
+        times = self.truth.start_ns + (grid_s * 1e9).astype(np.int64)
+        return grid_s, lit_fraction(times, self.truth.orbit.position_eci_km(times))
+
+    @cached_property
+    def _temperatures(self) -> Floats:
+        thermal = self.truth.effects.thermal
+        if thermal is None:
+            raise ValueError("temperature_degc needs a scenario with [thermal]")
+        return thermal.history_degc(self._light[1], _LIGHT_STEP_S)
+
+    # Messages
+
+    def messages(self) -> Iterator[Message]:
+        """Everything the node sends, in the order of sending, link faults included."""
+        return (emission.message for emission in self.emissions())
+
+    def emissions(self) -> Iterator[Emission]:
+        """``messages`` with the simulated time at which each is sent."""
+        return faults.apply(self.clean_emissions(), self.truth.faults, streams.child(self.seed, Stream.FAULTS))
+
+    def clean_emissions(self) -> Iterator[Emission]:
+        """The stream before link faults: in order of source time, references before the samples they belong to."""
+        sources = [self._references(), self._positions(), *self._telemetry(), self._magnetometer()]
+        return heapq.merge(*sources, key=lambda emission: emission.emit_s)
+
+    def _magnetometer(self) -> Iterator[Emission]:
+        craft, sequence = self.truth.craft, 0
+        for block in self.blocks():
+            rows = zip(block.times_ns.tolist(), block.measured_nt.tolist(), strict=True)
+            for time_ns, (x, y, z) in rows:
+                sample = MagnetometerSample(
+                    craft=craft, source="mag", sequence=sequence, time_ns=time_ns, field_body_nt=(x, y, z)
+                )
+                yield Emission(self._emit_s(time_ns), sample)
+                sequence += 1
+
+    def _emit_s(self, time_ns: int) -> float:
+        return (time_ns - self.truth.start_ns) * 1e-9
+
+    def references(self) -> Iterator[tuple[Times, Floats]]:
+        """Times (n,) [ns] and reference vectors (n, 3) [nT] ECI in blocks, with the reference's own noise."""
+        plan = self.truth.reference
+        rng = streams.generator(self.seed, Stream.REFERENCE)
+        times = self.times_ns(plan.rate_hz, plan.offset_s)
+        for first in range(0, len(times), _BLOCK):
+            part = times[first : first + _BLOCK]
+            noise = rng.standard_normal((len(part), 3)) * plan.noise_nt
+            yield part, self._reference_eci_nt(part) + noise
+
+    def _references(self) -> Iterator[Emission]:
+        craft, form, sequence = self.truth.craft, self.truth.reference.form, 0
+        if form is ReferenceForm.NONE:
+            return
+        for times, field in self.references():
+            for time_ns, (x, y, z) in zip(times.tolist(), field.tolist(), strict=True):
+                common = {"craft": craft, "source": "ref", "sequence": sequence, "time_ns": time_ns}
+                if form is ReferenceForm.MAGNITUDE:
+                    sample = ReferenceSample(**common, magnitude_nt=math.sqrt(x * x + y * y + z * z))
+                else:
+                    sample = ReferenceSample(**common, field_nt=(x, y, z), frame=Frame.ECI)
+                yield Emission(self._emit_s(time_ns), sample)
+                sequence += 1
+
+    def positions(self) -> tuple[Times, Floats]:
+        """Times (n,) [ns] and positions (n, 3) [km] ECI that are sent; empty where the scenario asks for none."""
+        plan = self.truth.position
+        times = self.times_ns(plan.rate_hz) if plan.rate_hz > 0.0 else np.empty(0, dtype=np.int64)
+        noise = streams.generator(self.seed, Stream.POSITION).standard_normal((len(times), 3)) * plan.noise_km
+        return times, self.truth.orbit.position_eci_km(times) + noise
+
+    def _positions(self) -> Iterator[Emission]:
+        craft = self.truth.craft
+        times, places = self.positions()
+        for sequence, (time_ns, (x, y, z)) in enumerate(zip(times.tolist(), places.tolist(), strict=True)):
+            sample = PositionSample(
+                craft=craft,
+                source="gps",
+                sequence=sequence,
+                time_ns=time_ns,
+                position_km=(x, y, z),
+                frame=Frame.ECI,
+            )
+            yield Emission(self._emit_s(time_ns), sample)
+
+    def channel(self, channel: Channel) -> tuple[Times, Floats]:
+        """Times (n,) [ns] and values (n, k) of a telemetry channel that the scenario sends, noise included."""
+        plan, effects = self.truth.telemetry, self.truth.effects
+        times = self.times_ns(plan.rate_hz)
+        at_s = self.elapsed_s(times)
+        if channel is Channel.TEMPERATURE:
+            values = self.temperature_degc(at_s)[:, None]
+        elif channel is Channel.CURRENT:
+            sun, lit = self.sun_body(at_s), self.lit(at_s)
+            values = np.stack([panel.current_a(sun, lit) for panel in effects.panels], axis=-1)
+        elif channel is Channel.TORQUER and effects.torquer is not None:
+            values = effects.torquer.commanded_am2(at_s)
+        elif channel is Channel.SUN:
+            values = self.sun_body(at_s) * (self.lit(at_s) > 0.5)[:, None]
+        else:
+            values = self.truth.spin.rate_body_rad_s(at_s)
+        noise = dict(zip(plan.channels, plan.noise, strict=True))[channel]
+        rng = streams.generator(self.seed, Stream[channel.name])
+        return times, values + noise * rng.standard_normal(values.shape)
+
+    def _telemetry(self) -> list[Iterator[Emission]]:
+        return [self._channel(channel) for channel in self.truth.telemetry.channels]
+
+    def _channel(self, channel: Channel) -> Iterator[Emission]:
+        craft = self.truth.craft
+        times, values = self.channel(channel)
+        for sequence, (time_ns, row) in enumerate(zip(times.tolist(), values.tolist(), strict=True)):
+            sample = TelemetrySample(
+                craft=craft,
+                source=channel.value,
+                sequence=sequence,
+                time_ns=time_ns,
+                channel=channel.value,
+                unit=UNITS[channel],
+                values=tuple(row),
+            )
+            yield Emission(self._emit_s(time_ns), sample)
+
+
+def _rotate(matrices: Floats, vectors: Floats) -> Floats:
+    """Each matrix (n, 3, 3) times its vector (n, 3)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])

@@ -1,0 +1,44 @@
+"""Where the Sun is, and how much of it the craft sees."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+EARTH_RADIUS_KM = 6378.137
+SUN_RADIUS_KM = 695_700.0  # IAU 2015 nominal
+ASTRONOMICAL_UNIT_KM = 149_597_870.7
+_J2000_NS = 946_728_000 * 10**9
+_DAY_NS = 86400 * 10**9
+
+
+def sun_direction_eci(times_utc_ns: Times) -> Floats:
+    """Unit vectors (n, 3) from the Earth to the Sun, ECI of date.
+
+    Good to 0.01 deg from 1950 to 2050.  Source: Astronomical Almanac, low-precision formulas for the Sun, page C5.
+    """
+    days = (np.asarray(times_utc_ns, dtype=np.int64) - _J2000_NS) / _DAY_NS
+    mean_longitude = 280.460 + 0.9856474 * days
+    anomaly = np.radians(357.528 + 0.9856003 * days)
+    longitude = np.radians(mean_longitude + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2.0 * anomaly))
+    obliquity = np.radians(23.439 - 4.0e-7 * days)
+    across = np.sin(longitude)
+    return np.stack([np.cos(longitude), np.cos(obliquity) * across, np.sin(obliquity) * across], axis=-1)
+
+
+def lit_fraction(times_utc_ns: Times, position_eci_km: Floats) -> Floats:
+    """Share of the Sun's disc that is seen (n,), 1 in light, 0 in umbra, from positions (n, 3) ECI [km].
+
+    Linear in angle through the penumbra (about 8 s wide in low orbit): at most 0.06 from the true share there.
+    The Earth is a sphere of its equatorial radius, which moves an eclipse edge by at most 5 s.
+    Source: Montenbruck and Gill 2000, section 3.4.2.
+    """
+    radius = np.linalg.norm(position_eci_km, axis=-1)
+    earth = np.arcsin(np.minimum(1.0, EARTH_RADIUS_KM / radius))
+    sun = np.arcsin(SUN_RADIUS_KM / ASTRONOMICAL_UNIT_KM)
+    towards_earth = -np.sum(position_eci_km * sun_direction_eci(times_utc_ns), axis=-1) / radius
+    apart = np.arccos(np.clip(towards_earth, -1.0, 1.0))
+    return np.asarray(np.clip((apart - earth + sun) / (2.0 * sun), 0.0, 1.0), dtype=np.float64)
