@@ -16,27 +16,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config import CraftConfig, FilterConfig
 from magcal_service.estimators.spin_window import Window
-from magcal_service.model import (
-    BIAS,
-    D_ALL,
-    STATE_SIZE,
-    Array,
-    calibrate,
-    d_matrix,
-    field_jacobian,
-    scalar_residual,
-    state_of,
-    without_radial_noise,
-)
+from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.ticks import Tick
+
+Entry = TypeVar("Entry")
 
 SMALLEST_EIGENVALUE: Final = 0.4
 LARGEST_EIGENVALUE: Final = 2.5
@@ -61,9 +53,7 @@ _OUTLIER_PASSES: Final = 4
 _FEWEST_KEPT: Final = 0.6
 """Sigmas beyond which a sample is left out of the start, passes of it, and the least share that has to be left."""
 
-_ITERATIONS: Final = 40
 _NOISE_PASSES: Final = 4
-_LARGEST_D: Final = 2.0
 
 _MAX_SAMPLES: Final = 4096
 """Samples kept for the start; beyond that every second one is dropped, again and again."""
@@ -100,143 +90,6 @@ def prior_sigma(config: FilterConfig) -> Array:
     return sigma
 
 
-def _scalar_rows(x: Array, problem: BatchProblem) -> tuple[Array, Array]:
-    """Gauss-Newton rows (n, 9) and residuals (n,) of e = |w| - |H| less its mean s^2 / |H|."""
-    share = (problem.noise_nt / problem.sigma_nt) ** 2
-    w_hat, b_hat = without_radial_noise(x, problem.field_nt, problem.magnitude_nt, share)
-    unit = w_hat / np.linalg.norm(w_hat, axis=1)[:, None]
-    rows: Array = np.einsum("ni,nij->nj", unit, field_jacobian(b_hat))
-    residual = scalar_residual(x, problem.field_nt, problem.magnitude_nt)
-    return rows, residual - problem.noise_nt**2 / problem.magnitude_nt
-
-
-@dataclass(frozen=True, slots=True)
-class WindowMeans:
-    """Spin windows as a batch sees them: w is affine in B and the weights sum to 1, so a window is its weighted mean.
-
-    Parameters
-    ----------
-    field_nt: weighted mean of B over each window (m, 3) [nT].
-    across: two unit body vectors across the spin axis, per window (m, 2, 3).
-    weight, leak_nt: factor on the noise variance, and what is left of A H [nT], per window (m,).
-    """
-
-    field_nt: Array
-    across: Array
-    weight: Array
-    leak_nt: Array
-
-    @classmethod
-    def of(cls, windows: Sequence[Window]) -> WindowMeans:
-        """The means of finished windows."""
-        return cls(
-            field_nt=np.array([window.weights @ window.field_body_nt for window in windows]).reshape(-1, 3),
-            across=np.array([window.across for window in windows]).reshape(-1, 2, 3),
-            weight=np.array([float(window.weights @ window.weights) * window.share for window in windows]),
-            leak_nt=np.array([window.leak_nt for window in windows]),
-        )
-
-    def only(self, keep: NDArray[np.bool_]) -> WindowMeans:
-        """Some of the windows, chosen by a mask (m,)."""
-        return WindowMeans(self.field_nt[keep], self.across[keep], self.weight[keep], self.leak_nt[keep])
-
-    def rows(self, x: Array, noise_nt: float) -> tuple[Array, Array]:
-        """Whitened Gauss-Newton rows (2 m, 9) and residuals (2 m,)."""
-        scaled = self.across * ((noise_nt**2 * self.weight + self.leak_nt**2) ** -0.5)[:, None, None]
-        residual = scaled @ calibrate(x, self.field_nt)[:, :, None]
-        return (scaled @ field_jacobian(self.field_nt)).reshape(-1, STATE_SIZE), residual.reshape(-1)
-
-
-@dataclass(frozen=True, slots=True)
-class BatchProblem:
-    """What a batch solution is fitted to.
-
-    Parameters
-    ----------
-    field_nt, magnitude_nt: measured vectors B (n, 3) and |H| (n,) [nT].
-    windows: means of the finished spin windows, possibly none.
-    prior: 1 sigma of the nine states (9,).
-    sigma_nt: weight of a scalar residual, 1 sigma [nT].
-    noise_nt: white sensor noise for the mean of v [nT]; smaller than ``sigma_nt`` where the residual is not all noise.
-    """
-
-    field_nt: Array
-    magnitude_nt: Array
-    windows: WindowMeans
-    prior: Array
-    sigma_nt: float
-    noise_nt: float
-
-    def only(self, keep: NDArray[np.bool_], windows: NDArray[np.bool_]) -> BatchProblem:
-        """The problem with some of its samples (n,) and windows (m,)."""
-        return replace(
-            self,
-            field_nt=self.field_nt[keep],
-            magnitude_nt=self.magnitude_nt[keep],
-            windows=self.windows.only(windows),
-        )
-
-    def normal_equations(self, x: Array) -> tuple[Array, Array, float]:
-        """Normal matrix (9, 9), gradient (9,) and cost at x: prior, scalar residuals and windows."""
-        rows, residual = _scalar_rows(x, self)
-        weight, tie = self.sigma_nt**-2, self.prior**-2.0
-        normal = weight * rows.T @ rows + np.diag(tie)
-        gradient = weight * rows.T @ residual + tie * x
-        cost = weight * float(residual @ residual) + float(tie @ x**2)
-        window_rows, window_residual = self.windows.rows(x, self.sigma_nt)
-        normal += window_rows.T @ window_rows
-        gradient += window_rows.T @ window_residual
-        cost += float(window_residual @ window_residual)
-        return normal, gradient, cost
-
-
-def linear_start(problem: BatchProblem) -> Array | StartGate:
-    """The state (9,) from linear least squares in (E, c, s), with the prior as a weak tie."""
-    field_nt, magnitude_nt, prior = problem.field_nt, problem.magnitude_nt, problem.prior
-    scale = float(magnitude_nt.mean())
-    b = field_nt / scale
-    i, j = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-    products = b[:, i] * b[:, j] * np.where(i == j, 1.0, 2.0)
-    design = np.hstack([-products, 2.0 * b, -np.ones((len(b), 1))])
-    target = ((field_nt**2).sum(axis=1) - magnitude_nt**2 - 3.0 * problem.noise_nt**2) / scale**2
-    row_sigma = 2.0 * problem.sigma_nt * magnitude_nt / scale**2
-    tie = np.concatenate([2.0 * prior[D_ALL], prior[BIAS] / scale, [np.sum(prior[BIAS] ** 2) / scale**2]])
-    rows = np.vstack([design / row_sigma[:, None], np.diag(1.0 / tie)])
-    theta = np.linalg.lstsq(rows, np.concatenate([target / row_sigma, np.zeros(10)]), rcond=None)[0]
-    square = np.eye(3)
-    square[i, j] += theta[:6]
-    square[j, i] = square[i, j]
-    values, vectors = np.linalg.eigh(square)
-    if values[0] <= 0.0:
-        return StartGate.NOT_POSITIVE
-    root = vectors @ np.diag(np.sqrt(values)) @ vectors.T
-    return state_of(np.linalg.solve(root, theta[6:9] * scale), root - np.eye(3))
-
-
-def gauss_newton(problem: BatchProblem, start: Array) -> tuple[Array, Array] | None:
-    """Maximum a posteriori state (9,) and covariance (9, 9), by damped steps from ``start``; None if it runs away.
-
-    Source: Gauss-Newton as in Alonso & Shuster 2002, damped after Marquardt 1963.
-    """
-    x, damping = start.copy(), 0.0
-    normal, gradient, cost = problem.normal_equations(x)
-    for _ in range(_ITERATIONS):
-        step = np.linalg.solve(normal + damping * np.diag(np.diagonal(normal)), gradient)
-        if float(step @ normal @ step) < 1e-6:
-            return x, np.linalg.inv(normal)
-        trial = x - step
-        if np.abs(trial[D_ALL]).max() > _LARGEST_D:
-            damping = max(10.0 * damping, 1e-3)
-            continue
-        trial_normal, trial_gradient, trial_cost = problem.normal_equations(trial)
-        if trial_cost > cost * (1.0 + 1e-9):
-            damping = max(10.0 * damping, 1e-3)
-            continue
-        x, normal, gradient, cost = trial, trial_normal, trial_gradient, trial_cost
-        damping = 0.1 * damping if damping > 1e-6 else 0.0
-    return None
-
-
 def batch_start(
     field_nt: Array,
     magnitude_nt: Array,
@@ -269,6 +122,13 @@ def batch_start(
         return StartGate.NO_CONVERGENCE
     if isinstance(solution, StartGate):
         return solution
+    return gated(solution, field_nt, magnitude_nt, noise_nt, thinned)
+
+
+def gated(
+    solution: BatchSolution, field_nt: Array, magnitude_nt: Array, noise_nt: float | None, thinned: int
+) -> BatchSolution | StartGate:
+    """The solution with the covariance of all samples, or the gate that stops it; parameters as ``batch_start``."""
     if not (np.isfinite(solution.x).all() and np.isfinite(solution.covariance).all()):
         return StartGate.NO_CONVERGENCE
     solution = replace(solution, covariance=solution.covariance / thinned)
@@ -302,8 +162,8 @@ def _solve_without_outliers(problem: BatchProblem, noise_unknown: bool) -> Batch
         solution = _solve_with_unknown_noise(part) if noise_unknown else _solve(part)
         if isinstance(solution, StartGate):
             return solution
-        sound = _within(scalar_residual(solution.x, problem.field_nt, problem.magnitude_nt))
-        residual = problem.windows.rows(solution.x, solution.sigma_nt)[1].reshape(-1, 2)
+        sound = _within(problem.residuals(solution.x))
+        residual = problem.windows.residuals(solution.x, solution.sigma_nt)
         passed = (residual**2).sum(axis=1) < _OUTLIER**2
         if (sound == keep).all() and ((passed == windows).all() or not windows.any()):
             break
@@ -313,25 +173,44 @@ def _solve_without_outliers(problem: BatchProblem, noise_unknown: bool) -> Batch
 
 
 def _within(values: Array) -> NDArray[np.bool_]:
-    """Which values (n,) lie within 6 sigma of zero, sigma taken from their median."""
-    inside: NDArray[np.bool_] = np.abs(values) <= _OUTLIER * 1.4826 * np.median(np.abs(values))
+    """Which values (..., n) lie within 6 sigma of zero, sigma taken from their median."""
+    size = np.abs(values)
+    inside: NDArray[np.bool_] = size <= _OUTLIER * 1.4826 * np.median(size, axis=-1, keepdims=True)
     return inside
+
+
+def without_outliers(problem: BatchProblem) -> NDArray[np.bool_]:
+    """Which problems of a stack (r,) have no |B| that stands far outside."""
+    length = np.linalg.norm(problem.field_nt, axis=2)
+    return np.asarray(_within(length - np.median(length, axis=1, keepdims=True)).all(axis=1))
+
+
+def fits_all(problem: BatchProblem, x: Array) -> bool:
+    """Whether a solution (9,) leaves no sample and no window out."""
+    passed = (problem.windows.residuals(x, problem.sigma_nt) ** 2).sum(axis=1) < _OUTLIER**2
+    return bool(_within(problem.residuals(x)).all() and passed.all())
 
 
 def _solve(problem: BatchProblem) -> BatchSolution | StartGate:
     """The lower of the minima reached from the linear start and from zero; ambiguous ones are poor coverage."""
-    linear = linear_start(problem)
-    starts = [np.zeros(STATE_SIZE)] if isinstance(linear, StartGate) else [linear, np.zeros(STATE_SIZE)]
+    linear, positive = linear_states(problem)
+    starts = [linear, np.zeros(STATE_SIZE)] if positive else [np.zeros(STATE_SIZE)]
     found = [result for start in starts if (result := gauss_newton(problem, start)) is not None]
     if not found:
-        return linear if isinstance(linear, StartGate) else StartGate.NO_CONVERGENCE
-    costs = [problem.normal_equations(x)[2] for x, _ in found]
+        return StartGate.NO_CONVERGENCE if positive else StartGate.NOT_POSITIVE
+    costs = [float(problem.normal_equations(x)[2]) for x, _ in found]
+    return lowest(problem, found, costs)
+
+
+def lowest(
+    problem: BatchProblem, found: Sequence[tuple[Array, Array]], costs: Sequence[float]
+) -> BatchSolution | StartGate:
+    """The lowest of the minima (state, covariance) of a problem, unless another is as low."""
     x, covariance = found[int(np.argmin(costs))]
     apart = max(float((x - other) @ np.linalg.solve(covariance, x - other)) for other, _ in found)
     if apart > _AMBIGUOUS and max(costs) - min(costs) < _AMBIGUOUS:
         return StartGate.POOR_COVERAGE
-    residual = scalar_residual(x, problem.field_nt, problem.magnitude_nt)
-    rms = float(np.sqrt(np.mean(residual**2)))
+    rms = float(np.sqrt(np.mean(problem.residuals(x) ** 2)))
     return BatchSolution(x, covariance, problem.sigma_nt, min(problem.noise_nt, problem.sigma_nt), rms)
 
 
@@ -343,7 +222,7 @@ def _solve_with_unknown_noise(problem: BatchProblem) -> BatchSolution | StartGat
         solution = _solve(problem)
         if isinstance(solution, StartGate):
             return solution
-        residual = scalar_residual(solution.x, problem.field_nt, problem.magnitude_nt)
+        residual = problem.residuals(solution.x)
         sigma_nt = max(solution.residual_rms_nt, 1e-4 * scale)
         if abs(sigma_nt / problem.sigma_nt - 1.0) < 0.05:
             break
@@ -357,6 +236,51 @@ def vector_sigma(covariance: Array, field_nt: Array) -> float:
     jacobian = field_jacobian(sample)
     variance = np.einsum("nij,jk,nik->n", jacobian, covariance, jacobian)
     return float(np.sqrt(variance.max()))
+
+
+class StartBuffer(Generic[Entry]):
+    """What is kept towards a start, one entry a tick, and when a start is due.
+
+    Parameters
+    ----------
+    start_s: sample time after which a start is first tried [s].
+    """
+
+    def __init__(self, start_s: float) -> None:
+        self.stride = 1
+        self.samples = 0
+        self.seconds = 0.0
+        self._kept: list[tuple[int, Entry]] = []
+        self._seen = 0
+        self._last_s: float | None = None
+        self._attempt_at_s = start_s
+
+    @property
+    def entries(self) -> list[Entry]:
+        """Those kept, in order; every ``stride``-th of those added."""
+        return [entry for _, entry in self._kept]
+
+    def add(self, tick: Tick, entry: Entry) -> None:
+        """Take what is to be kept of a tick; with too many samples every second entry goes."""
+        self._seen += 1
+        now_s = float(tick.times_s[-1])
+        if self._last_s is not None and not tick.after_gap:
+            self.seconds += now_s - self._last_s
+        self._last_s = now_s
+        if self._seen % self.stride == 0:
+            self._kept.append((len(tick.times_s), entry))
+            self.samples += len(tick.times_s)
+        if self.samples > _MAX_SAMPLES:
+            self._kept = self._kept[::2]
+            self.stride *= 2
+            self.samples = sum(count for count, _ in self._kept)
+
+    def due(self) -> bool:
+        """Whether a start is to be tried now; the next attempt is put off by as much as this one has seen."""
+        if self.seconds < self._attempt_at_s or self.samples <= 2 * STATE_SIZE:
+            return False
+        self._attempt_at_s = max(self.seconds * _RETRY, self.seconds + 10.0)
+        return True
 
 
 class StartCollector:
@@ -379,31 +303,21 @@ class StartCollector:
         self.gate: StartGate | None = None
         self.spin_contradicted = False
         self.noise_contradicted = False
-        self._ticks: list[Tick] = []
+        self._ticks: StartBuffer[Tick] = StartBuffer(config.filter.start_s)
         self._windows: list[Window] = []
-        self._stride = 1
-        self._seen = 0
-        self.samples = 0
-        self._seconds = 0.0
-        self._last_s: float | None = None
-        self._attempt_at_s = self.config.filter.start_s
+
+    @property
+    def samples(self) -> int:
+        """Samples kept."""
+        return self._ticks.samples
 
     def push(self, tick: Tick, window: Window | None) -> BatchSolution | None:
         """Add a tick and the window that ended in it; a solution once there is one to hand over."""
-        self._seen += 1
-        now_s = float(tick.times_s[-1])
-        if self._last_s is not None and not tick.after_gap:
-            self._seconds += now_s - self._last_s
-        self._last_s = now_s
-        if self._seen % self._stride == 0:
-            self._ticks.append(tick)
-            self.samples += len(tick.times_s)
+        self._ticks.add(tick, tick)
         if window is not None:
             self._windows.append(window)
-        self._thin()
-        if self._seconds < self._attempt_at_s or self.samples <= 2 * STATE_SIZE:
+        if not self._ticks.due():
             return None
-        self._attempt_at_s = max(self._seconds * _RETRY, self._seconds + 10.0)
         result = self._attempt()
         if isinstance(result, BatchSolution):
             return result
@@ -418,18 +332,13 @@ class StartCollector:
             alone = self._solve((), noise_nt)
             self.spin_contradicted = isinstance(alone, BatchSolution)
             result = alone
-        if result is StartGate.BAD_FIT and self._seconds > self.config.filter.start_max_s:
+        if result is StartGate.BAD_FIT and self._ticks.seconds > self.config.filter.start_max_s:
             result = self._solve((), None)
             self.noise_contradicted = isinstance(result, BatchSolution)
         return result
 
     def _solve(self, windows: Sequence[Window], noise_nt: float | None) -> BatchSolution | StartGate:
-        field = np.concatenate([tick.field_body_nt for tick in self._ticks])
-        magnitude = np.concatenate([tick.reference_magnitude_nt for tick in self._ticks])
-        return batch_start(field, magnitude, windows, noise_nt, self.config.filter, self._stride)
-
-    def _thin(self) -> None:
-        if self.samples > _MAX_SAMPLES:
-            self._ticks = self._ticks[::2]
-            self._stride *= 2
-            self.samples = sum(len(tick.times_s) for tick in self._ticks)
+        ticks = self._ticks.entries
+        field = np.concatenate([tick.field_body_nt for tick in ticks])
+        magnitude = np.concatenate([tick.reference_magnitude_nt for tick in ticks])
+        return batch_start(field, magnitude, windows, noise_nt, self.config.filter, self._ticks.stride)

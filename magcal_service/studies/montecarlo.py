@@ -163,11 +163,13 @@ def _empty(job: Job, flown: Flown) -> Ensemble:
 
 def _run_batch(job: Job, flown: Flown, result: Ensemble) -> Sequence[int]:
     """All runs side by side; returns those that left the batch and have to be done alone."""
-    measured = np.stack([flown.measured(seed) for seed in job.seeds], axis=1)
-    batch = BatchedUkf(job.config, len(job.seeds))
     wanted = _rows_of(job, flown)
-    for index, fields in enumerate(measured[: wanted[-1] + 1]):
-        batch.handle(flown.tick(index, fields[0]), fields)
+    measured = np.empty((wanted[-1] + 1, 3, len(job.seeds)))  # the runs of a tick side by side
+    for run, seed in enumerate(job.seeds):
+        measured[:, :, run] = flown.measured(seed)[: len(measured)]
+    batch = BatchedUkf(job.config, len(job.seeds))
+    for index, fields in enumerate(measured):
+        batch.handle(flown.tick(index, fields[:, 0]), fields.T)
         for column in np.flatnonzero(wanted == index).tolist():
             result.x[:, column], result.covariance[:, column] = batch.x, batch.covariance
             result.started[:, column] = batch.running

@@ -96,6 +96,15 @@ def test_a_sample_beyond_the_gate_changes_nothing_and_its_run_leaves() -> None:
     assert batch.left.tolist() == [True, False]
 
 
+def test_a_run_with_an_outlier_before_its_start_leaves_and_the_others_go_on() -> None:
+    config = CraftConfig("craft", sensor=NOISE, spin=None)
+    clean, spoiled = flights(2, 1200)
+    batch = BatchedUkf(config, 2)
+    play(batch, [clean, spiked(spoiled, range(60, 61))])
+    assert batch.left.tolist() == [False, True]
+    assert batch.running.tolist() == [True, False]
+
+
 def test_a_run_that_loses_consistency_leaves_and_the_others_go_on() -> None:
     config = CraftConfig("craft", sensor=NOISE, spin=None)
     clean, spoiled = flights(2, 1500)

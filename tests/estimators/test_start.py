@@ -5,17 +5,8 @@ import pytest
 from estimator_ticks import TABLE_1, Craft
 
 from magcal_service.config import CraftConfig, FilterConfig, SensorConfig
-from magcal_service.estimators.start import (
-    BatchProblem,
-    BatchSolution,
-    StartCollector,
-    StartGate,
-    WindowMeans,
-    batch_start,
-    gauss_newton,
-    linear_start,
-    prior_sigma,
-)
+from magcal_service.estimators.start import BatchSolution, StartCollector, StartGate, batch_start, prior_sigma
+from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import d_matrix
 
 SECONDS = 6000
@@ -54,8 +45,8 @@ def test_linear_start_alone_is_near_the_truth() -> None:
     problem = BatchProblem(
         measured, np.linalg.norm(reference, axis=1), WindowMeans.of(()), prior_sigma(FilterConfig()), 50.0, 50.0
     )
-    x = linear_start(problem)
-    assert not isinstance(x, StartGate)
+    x, positive = linear_states(problem)
+    assert positive
     assert np.abs(x - TABLE_1)[:3].max() < 100.0
 
 
@@ -77,8 +68,8 @@ def test_scattered_gauss_newton_starts_meet_half_collapsed_minima_and_the_linear
         found = gauss_newton(problem, scattered)
         wrong += found is None or np.linalg.eigvalsh(np.eye(3) + d_matrix(found[0]))[0] < 0.4
     assert wrong >= 6
-    first = linear_start(problem)
-    assert not isinstance(first, StartGate)
+    first, positive = linear_states(problem)
+    assert positive
     found = gauss_newton(problem, first)
     assert found is not None
     assert np.abs(found[0] - TABLE_1)[:3].max() < 30.0
