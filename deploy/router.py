@@ -32,6 +32,7 @@ def main() -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    zenoh.try_init_log_from_env()  # RUST_LOG, where it is set, says what is logged
     try:
         with zenoh.open(load(arguments.config, arguments.listen)):
             print("router open", flush=True)

@@ -94,9 +94,11 @@ def _speed(text: str) -> float:
 def _run(options: argparse.Namespace) -> int:
     from magcal_service import log
     from magcal_service.config import load_config
+    from magcal_service.private_files import check_unaltered
     from magcal_service.service import run_daemon
 
     config = load_config(options.config)
+    check_unaltered(options.config)
     for craft in config.crafts:
         _check_method(options.config, craft.filter.method)
     stop = threading.Event()

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from typing import Final
 
 from magcal_service import notify
@@ -16,6 +17,7 @@ from magcal_service.errors import InputRefusedError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
+from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Estimate, Message
 
 log = logging.getLogger("magcal")
@@ -114,7 +116,8 @@ class Service:
         """Send each craft's status, with the link's counters as ``link.*``, and put the rows written so far on disk."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
         for pipeline in self.pipelines.values():
-            self.link.send(pipeline.status(time.monotonic() - self._started_s, counters))
+            status = pipeline.status(time.monotonic() - self._started_s, counters)
+            self.link.send(replace(status, text=fitting("; ".join((status.text, *self.link.warnings)))))
         self._to_disk(EstimateCsv.flush)
 
     def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
@@ -158,6 +161,8 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
         service = Service(config, link, csv)
         log.info("serving %s on %s", ", ".join(crafts), config.link)
+        for warning in link.warnings:
+            log.warning("%s: %s", config.link, warning)
         notify.notify(notify.READY)
         service.run(stop)
         notify.notify(notify.STOPPING)

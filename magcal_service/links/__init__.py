@@ -63,6 +63,7 @@ def open_link(address: str, role: Role, *, crafts: Sequence[str] = ()) -> Link:
     LinkAddressError: the address or one of its options is refused.
     LinkError: the link can never open as asked, such as a port that is taken.  A peer or device that is not there
         yet is no error: the link connects when it comes.
+    ConfigError: a file with a key or a password in it can be read by others.
     """
     parsed = parse_address(address)
     return _scheme(parsed)(parsed, role, crafts)

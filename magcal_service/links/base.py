@@ -44,7 +44,11 @@ class Link(abc.ABC):
     ----------
     address: the address as the user wrote it.
     crafts: names of the craft whose messages are received; of all craft where empty.
+
+    ``warnings`` says what this link leaves open to other machines, a line each.
     """
+
+    warnings: tuple[str, ...] = ()
 
     def __init__(self, address: str, crafts: Sequence[str] = ()) -> None:
         self.address = address

@@ -20,7 +20,8 @@ from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Link, Role
 from magcal_service.links.inbox import Inbox
 from magcal_service.links.presence import Presence, PresenceBoard
-from magcal_service.links.zenoh_settings import ZenohSettings
+from magcal_service.links.zenoh_log import DENIALS, watch
+from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_rules
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.keys import ROOT, encoding_of, group_of, key_of
 from magcal_service.wire.kinds import Kind, kind_of
@@ -40,12 +41,14 @@ class ZenohLink(Link):
     """One end of a zenoh link; options in ``ZenohSettings`` and ``docs/links.md``.
 
     Counts besides those of every link: ``deferred`` (put while nobody was connected, kept for recovery),
-    ``joined`` and ``left`` (liveliness), ``refused.wrong_craft`` and ``refused.wrong_key`` (key and payload disagree).
+    ``joined`` and ``left`` (liveliness), ``refused.wrong_craft`` and ``refused.wrong_key`` (key and payload disagree),
+    and in the daemon ``denied.<name>`` (see ``zenoh_log``).
 
     Raises
     ------
     LinkAddressError: an option, the endpoint or the configuration file is refused.
     LinkError: a listening link cannot open its endpoint.
+    ConfigError: a file with a secret in it can be read by others, or everybody can write the configuration file.
     """
 
     def __init__(self, address: LinkAddress, role: Role, crafts: Sequence[str] = ()) -> None:
@@ -54,6 +57,11 @@ class ZenohLink(Link):
         self.role = role
         self._settings = ZenohSettings.read(address, role)
         self._config = self._settings.session_config(address)
+        self._settings.check_files(self._config)
+        self.warnings = exposures(self._config)
+        if role is Role.SERVICE:
+            self.counters.update(dict.fromkeys((f"denied.{name}" for name in DENIALS), 0))
+            watch(self._count, address.text, has_rules(self._config))
         self._inbox: Inbox[zenoh.Sample] = Inbox(self._settings.queue, lambda: self._count("overflow"))
         self._board = PresenceBoard(self._count)
         self._lock = threading.RLock()

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
 from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Role
+from magcal_service.private_files import check_secret, check_unaltered
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.fields import NAME
@@ -18,6 +21,14 @@ from magcal_service.wire.fields import NAME
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _IP_PROTOCOLS = ("quic", "tcp", "tls", "udp", "ws")
 _PROTOCOLS = (*_IP_PROTOCOLS, "serial", "unixpipe", "unixsock-stream", "vsock")
+_ENCRYPTED = ("quic", "tls")
+_SECRET_FILES = (
+    "transport/link/tls/listen_private_key",
+    "transport/link/tls/connect_private_key",
+    "transport/auth/usrpwd/dictionary_file",
+    "transport/auth/pubkey/private_key_file",
+)
+_SECRETS = ("transport/auth/usrpwd/password", "transport/auth/pubkey/private_key_pem")
 
 # Set unless the configuration file says otherwise: nobody is sought, only the named endpoint is used; reconnection is
 # quick (0.4 s after a restart, where zenoh's own takes 3-4 s); and there are time stamps, without which advanced
@@ -109,6 +120,60 @@ class ZenohSettings:
         except zenoh.ZError as error:
             address.refuse("endpoint", self.endpoint, f"a zenoh endpoint is accepted ({_short(error)})")
         return config
+
+    def check_files(self, config: zenoh.Config) -> None:
+        """``ConfigError`` where others can read a file with a secret in it, or everybody write the access rules."""
+        for path in filter(None, (_value(config, key) for key in _SECRET_FILES)):
+            check_secret(Path(path))
+        if self.file is not None:
+            check_unaltered(self.file)
+            if any(_value(config, key) for key in _SECRETS) or b"_base64" in self.file.read_bytes():
+                check_secret(self.file)
+
+
+def exposures(config: zenoh.Config) -> tuple[str, ...]:
+    """What a session with this configuration leaves open to other machines, a line each; none on loopback alone."""
+    listening, connecting = _endpoints(config, "listen"), _endpoints(config, "connect")
+    warnings = [f"listens on {endpoint} without TLS" for endpoint in listening if not _encrypted(endpoint)]
+    warnings += [f"connects to {endpoint} without TLS" for endpoint in connecting if not _encrypted(endpoint)]
+    known = _value(config, "transport/link/tls/enable_mtls") or _value(config, "transport/auth/usrpwd/dictionary_file")
+    if listening and not known:
+        warnings.append("asks nobody who they are: neither client certificates nor passwords")
+    if listening and not _value(config, "access_control/enabled"):
+        warnings.append("has no access rules: whoever connects may feed, command and look")
+    return tuple(warnings)
+
+
+def has_rules(config: zenoh.Config) -> bool:
+    """Whether access rules decide who may do what."""
+    return bool(_value(config, "access_control/enabled"))
+
+
+def _value(config: zenoh.Config, key: str) -> Any:
+    return json.loads(config.get_json(key))
+
+
+def _endpoints(config: zenoh.Config, side: str) -> list[str]:
+    """The endpoints of one side that other machines can reach, or that are on them."""
+    found = _value(config, f"{side}/endpoints")
+    if isinstance(found, dict):
+        found = [endpoint for endpoints in found.values() for endpoint in endpoints]
+    return [endpoint for endpoint in found or () if _reaches_out(endpoint)]
+
+
+def _reaches_out(endpoint: str) -> bool:
+    protocol, _, place = endpoint.partition("/")
+    host = place.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    if protocol not in _IP_PROTOCOLS or host == "localhost":
+        return False
+    try:
+        return not ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:  # a name: nobody knows what it stands for tomorrow
+        return True
+
+
+def _encrypted(endpoint: str) -> bool:
+    return endpoint.partition("/")[0] in _ENCRYPTED
 
 
 def _endpoint(address: LinkAddress) -> str:

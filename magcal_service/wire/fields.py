@@ -154,6 +154,11 @@ def text(longest: int = TEXT_BYTES) -> Check:
     return check
 
 
+def fitting(line: str) -> str:
+    """As much of a line as ``text`` accepts."""
+    return line.encode()[:TEXT_BYTES].decode(errors="ignore")
+
+
 def flag(value: Any, name: str) -> bool:
     """A boolean."""
     if not isinstance(value, bool):

@@ -34,8 +34,10 @@ def free_port() -> int:
 
 
 def test_all_the_promised_configurations_are_there() -> None:
-    assert {path.stem for path in TOML} == {"serial", "zenoh-peer", "zenoh-router", "zenoh-tls"}
-    assert {path.stem for path in JSON5} == {"router", "zenoh-tls", "zenoh-tls-client"}
+    assert {path.stem for path in TOML} == {"serial", "zenoh-peer", "zenoh-router", "zenoh-tls", "zenoh-password"}
+    assert {path.stem for path in JSON5} == {
+        *("router", "zenoh-tls", "zenoh-tls-client", "zenoh-password", "zenoh-password-client"),
+    }
 
 
 @pytest.mark.parametrize("path", TOML, ids=lambda path: path.stem)
