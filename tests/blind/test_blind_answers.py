@@ -51,7 +51,7 @@ def _after(case: Case, truth: Truth) -> Floats:
 
 
 def _centred(case: Case) -> Floats:
-    return (case.time_s - case.time_s.mean())[:, None]
+    return np.asarray((case.time_s - case.time_s.mean())[:, None], dtype=np.float64)
 
 
 def thermal_bias(case: Case, truth: Truth) -> Floats:
