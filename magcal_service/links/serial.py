@@ -14,16 +14,19 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import serial
 
 from magcal_service.errors import DecodeError
 from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Link, Role
-from magcal_service.wire.framing import FrameEncoder, StreamDecoder
+from magcal_service.links.line_seal import open_coders
+from magcal_service.wire.fields import fitting
 from magcal_service.wire.keys import group_of
 from magcal_service.wire.kinds import kind_of
-from magcal_service.wire.messages import Message
+from magcal_service.wire.messages import Command, CommandReply, Message
 
 _log = logging.getLogger("magcal.links.serial")
 
@@ -31,6 +34,7 @@ _BACK_OFF_S = (0.2, 5.0)  # first and longest pause between attempts to open [s]
 _READ_BYTES = 65536
 _CLOSE_WAIT_S = 1.0  # how long close lets the line take what is still queued [s]
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
+_DOORKEEPER: Final = "magcal-line"  # source of the answers to commands that the line itself refuses
 _HEARD = {Role.SERVICE: ("sample", "command")}  # a line that echoes gives this end its own messages back
 
 
@@ -48,6 +52,8 @@ class SerialSettings:
     dtr: raise DTR on opening; many boards restart when it rises.
     backlog_bytes: bytes held at most for a line that doesn't take them.
     backlog_s: age at which held frames are given up [s].
+    key: file with the key that commands are sealed with; where None, they are not.
+    counter: file that keeps the last counter of a sealed command; only with ``key``.
     """
 
     device: str
@@ -58,12 +64,17 @@ class SerialSettings:
     dtr: bool
     backlog_bytes: int
     backlog_s: float
+    key: Path | None
+    counter: Path
 
     @classmethod
     def read(cls, address: LinkAddress) -> SerialSettings:
         """Read the address; ``LinkAddressError`` where a part of it is refused."""
         if not address.rest:
             address.refuse("device", "", "a device such as /dev/ttyUSB0 is required")
+        key, counter = address.text_of("key", ""), address.text_of("counter", "")
+        if bool(key) != bool(counter):
+            address.refuse("key" if counter else "counter", "missing", "key=FILE and counter=FILE go together")
         settings = cls(
             device=address.rest,
             baud=address.integer("baud", 115200, 50, 12_000_000),
@@ -73,6 +84,8 @@ class SerialSettings:
             dtr=address.flag("dtr", True),
             backlog_bytes=address.integer("backlog_bytes", 262_144, 16_384, 16_777_216),
             backlog_s=address.real("backlog_s", 5.0, 0.01, 3600.0),
+            key=Path(key) if key else None,
+            counter=Path(counter),
         )
         address.finish()
         return settings
@@ -97,15 +110,23 @@ class SerialLink(Link):
     """One end of a serial line; options in ``SerialSettings`` and ``docs/links.md``.
 
     Counts besides those of every link: ``frames``, ``frames_lost``, ``frame_restarts`` (see ``wire.framing``) and
-    ``refused.wrong_direction`` (an echo of what only this end sends).
+    ``refused.wrong_direction`` (an echo of what only this end sends).  With a key, a service takes sealed commands
+    only and answers the others itself; every other end seals the commands it sends.
+
+    Raises
+    ------
+    LinkAddressError: an option is refused.
+    ConfigError: the key's file is no key or can be read by others, or everybody can write where the counter is kept.
     """
 
     def __init__(self, address: LinkAddress, role: Role, crafts: Sequence[str] = ()) -> None:
         super().__init__(address.text, crafts)
         self._settings = SerialSettings.read(address)
         self._heard = _HEARD.get(role, ("result", "reply"))
-        self._encoder = FrameEncoder()
-        self._decoder = StreamDecoder(self.counters)
+        self._answers = 0  # to commands that the line itself has refused
+        self._encoder, self._decoder = open_coders(
+            role, self._settings.key, self._settings.counter, self.counters, self._refuse_command
+        )
         self._port: serial.Serial | None = None
         self._closed = False
         self._failing = False
@@ -159,6 +180,28 @@ class SerialLink(Link):
             return True
         self.counters["refused.wrong_direction"] += 1
         return False
+
+    def _refuse_command(self, command: Command, error: DecodeError) -> None:
+        """Answer a command that does not pass the line, where it is for a craft that is served here."""
+        if self.crafts and command.craft not in self.crafts:
+            return
+        if not self._answers:
+            _log.warning("%s: a command %r of %r is refused: %s", self.address, command.name, command.source, error)
+        self._answers += 1
+        self.send(
+            CommandReply(
+                craft=command.craft,
+                source=_DOORKEEPER,
+                sequence=(self._answers - 1) % (1 << 32),
+                time_ns=command.time_ns,
+                clock=command.clock,
+                name=command.name,
+                command_source=command.source,
+                command_sequence=command.sequence,
+                accepted=False,
+                text=fitting(str(error)),
+            )
+        )
 
     # Sending
 

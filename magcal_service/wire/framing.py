@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from cobs import cobs
@@ -17,7 +18,8 @@ from cobs import cobs
 from magcal_service.errors import DecodeError
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES, decode, encode
 from magcal_service.wire.kinds import kind_of
-from magcal_service.wire.messages import Message
+from magcal_service.wire.messages import Command, Message
+from magcal_service.wire.seal import SEALED, Sealed, SealGate, split
 
 FRAME_VERSION = 1
 
@@ -88,15 +90,23 @@ def unpack_frame(encoded: bytes) -> ReceivedFrame | FrameRefusal:
 
 
 class FrameEncoder:
-    """Numbers and packs the frames of one line."""
+    """Numbers and packs the frames of one line.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    seal: what a sealed frame carries for a command's payload; commands go as they are where None.
+    """
+
+    def __init__(self, seal: Callable[[bytes], bytes] | None = None) -> None:
         self._sequence = 0
+        self._seal = seal
 
     def encode(self, message: Message) -> bytes:
         """The next frame, ready to be written; ``DecodeError`` where the message itself is refused (no number used)."""
-        payload = encode(message)
-        frame = pack_frame(kind_of(message).code, payload, self._sequence)
+        payload, kind = encode(message), kind_of(message).code
+        if self._seal is not None and isinstance(message, Command):
+            payload, kind = self._seal(payload), kind | SEALED
+        frame = pack_frame(kind, payload, self._sequence)
         self._sequence = (self._sequence + 1) & 0xFFFF
         return frame
 
@@ -162,11 +172,19 @@ class StreamDecoder:
     Parameters
     ----------
     counters: where to count what ``FrameDecoder`` counts and ``refused.<reason>`` of the payloads.
+    gate: what commands have to pass; where None, sealed ones are refused and the others taken.
+    refused: told of each command that does not pass, and why.
     """
 
-    def __init__(self, counters: Counter[str] | None = None) -> None:
+    def __init__(
+        self,
+        counters: Counter[str] | None = None,
+        gate: SealGate | None = None,
+        refused: Callable[[Command, DecodeError], None] | None = None,
+    ) -> None:
         self.counters: Counter[str] = Counter() if counters is None else counters
         self._frames = FrameDecoder(self.counters)
+        self._gate, self._refused = gate, refused
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that ``data`` completes, in the order of the line."""
@@ -178,11 +196,27 @@ class StreamDecoder:
 
     def _take(self, frame: ReceivedFrame, messages: list[Message]) -> None:
         try:
-            message = decode(frame.payload)
+            sealed = split(frame.payload) if frame.kind & SEALED else None
+            message = decode(frame.payload if sealed is None else sealed.payload)
+            expected = kind_of(message).code
+            if frame.kind != (expected if sealed is None else expected | SEALED):
+                raise DecodeError("wrong_kind", f"the header says {frame.kind}, the payload {expected}")
+            if isinstance(message, Command):
+                self._admit(message, sealed)
+            elif sealed is not None:
+                raise DecodeError("wrong_kind", "only commands are sealed")
         except DecodeError as error:
             self.counters[f"refused.{error.reason}"] += 1
             return
-        if kind_of(message).code != frame.kind:
-            self.counters["refused.wrong_kind"] += 1
-            return
         messages.append(message)
+
+    def _admit(self, command: Command, sealed: Sealed | None) -> None:
+        try:
+            if self._gate is not None:
+                self._gate.admit(sealed)
+            elif sealed is not None:
+                raise DecodeError("no_key", "this end has no key to check the seal with; send it unsealed")
+        except DecodeError as error:
+            if self._refused is not None:
+                self._refused(command, error)
+            raise

@@ -7,6 +7,7 @@ but is not the form that the project itself would send (single-precision or inte
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from pathlib import Path
@@ -115,6 +116,33 @@ def golden(kind: str, message: dict[str, object], frame_sequence: int, number: s
     }
 
 
+def hmac_sha256(key: bytes, data: bytes) -> bytes:
+    """RFC 2104 in its own words; keys of up to 64 bytes."""
+    padded = key.ljust(64, b"\0")
+    inner = hashlib.sha256(bytes(byte ^ 0x36 for byte in padded) + data).digest()
+    return hashlib.sha256(bytes(byte ^ 0x5C for byte in padded) + inner).digest()
+
+
+def sealed_golden(key: bytes, counter: int, frame_sequence: int) -> dict[str, object]:
+    """The golden command, sealed."""
+    payload = bytes.fromhex(str(all_golden()["command"]["payload_hex"]))
+    counted = struct.pack("<Q", counter)
+    tag = hmac_sha256(key, b"magcal sealed command 1\0" + counted + payload)[:16]
+    content = counted + payload + tag
+    body = struct.pack("<BBHH", 1, 32 + 0x40, frame_sequence, len(content)) + content
+    return {
+        "key_hex": key.hex(),
+        "counter": counter,
+        "frame_sequence": frame_sequence,
+        "content_hex": content.hex(),
+        "frame_hex": (b"\0" + cobs(body + struct.pack("<I", crc32(body))) + b"\0").hex(),
+    }
+
+
+def all_sealed() -> dict[str, dict[str, object]]:
+    return {"command_sealed": sealed_golden(bytes(range(32)), 1_764_547_200, 10)}
+
+
 def common(source: str, sequence: int, time_ns: int, clock: str = "utc", craft: str = "sat1") -> dict[str, object]:
     return {"craft": craft, "source": source, "sequence": sequence, "time_ns": time_ns, "clock": clock}
 
@@ -194,9 +222,12 @@ def all_golden() -> dict[str, dict[str, object]]:
 
 
 def main() -> None:
-    for name, entry in all_golden().items():
-        text = json.dumps(entry, indent=1, ensure_ascii=False)
-        (Path(__file__).parent / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    here = Path(__file__).parent
+    (here / "sealed").mkdir(exist_ok=True)
+    for folder, entries in ((here, all_golden()), (here / "sealed", all_sealed())):
+        for name, entry in entries.items():
+            text = json.dumps(entry, indent=1, ensure_ascii=False)
+            (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

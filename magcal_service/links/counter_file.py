@@ -1,0 +1,56 @@
+"""The last counter of sealed commands on disk: a few bytes, replaced as a whole, believed only with their checksum."""
+
+from __future__ import annotations
+
+import os
+import re
+import zlib
+from pathlib import Path
+
+from magcal_service.wire.seal import MAX_COUNTER
+
+_CONTENT = re.compile(rb"magcal counter ([0-9]{1,20}) ([0-9a-f]{8})\n")
+
+
+class CounterFile:
+    """A counter that survives restarts and power cuts.
+
+    Parameters
+    ----------
+    path: the file; its directory has to be there and to be writable.
+
+    ``last`` is the stored value: 0 where there is no file yet, None where the file is there and not to be believed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.last = self._read()
+
+    def keep(self, value: int) -> None:
+        """Store a value for good; ``OSError`` where the disk does not take it, and the old value stays."""
+        number = b"%d" % value
+        temporary = self.path.with_name(self.path.name + ".new")
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+            file.write(b"magcal counter %s %08x\n" % (number, zlib.crc32(number)))
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(self.path)
+        directory = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+        self.last = value
+
+    def _read(self) -> int | None:
+        try:
+            with self.path.open("rb") as file:
+                match = _CONTENT.fullmatch(file.read(256))
+        except FileNotFoundError:
+            return 0
+        except OSError:
+            return None
+        if match is None or zlib.crc32(match[1]) != int(match[2], 16):
+            return None
+        value = int(match[1])
+        return value if value <= MAX_COUNTER else None
