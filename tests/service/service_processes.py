@@ -26,7 +26,7 @@ from sim_sensor.pty_pair import PtyPair
 from sim_sensor.scenario import load_scenario
 from sim_sensor.simulation import Simulation
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 CRAFT = """
 [[craft]]
 name = "{name}"
