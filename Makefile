@@ -7,7 +7,7 @@ ARGS ?=
 PIP_ENV := PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_ROOT_USER_ACTION=ignore
 BIN := .venv/bin
 
-.PHONY: help run test lint format check bench clean
+.PHONY: help run test lint format check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -33,6 +33,12 @@ check: lint test ## what CI runs
 bench: .venv/.dev ## the measured figures of the documentation, again (BENCH=wire: one of tests/benchmarks)
 	@set -e; for file in tests/benchmarks/bench_$(BENCH).py; do \
 	  module=$${file%.py}; echo "== $$module"; $(BIN)/python -m $$(echo $$module | tr / .) $(ARGS); done
+
+lock: ## resolve deploy/requirements.lock anew, with hashes (needs the network)
+	@d=$$(mktemp -d) && $(PYTHON) -m venv $$d && $(PIP_ENV) $$d/bin/pip install -q 'pip-tools>=7.4' && \
+	  sed -n '/^#/p' deploy/requirements.lock >$$d/lock && $$d/bin/pip-compile -q --generate-hashes --strip-extras \
+	  --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o $$d/new pyproject.toml && \
+	  cat $$d/new >>$$d/lock && cp $$d/lock deploy/requirements.lock && rm -r $$d
 
 clean: ## remove what the other commands made; recordings in output/ stay
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .hypothesis
