@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import combinations
 from types import MappingProxyType
 
-from tests.blind import body, outside, power, reference, response, thermal, torquer
+from tests.blind import body, hysteresis, motion, noise, outside, power, reference, response, thermal, torquer
 from tests.blind.cause import Builder
 
 EFFECTS: Mapping[str, Builder] = MappingProxyType(
@@ -28,6 +28,13 @@ EFFECTS: Mapping[str, Builder] = MappingProxyType(
         "saturation": response.saturation,
         "quantisation": response.quantisation,
         "sun_disturbance": body.sun_disturbance,
+        "response_lag": motion.response_lag,
+        "axis_skew": motion.axis_skew,
+        "nutation": motion.nutation,
+        "spin_rate": motion.spin_rate,
+        "coloured_noise": noise.coloured_noise,
+        "hysteresis": hysteresis.hysteresis,
+        "stuck_axis": response.stuck_axis,
     }
 )
 """Every effect that has a name in the recording contract."""

@@ -216,7 +216,9 @@ def _answer(
         )
         for found, beside in zip(tuned, joint, strict=True)
     )
-    orbit = world.orbit
+    orbit, motion = world.orbit, world.motion
+    for found in tuned:
+        motion = found.cause.spoil(found.scale).motion or motion
     low, high = (orbit.semi_major_km * (1.0 + sign * orbit.eccentricity) - EQUATOR_KM for sign in (-1.0, 1.0))
     return Answer(
         seed=seed,
@@ -230,8 +232,8 @@ def _answer(
         noise_nt=world.noise_nt,
         bias_nt=tuple(world.bias_nt.tolist()),
         scale=tuple(map(tuple, world.scale.tolist())),
-        spin_rpm=world.motion.rate.start_rad_s / RPM,
-        spin_axis=tuple(world.motion.axis_body.tolist()),
+        spin_rpm=motion.rate.start_rad_s / RPM,
+        spin_axis=tuple(motion.axis_body.tolist()),
         orbit={
             "perigee_km": low,
             "apogee_km": high,

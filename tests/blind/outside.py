@@ -7,6 +7,7 @@ import numpy as np
 from magcal_service import geomagnetic
 from tests.blind.cause import Cause, plain
 from tests.blind.field import times_ns
+from tests.blind.noise import remembering
 from tests.blind.sensor import Spoiling
 from tests.blind.vectors import Floats, dot, log_uniform, random_direction, unit
 from tests.blind.world import World
@@ -134,12 +135,8 @@ def walk(world: World, _recorded: bool) -> Cause:
     rng = world.streams.rng("walk")
     memory_s = log_uniform(rng, 300.0, 2000.0)
     keep = float(np.exp(-world.period_s / memory_s))
-    state = rng.normal(0.0, 1.0, 3)
-    kicks = rng.normal(0.0, np.sqrt(1.0 - keep**2), (len(world.time_s), 3))
-    course = np.empty_like(kicks)
-    for row, kick in enumerate(kicks):
-        state = keep * state + kick
-        course[row] = state
+    kicks = rng.normal(0.0, 1.0, (len(world.time_s) + 1, 3))
+    course = remembering(kicks[1:], keep, kicks[0])
     return _additive("walk", world, course * rng.uniform(0.3, 1.0, 3), {"memory_s": memory_s})
 
 

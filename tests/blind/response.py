@@ -1,4 +1,4 @@
-"""How the sensor itself answers: a gain that depends on the field, an end of scale, a step of its converter."""
+"""How the sensor itself answers: a gain that depends on the field, an end of scale, a converter's step, a fault."""
 
 from __future__ import annotations
 
@@ -68,6 +68,31 @@ def quantisation(world: World, _recorded: bool) -> Cause:
         parameters=lambda scale: {"lsb_nt": scale},
         scale=100.0,
         measure=Measure.WIDENED,
+    )
+
+
+def stuck_axis(world: World, _recorded: bool) -> Cause:
+    """The register of one axis freezes, once or a few times; samples of that axis repeat the last good value."""
+    rng = world.streams.rng("stuck_axis")
+    axis, spells = int(rng.integers(3)), int(rng.integers(1, 4))
+    starts = (np.arange(spells) + rng.uniform(0.05, 0.5, spells)) / spells * world.duration_s
+    lengths = rng.uniform(0.1, 0.45, spells) / spells * world.duration_s
+    spans = [[float(start), float(start + length)] for start, length in zip(starts, lengths, strict=True)]
+
+    def frozen(tags: Floats, field: Floats) -> Floats:
+        field = field.copy()
+        for first, last in spans:
+            rows = np.flatnonzero((tags >= first) & (tags < last))
+            field[rows, axis] = field[rows[0], axis]
+        return field
+
+    return Cause(
+        name="stuck_axis",
+        world=world,
+        spoil=lambda scale: Spoiling(output=frozen) if scale else Spoiling(),
+        parameters=lambda scale: {"axis": axis, "spans_s": spans if scale else []},
+        fixed=True,
+        measure=Measure.TURNED,
     )
 
 

@@ -15,7 +15,8 @@ from tests.blind.field import YEAR_S, dipole_axis_eci, ring_current_field, times
 from tests.blind.vectors import Floats, hermite, unit
 
 Truth = Mapping[str, Any]
-SEEDS = (61, 62)
+SEED = 62
+EVERY = 5
 
 
 def _length(case: Case) -> Floats:
@@ -104,9 +105,9 @@ def sun_disturbance(case: Case, truth: Truth) -> Floats:
     return _residual(case, field)
 
 
-def _against(case: Case, length: Floats) -> Floats:
-    """Residual against another reference length (n,)."""
-    return _residual(case) + _length(case) - length
+def _against(case: Case, length: Floats, every: int = 1) -> Floats:
+    """Residual of every so many samples against another reference length (m,)."""
+    return (_residual(case) + _length(case))[::every] - length
 
 
 def time_offset(case: Case, truth: Truth) -> Floats:
@@ -121,12 +122,12 @@ def time_offset(case: Case, truth: Truth) -> Floats:
 
 def reference_epoch(case: Case, truth: Truth) -> Floats:
     assert case.start_unix_s is not None
-    utc = times_ns(case.start_unix_s, case.time_s)
-    new = geomagnetic.igrf_ecef_nt(utc, _ecef_km(case))
+    utc = times_ns(case.start_unix_s, case.time_s)[::EVERY]
+    place = _ecef_km(case)[::EVERY]
     if "years" in truth:
-        old = geomagnetic.igrf_ecef_nt(utc - round(truth["years"] * YEAR_S) * 10**9, _ecef_km(case))
-        assert np.abs(np.linalg.norm(old, axis=1) - _length(case)).max() < 0.5
-    return _against(case, np.linalg.norm(new, axis=1))
+        old = geomagnetic.igrf_ecef_nt(utc - round(truth["years"] * YEAR_S) * 10**9, place)
+        assert np.abs(np.linalg.norm(old, axis=1) - _length(case)[::EVERY]).max() < 0.5
+    return _against(case, np.linalg.norm(geomagnetic.igrf_ecef_nt(utc, place), axis=1), EVERY)
 
 
 def position_offset(case: Case, truth: Truth) -> Floats:
@@ -138,7 +139,8 @@ def position_offset(case: Case, truth: Truth) -> Floats:
     along = np.cross(across, radial)
     forward = truth["along_km"] + truth["along_km_per_s"] * case.time_s
     true = place + truth["radial_km"] * radial + forward[:, None] * along + truth["cross_km"] * across
-    return _against(case, np.linalg.norm(geomagnetic.igrf_eci_nt(utc, true), axis=1))
+    true_nt = geomagnetic.igrf_eci_nt(utc[::EVERY], true[::EVERY])
+    return _against(case, np.linalg.norm(true_nt, axis=1), EVERY)
 
 
 def tone(case: Case, truth: Truth) -> Floats:
@@ -171,21 +173,20 @@ CHECKS: tuple[Callable[[Case, Truth], Floats], ...] = (
 )
 
 
-def _draw(kind: str, seed: int) -> Case:
-    """The first case from a seed on whose answer is given in the form that is checked."""
-    for other in range(seed, seed + 1000, 100):
-        case = draw_case(other, kind, detectability=(25.0, math.inf), strengths=(0.5, 2.0))
+def _draw(kind: str) -> Case:
+    """The first case whose answer is given in the form that is checked."""
+    for seed in range(SEED, SEED + 1000, 100):
+        case = draw_case(seed, kind, detectability=(25.0, math.inf), strengths=(0.5, 2.0))
         truth = case.answer.effects[0].parameters
         if truth.get("shape", "linear") == "linear" and not truth.get("remanence_share"):
             return case
-    raise AssertionError(f"no {kind} of the wanted form from seed {seed}")
+    raise AssertionError(f"no {kind} of the wanted form from seed {SEED} on")
 
 
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-def test_answer_explains_the_recording(check: Callable[[Case, Truth], Floats], seed: int) -> None:
+def test_answer_explains_the_recording(check: Callable[[Case, Truth], Floats]) -> None:
     """With the effect taken out by the answer's numbers the residual is the noise, and before it was more."""
-    case = _draw(check.__name__, seed)
+    case = _draw(check.__name__)
     before = float(np.sqrt(np.mean(_residual(case) ** 2)))
     left = check(case, case.answer.effects[0].parameters)
     after = float(np.sqrt(np.mean(left**2)))
@@ -197,12 +198,12 @@ def test_storm_has_the_peak_of_its_answer() -> None:
     """Where the residual is largest over time it is what a ring current of the answer's peak gives."""
     case = draw_case(64, "external_field", detectability=(60.0, math.inf), strengths=(1.0, 2.0))
     assert case.start_unix_s is not None
-    utc = times_ns(case.start_unix_s, case.time_s)
-    place = geomagnetic.eci_from_ecef(utc, _ecef_km(case))
-    axis = dipole_axis_eci(case.start_unix_s, case.time_s)
+    utc = times_ns(case.start_unix_s, case.time_s[::EVERY])
+    place = geomagnetic.eci_from_ecef(utc, _ecef_km(case)[::EVERY])
+    axis = dipole_axis_eci(case.start_unix_s, case.time_s[::EVERY])
     one = ring_current_field(np.ones(len(utc)), axis, place)
     along = np.sum(one * unit(geomagnetic.igrf_eci_nt(utc, place)), axis=1)
-    residual = _residual(case)
+    residual = _residual(case)[::EVERY]
     parts = np.array_split(np.arange(len(utc)), 12)
     course = [float(along[part] @ residual[part] / (along[part] @ along[part])) for part in parts]
     peak = float(str(case.answer.effects[0].parameters["peak_nt"]))
