@@ -6,7 +6,7 @@ import json
 import threading
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -111,8 +111,15 @@ class Calibration:
         return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def craft_of(recording: Recording, method: str = "ukf") -> CraftConfig:
-    """The craft's configuration as the recording's descriptor states it: noise, spin, and pauses fit for its period."""
+def craft_of(recording: Recording, method: str | None = None) -> CraftConfig:
+    """The craft's configuration as the recording states it.
+
+    That of a session is the one it was recorded under; of another log what its descriptor says: noise, spin, and pauses
+    fit for its period.  ``method`` is the estimator where given, else the recorded one or ``ukf``.
+    """
+    if recording.craft is not None:
+        method = method or recording.craft.filter.method
+        return replace(recording.craft, filter=replace(recording.craft.filter, method=method))
     descriptor = recording.descriptor
     spin = None
     if descriptor.spin is not None and descriptor.spin.rate_rpm:
@@ -124,7 +131,7 @@ def craft_of(recording: Recording, method: str = "ukf") -> CraftConfig:
         CRAFT,
         sensor=SensorConfig(noise_nt=descriptor.magnetometer.noise_nt),
         spin=spin,
-        filter=FilterConfig(method=method),
+        filter=FilterConfig(method=method or FilterConfig().method),
         ticks=ticks,
     )
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from magcal_service import __version__
 from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.record_cli import add_commands
 
 if TYPE_CHECKING:
     from magcal_service.calibrate import Calibration, Replay
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from magcal_service.recordings.recording import Recording
 
 DONE, REFUSED, NOT_TRUSTED = 0, 2, 3
+_WHOSE = "which craft of a session that holds several"
 
 # Matrices of nine rows gain nothing from threads, and waiting for them costs a quarter of a replay's time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -56,14 +58,16 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
 
     replay = commands.add_parser("replay", help="send a recording through the daemon's own path")
-    replay.add_argument("recording", type=Path, metavar="RECORDING.toml")
-    replay.add_argument("--config", type=Path, metavar="FILE", help="configuration of exactly one craft")
+    replay.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    replay.add_argument("--config", type=Path, metavar="FILE", help="configuration of exactly one craft, or of --craft")
+    replay.add_argument("--craft", metavar="NAME", help=_WHOSE)
     replay.add_argument("--speed", type=_speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
     replay.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
     replay.set_defaults(command=_replay)
 
     calibrate = commands.add_parser("calibrate", help="estimate the nine errors of a whole recording")
-    calibrate.add_argument("recording", type=Path, metavar="RECORDING.toml")
+    calibrate.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    calibrate.add_argument("--craft", metavar="NAME", help=_WHOSE)
     calibrate.add_argument("--method", default="ukf", help="estimator (default: ukf, the daemon's own)")
     calibrate.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
     calibrate.set_defaults(command=_calibrate)
@@ -78,6 +82,8 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
     study.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     study.set_defaults(command=_study)
+
+    add_commands(commands.add_parser("record", help="recorded sessions: info, export, recover, join, describe"))
     return parser
 
 
@@ -127,8 +133,8 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.output import EstimateCsv
     from magcal_service.recordings.reader import read_recording
 
-    configured = _craft_from(options.config)
-    recording = read_recording(options.recording)
+    configured = _craft_from(options.config, options.craft)
+    recording = read_recording(options.recording, options.craft)
     refuse_hopeless(recording)
     craft = configured or craft_of(recording)
     with ExitStack() as stack:
@@ -145,14 +151,17 @@ def _replay(options: argparse.Namespace) -> int:
     return DONE if result.pipeline.trust.verdict == "trusted" else NOT_TRUSTED
 
 
-def _craft_from(config: Path | None) -> CraftConfig | None:
+def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
     from magcal_service.config import load_config
 
     if config is None:
         return None
     crafts = load_config(config).crafts
+    if len(crafts) > 1 and name is not None:
+        crafts = tuple(craft for craft in crafts if craft.name == name)
     if len(crafts) != 1:
-        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), "a replay takes exactly one [[craft]]")])
+        accepted = "a replay takes exactly one [[craft]], or the one that --craft names"
+        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
     _check_method(config, crafts[0].filter.method)
     return crafts[0]
 
@@ -177,7 +186,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from magcal_service.recordings.reader import read_recording
 
     find_method(options.method)
-    recording = read_recording(options.recording)
+    recording = read_recording(options.recording, options.craft)
     result = calibrate_recording(recording, options.method)
     print("\n".join(recording.report.lines()))
     print(_table(result))

@@ -25,6 +25,7 @@ __all__ = [
     "CraftConfig",
     "FilterConfig",
     "OutputConfig",
+    "RecordConfig",
     "SensorConfig",
     "SpinConfig",
     "SpinWindow",
@@ -188,6 +189,30 @@ class OutputConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordConfig:
+    """Sessions recorded as MCAP files; needs the extra ``record``.
+
+    Parameters
+    ----------
+    directory: where the files go, relative to the working directory; made where absent.
+    flush_s: what was recorded is on the disk after this much time [s].
+    file_mb: a file that has this size is ended and the next begun [MB].
+    file_h: the same by age [h].
+    total_mb: the oldest files are deleted beyond this size of them all [MB]; None: nothing is deleted.
+    min_free_mb: recording stops where the disk has less room than this left for others [MB].
+    retry_s: time between two attempts to record again [s].
+    """
+
+    directory: Path
+    flush_s: float = field(default=5.0, metadata=_within(0.1, 60.0))
+    file_mb: float = field(default=64.0, metadata=_within(0.01, 4096.0))
+    file_h: float = field(default=24.0, metadata=_within(0.001, 720.0))
+    total_mb: float | None = field(default=None, metadata=_within(0.02, 1e7))
+    min_free_mb: float = field(default=64.0, metadata=_within(0.0, 1e6))
+    retry_s: float = field(default=60.0, metadata=_within(0.1, 3600.0))
+
+
+@dataclass(frozen=True, slots=True)
 class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
@@ -201,11 +226,12 @@ class CraftConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """A whole file: the link's address, one ``CraftConfig`` per ``[[craft]]`` in the file's order, and the output."""
+    """A whole file: the link's address, one ``CraftConfig`` per ``[[craft]]`` in order, and what is written."""
 
     link: str = DEFAULT_LINK
     crafts: tuple[CraftConfig, ...] = ()
     output: OutputConfig = OutputConfig()
+    record: RecordConfig | None = None
 
 
 def default_craft(name: str) -> CraftConfig:
@@ -225,7 +251,11 @@ def load_config(path: Path, methods: Collection[str] = ()) -> Config:
 
     Raises ConfigError with every fault in the file: file, field, value, what is accepted.
     """
-    top = open_toml(path, ConfigError)
+    return read_config(open_toml(path, ConfigError), methods)
+
+
+def read_config(top: Table, methods: Collection[str] = ()) -> Config:
+    """The same of a file that has been parsed already."""
     version = top.number("version", required=True)
     if version not in (None, VERSION):
         top.refuse("version", version, f"{VERSION} is accepted")
@@ -234,7 +264,9 @@ def load_config(path: Path, methods: Collection[str] = ()) -> Config:
         check_address(link)
     except LinkAddressError as exc:
         top.refuse("link", link, str(exc))
-    config = Config(link, _read_crafts(top, methods), _read_output(top.table("output")))
+    config = Config(
+        link, _read_crafts(top, methods), _read_output(top.table("output")), _read_record(top.table("record"))
+    )
     top.finish()
     if top.faults:
         raise ConfigError(top.faults)
@@ -338,6 +370,8 @@ def _read_axis(table: Table) -> Vector:
     if not 1e-6 <= length <= 1e6:
         table.refuse("axis", [x, y, z], "a vector of length 1e-6 to 1e6 is accepted (its length does not matter)")
         return _AXES["z"]
+    if abs(length - 1.0) < 1e-12:  # a unit vector stays as it was written, bit for bit
+        return (x, y, z)
     return (x / length, y / length, z / length)
 
 
@@ -385,3 +419,16 @@ def _read_output(table: Table | None) -> OutputConfig:
     values = {setting.name: _read_setting(table, setting) for setting in fields(OutputConfig) if setting.metadata}
     table.finish()
     return OutputConfig(csv=Path(text) if text else None, **values)
+
+
+def _read_record(table: Table | None) -> RecordConfig | None:
+    if table is None:
+        return None
+    text = table.text("directory", accepted="the folder that recordings go to")
+    if not text.strip() and isinstance(table.content.get("directory"), str):
+        table.refuse("directory", text, "the folder that recordings go to is accepted; leave [record] out for none")
+    values = {setting.name: _read_setting(table, setting) for setting in fields(RecordConfig) if setting.metadata}
+    if values["total_mb"] is not None and values["total_mb"] < 2.0 * values["file_mb"]:
+        table.refuse("total_mb", values["total_mb"], f"at least twice file_mb = {values['file_mb']:g} is accepted")
+    table.finish()
+    return RecordConfig(directory=Path(text), **values)

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from magcal_service import notify
 from magcal_service.config import Config
@@ -19,6 +19,9 @@ from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Estimate, Message
+
+if TYPE_CHECKING:
+    from magcal_service.recorder import Recorder
 
 log = logging.getLogger("magcal")
 log.addHandler(logging.NullHandler())  # where nobody listens to logs, the command line tells the error itself
@@ -55,12 +58,16 @@ class Service:
     config: the daemon's configuration.
     link: an open link in the role of the service.
     csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
+    recorder: takes everything that comes in and goes out.
     """
 
-    def __init__(self, config: Config, link: Link, csv: EstimateCsv | None = None) -> None:
+    def __init__(
+        self, config: Config, link: Link, csv: EstimateCsv | None = None, recorder: Recorder | None = None
+    ) -> None:
         self.config = config
         self.link = link
         self.csv = csv
+        self.recorder = recorder
         self.csv_error: InputRefusedError | None = None
         self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
@@ -92,14 +99,21 @@ class Service:
         if pipeline is None:
             self.counters["unknown_craft"] += 1
             return
+        if self.recorder is not None:
+            self.recorder.add(message)
         self._publish(pipeline.answer(message))
         self._publish(pipeline.advance())
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:
-            self.link.send(message)
+            self._send(message)
             if isinstance(message, Estimate):
                 self._note(message)
+
+    def _send(self, message: Message) -> None:
+        self.link.send(message)
+        if self.recorder is not None:
+            self.recorder.add(message)
 
     def _note(self, estimate: Estimate) -> None:
         """Write the row and log a changed verdict."""
@@ -115,9 +129,13 @@ class Service:
     def publish_status(self) -> None:
         """Send each craft's status, with the link's counters as ``link.*``, and put the rows written so far on disk."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
+        trouble = []
+        if self.recorder is not None:
+            counters += self.recorder.counters
+            trouble = [f"not recording: {self.recorder.trouble}"] if self.recorder.trouble else []
         for pipeline in self.pipelines.values():
             status = pipeline.status(time.monotonic() - self._started_s, counters)
-            self.link.send(replace(status, text=fitting("; ".join((status.text, *self.link.warnings)))))
+            self._send(replace(status, text=fitting("; ".join((status.text, *self.link.warnings, *trouble)))))
         self._to_disk(EstimateCsv.flush)
 
     def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
@@ -150,6 +168,14 @@ def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:
     return None if path is None else stack.enter_context(EstimateCsv(path, append=True))
 
 
+def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
+    if config.record is None:
+        return None
+    from magcal_service.recorder import open_recorder  # the packages of its extra are loaded where it is asked for
+
+    return stack.enter_context(open_recorder(config.record, config.crafts))
+
+
 def run_daemon(config: Config, stop: threading.Event) -> None:
     """Open what the configuration names and serve until ``stop`` is set.
 
@@ -157,9 +183,9 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
     """
     crafts = [craft.name for craft in config.crafts]
     with ExitStack() as stack:
-        csv = _csv(config, stack)
+        csv, recorder = _csv(config, stack), _recorder(config, stack)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
-        service = Service(config, link, csv)
+        service = Service(config, link, csv, recorder)
         log.info("serving %s on %s", ", ".join(crafts), config.link)
         for warning in link.warnings:
             log.warning("%s: %s", config.link, warning)

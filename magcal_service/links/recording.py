@@ -1,6 +1,7 @@
-"""``recording:FILE.toml``: a recorded log arrives as if its craft were on the line.
+"""``recording:FILE.toml`` or ``recording:FILE.mcap``: a recorded log arrives as if its craft were on the line.
 
-Options: ``speed`` (times real time; 0, the default, is as fast as it goes), ``craft`` (the name its messages carry),
+Options: ``speed`` (times real time; 0, the default, is as fast as it goes), ``craft`` (the name its messages carry; of
+several craft in a session the one of that name is played),
 ``telemetry`` (``no`` leaves the channels out).  Needs numpy, and the extra ``sim`` where the reference is a model.
 """
 
@@ -51,8 +52,10 @@ class RecordingLink(Link):
         telemetry = parsed.flag("telemetry", True)
         parsed.finish()
         if not parsed.rest:
-            parsed.refuse("file", parsed.rest, "recording:FILE.toml is accepted")
-        self.recording = recording if recording is not None else read_recording(Path(unquote(parsed.rest)))
+            parsed.refuse("file", parsed.rest, "recording:FILE.toml or recording:FILE.mcap is accepted")
+        if recording is None:
+            recording = read_recording(Path(unquote(parsed.rest)), prefer=craft)
+        self.recording = recording
         self._sink = sink
         self._stream = messages(self.recording, craft, telemetry=telemetry)
         self._next: Message | None = next(self._stream, None)

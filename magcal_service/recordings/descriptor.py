@@ -13,6 +13,7 @@ from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import read_channels
 from magcal_service.recordings.specs import (
     MAX_FIELD_NT,
+    SESSION_SUFFIX,
     Axis,
     CartesianPosition,
     ConstantReference,
@@ -33,6 +34,7 @@ from magcal_service.recordings.specs import (
 from magcal_service.recordings.timestamps import iso8601_to_ns
 from magcal_service.typed_toml import Table, open_toml
 from magcal_service.units import FIELD_NT, FieldUnit, LengthUnit
+from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Clock, Frame, Vector
 
 _VERSION = 1
@@ -48,7 +50,9 @@ def load_descriptor(path: Path | str) -> Descriptor:
     top.integer("version", _VERSION, minimum=_VERSION, maximum=_VERSION)
     if not top.has("version"):
         top.refuse("version", "missing", f"required: version = {_VERSION}")
-    samples, delimiter = _samples(top)
+    samples, delimiter, craft = _samples(top)
+    if samples.lower().endswith(SESSION_SUFFIX):
+        return _session(top, path, samples, craft)
     time = _time(top)
     magnetometer = _magnetometer(top)
     reference = _reference(top)
@@ -62,23 +66,49 @@ def load_descriptor(path: Path | str) -> Descriptor:
     return Descriptor(path, path.parent / samples, delimiter, time, magnetometer, reference, position, spin, channels)
 
 
+def _session(top: Table, path: Path, samples: str, craft: str | None) -> Descriptor:
+    """The description of a recorded session: noise and spin, where they are better known than when it was made.
+
+    Times, units and frames stand in the session itself, so its other sections are refused.
+    """
+    noise_nt = None
+    section = top.table("magnetometer")
+    if section is not None:
+        noise_nt = section.number("noise_nt", minimum=1e-3, maximum=MAX_FIELD_NT)
+        section.finish()
+    spin = _spin(top)
+    for name in ("time", "reference", "position", "channels"):
+        if top.has(name):
+            top.refuse(name, "given", "a recorded session (.mcap) brings its own; remove the section")
+    top.finish()
+    if top.faults:
+        raise RecordingError(top.faults)
+    time, magnetometer = TimeSpec("timestamp", TimeFormat.UNIX_S), MagnetometerSpec((), FieldUnit.NT, noise_nt)
+    reference = MagnitudeReference("magnitude_nt", FieldUnit.NT)
+    return Descriptor(path, path.parent / samples, ",", time, magnetometer, reference, None, spin, (), craft)
+
+
 def _section(top: Table, name: str) -> Table:
     """A required section; an empty one in its place, so that its own keys are not reported missing as well."""
     return top.table(name, required=True) or Table({}, top.file, name, [])
 
 
-def _samples(top: Table) -> tuple[str, str]:
+def _samples(top: Table) -> tuple[str, str, str | None]:
     section = _section(top, "samples")
-    file = section.text("file", accepted="the name of a .csv or .csv.gz file")
-    if file.lower().endswith(".mcap"):
-        section.refuse("file", file, "MCAP is not supported by this version; export it to .csv or .csv.gz")
-    elif file and not file.lower().endswith(_SUFFIXES):
-        section.refuse("file", file, "a .csv or .csv.gz file is accepted")
+    file = section.text("file", accepted="the name of a .csv, .csv.gz or .mcap file")
+    if file.lower().endswith(SESSION_SUFFIX):
+        craft = section.text("craft", "") if section.has("craft") else None
+        if craft is not None and not NAME.fullmatch(craft):
+            section.refuse("craft", section.content["craft"], "the name of a craft in the session is accepted")
+        section.finish()
+        return file, ",", craft
+    if file and not file.lower().endswith(_SUFFIXES):
+        section.refuse("file", file, "a .csv, .csv.gz or .mcap file is accepted")
     delimiter = section.text("delimiter", ",")
     if delimiter not in _DELIMITERS:
         section.refuse("delimiter", delimiter, r'"," ";" or "\t" is accepted')
     section.finish()
-    return file, delimiter
+    return file, delimiter, None
 
 
 def _time(top: Table) -> TimeSpec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,7 +39,14 @@ def messages(
 
     Each kind of message counts its own sequence from 0, so no gap is seen where a row has no reference or a channel
     no value (a channel's sample needs all of its values).  The same recording gives the same messages, always.
+
+    A recorded session gives the messages that its service received, with their own sources and sequences.
     """
+    if recording.stream is not None:
+        for received in recording.stream:
+            if telemetry or not isinstance(received, TelemetrySample):
+                yield received if received.craft == craft else replace(received, craft=craft)
+        return
     stamp = _Stamp(craft, source, recording.clock)
     makers = [stamp.reference(recording.reference)]
     if recording.position is not None:

@@ -15,6 +15,7 @@ from magcal_service.recordings.recording import Channel, Position, Recording, Re
 from magcal_service.recordings.report import RowCount, RowFault, RowReport
 from magcal_service.recordings.specs import (
     MAX_FIELD_NT,
+    SESSION_SUFFIX,
     CartesianPosition,
     Descriptor,
     GeodeticPosition,
@@ -36,19 +37,41 @@ _MAX_CHANNEL = 1e18  # as on the wire
 _RADIUS_KM = (6300.0, 1e6)
 
 
-def read_recording(path: Path | str) -> Recording:
-    """Read a recording by its descriptor.
+def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | None = None) -> Recording:
+    """Read a recording by its descriptor, or a recorded session (``.mcap``) without one.
+
+    Parameters
+    ----------
+    craft: which craft of a session; may be left out where it has one, or where the descriptor names it.
+    prefer: which craft of a session where none is named and there are several.
 
     Raises
     ------
-    RecordingError: the descriptor is faulty, a column is missing, or no row can be used.
-    ExtraMissingError: ``model = "igrf"`` without the package that computes it.
+    RecordingError: the descriptor is faulty, a column is missing, no row can be used, or the craft is not certain.
+    ExtraMissingError: ``model = "igrf"`` or a session without the package that it needs.
     """
-    return read_described(load_descriptor(path))
+    path = Path(path)
+    if path.suffix.lower() == SESSION_SUFFIX:
+        return _read_session(path, None, craft, prefer)
+    descriptor = load_descriptor(path)
+    if descriptor.session:
+        return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer)
+    if craft is not None:
+        accepted = "only a recorded session (.mcap) has craft to choose from; leave it out"
+        raise RecordingError([Fault(f"{path}: craft", craft, accepted)])
+    return read_described(descriptor)
+
+
+def _read_session(path: Path, descriptor: Descriptor | None, craft: str | None, prefer: str | None) -> Recording:
+    from magcal_service.recordings.session_arrays import session_recording
+
+    recording = session_recording(path, descriptor, craft, prefer)
+    _check_usable(recording)
+    return recording
 
 
 def read_described(descriptor: Descriptor) -> Recording:
-    """Read the log of a descriptor that has been loaded; raises as ``read_recording``."""
+    """Read the log in rows of a descriptor that has been loaded; raises as ``read_recording``."""
     table = read_table(descriptor.samples, descriptor.delimiter)
     _check_columns(descriptor, table)
     log = _Log(table)

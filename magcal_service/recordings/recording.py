@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.config import CraftConfig
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.report import RowReport
 from magcal_service.recordings.specs import Descriptor
 from magcal_service.recordings.table import FloatArray, IntArray
-from magcal_service.wire.messages import Clock, Frame
+from magcal_service.wire.messages import Clock, Frame, Message
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +58,8 @@ class Recording:
     field_body_nt: (n, 3) measured vector B [nT] in the sensor's own axes.
     reference, position, channels: what else each row holds; ``channels`` by name.
     report: the account of the rows.
+    craft: the configuration a session was recorded under; None where the log does not say.
+    stream: what a session's service received, in order; None where the log is rows and no session.
     """
 
     name: str
@@ -68,6 +71,8 @@ class Recording:
     position: Position | None
     channels: dict[str, Channel]
     report: RowReport
+    craft: CraftConfig | None = None
+    stream: tuple[Message, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -78,7 +83,10 @@ class Recording:
         return (int(self.time_ns.max()) - int(self.time_ns.min())) / 1e9
 
     def select(self, rows: npt.NDArray[np.bool_] | IntArray) -> Recording:
-        """The same recording with these rows only (a mask or indices); the report stays that of the whole log."""
+        """The same recording with these rows only (a mask or indices), no session's stream any more.
+
+        The report stays that of the whole log.
+        """
         reference, position = self.reference, self.position
         vector_nt = None if reference.vector_nt is None else reference.vector_nt[rows]
         return replace(
@@ -88,6 +96,7 @@ class Recording:
             reference=Reference(reference.magnitude_nt[rows], vector_nt, reference.frame),
             position=None if position is None else Position(position.km[rows], position.frame),
             channels={name: Channel(c.spec, c.values[rows]) for name, c in self.channels.items()},
+            stream=None,
         )
 
     def sorted_unique(self) -> Recording:

@@ -21,6 +21,9 @@ class RowFault(StrEnum):
     OUT_OF_ORDER = "out_of_order"
     DOUBLED_TIME = "doubled_time"
     TRUNCATED_FILE = "truncated_file"
+    OTHER_FORM = "other_form"
+    UNKNOWN_UNIT = "unknown_unit"
+    NOT_RECORDED = "not_recorded"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +32,13 @@ class RowCount:
 
     Parameters
     ----------
-    part: ``row``, ``time``, ``magnetometer``, ``reference``, ``position`` or ``channels.<name>``.
+    part: ``row``, ``time``, ``magnetometer``, ``reference``, ``position`` or ``channels.<name>``; of a session also
+        ``recorder``, ``file`` or ``record (<reason>)``.
     fault: the kind.
     count: rows that have it.
-    first_line: line of the file, from 1, that has it first.
+    first_line: line of the file, or number of the record in a session, from 1, that has it first.
     kept: whether the row is used all the same (without the faulty part).
+    place: what ``first_line`` counts.
     """
 
     part: str
@@ -41,10 +46,11 @@ class RowCount:
     count: int
     first_line: int
     kept: bool
+    place: str = "line"
 
     def __str__(self) -> str:
         fate = "kept" if self.kept else "refused"
-        return f"{self.part}: {self.fault.value} x {self.count}, first on line {self.first_line}, {fate}"
+        return f"{self.part}: {self.fault.value} x {self.count}, first on {self.place} {self.first_line}, {fate}"
 
 
 @dataclass(frozen=True, slots=True)

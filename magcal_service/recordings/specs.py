@@ -15,6 +15,10 @@ MAX_FIELD_NT = 1e6
 """1 mT: more than this is no magnetometer reading, here and on the wire."""
 
 
+SESSION_SUFFIX = ".mcap"
+"""The service's own recordings."""
+
+
 class TimeFormat(StrEnum):
     """How a time cell is written."""
 
@@ -145,6 +149,7 @@ class Descriptor:
     path: the descriptor itself.
     samples: the log it describes, found beside the descriptor.
     delimiter: what separates the cells of a row.
+    craft: which craft of a recorded session, where the descriptor names it.
     """
 
     path: Path
@@ -156,3 +161,9 @@ class Descriptor:
     position: PositionSpec | None
     spin: SpinSpec | None
     channels: tuple[ChannelSpec, ...]
+    craft: str | None = None
+
+    @property
+    def session(self) -> bool:
+        """Whether the log is a recorded session, which brings its own times, units and frames."""
+        return self.samples.suffix.lower() == SESSION_SUFFIX

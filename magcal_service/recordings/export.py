@@ -1,0 +1,133 @@
+"""A session as a table for other programs: CSV with every digit, or Parquet with typed columns."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError
+from magcal_service.recordings.mcap import McapReader
+from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.session import decoded
+from magcal_service.recordings.session_arrays import session_recording
+from magcal_service.typed_toml import nearest
+from magcal_service.wire.kinds import KINDS
+from magcal_service.wire.messages import Message
+
+SAMPLES: Final = "samples"
+KIND_NAMES: Final = tuple(kind.name for kind in KINDS)
+SUFFIXES: Final = (".csv", ".parquet")
+
+_CELLS = {kind.record: tuple(field.name for field in kind.fields) for kind in KINDS}
+
+Columns = dict[str, list[Any]]
+
+
+def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None) -> int:
+    """Write one table of a session; returns its rows.
+
+    Parameters
+    ----------
+    out: ``.csv`` or ``.parquet``; appears at once when it is whole.
+    kind: ``samples`` (one row a magnetometer sample, with reference, position and telemetry brought to its time), or
+        a kind of message (one row each, as recorded).
+    craft: whose; of a kind of message all craft where not given.
+
+    Raises ``RecordingError`` for the session, ``InputRefusedError`` for the rest, ``ExtraMissingError`` where Parquet
+    is asked for without pyarrow.
+    """
+    if out.suffix.lower() not in SUFFIXES:
+        raise InputRefusedError([Fault("--out", str(out), "a name ending in .csv or .parquet is accepted")])
+    if kind == SAMPLES:
+        columns = _sample_columns(session_recording(path, craft=craft))
+    elif kind in KIND_NAMES:
+        columns = _message_columns(path, kind, craft)
+    else:
+        raise InputRefusedError([Fault("--kind", kind, nearest(kind, (SAMPLES, *KIND_NAMES)))])
+    write = _write_csv if out.suffix.lower() == ".csv" else _write_parquet
+    partial = out.with_name(f"{out.name}.partial")
+    try:
+        write(partial, columns)
+        os.replace(partial, out)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputRefusedError(
+            [Fault(str(out), error.strerror or str(error), "give a file that can be written")]
+        ) from None
+    return len(next(iter(columns.values()), []))
+
+
+def _sample_columns(recording: Recording) -> Columns:
+    """The rows of a recording; NaN, in CSV an empty cell, where one has no value."""
+    columns: Columns = {"time_ns": recording.time_ns.tolist(), "clock": [recording.clock.value] * len(recording)}
+    columns |= _vector("field_body_nt", recording.field_body_nt.T.tolist())
+    if recording.reference.vector_nt is not None and recording.reference.frame is not None:
+        columns |= _vector(f"reference_{recording.reference.frame.value}_nt", recording.reference.vector_nt.T.tolist())
+    columns["reference_magnitude_nt"] = recording.reference.magnitude_nt.tolist()
+    if recording.position is not None:
+        columns |= _vector(f"position_{recording.position.frame.value}_km", recording.position.km.T.tolist())
+    for name, channel in recording.channels.items():
+        label = f"channel_{name} [{channel.spec.unit}]" if channel.spec.unit else f"channel_{name}"
+        columns |= _vector(label, channel.values.T.tolist())
+    return columns
+
+
+def _vector(name: str, parts: list[list[float]]) -> Columns:
+    return {name if len(parts) == 1 else f"{name}.{index}": part for index, part in enumerate(parts)}
+
+
+def _message_columns(path: Path, kind: str, craft: str | None) -> Columns:
+    rows, names = [], []
+    refused: dict[str, Counter[str]] = {}
+    try:
+        with path.open("rb") as file:
+            for name, message in decoded(McapReader(file, str(path)), refused, frozenset({kind})):
+                names.append(name)
+                if craft in (None, name):
+                    rows.append(dict(_cells(message)))
+    except OSError as error:
+        raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
+    if craft is not None and craft not in names:
+        raise RecordingError([Fault(f"{path}: craft", craft, nearest(craft, set(names)))])
+    header = dict.fromkeys(key for row in rows for key in row)
+    return {key: [row.get(key) for row in rows] for key in header}
+
+
+def _cells(message: Message) -> Iterator[tuple[str, Any]]:
+    """Column and cell of every field; an array's elements and a map's entries have a column each, reasons one."""
+    for name in _CELLS[type(message)]:
+        value = getattr(message, name)
+        if isinstance(value, Mapping):
+            yield from ((f"{name}.{key}", entry) for key, entry in value.items())
+        elif isinstance(value, tuple) and name == "reasons":
+            yield name, " ".join(value)
+        elif isinstance(value, tuple):
+            yield from ((f"{name}.{index}", entry) for index, entry in enumerate(value))
+        else:
+            yield name, value
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(
+            [["" if cell != cell else cell for cell in row] for row in zip(*columns.values(), strict=True)]
+        )
+
+
+def _write_parquet(path: Path, columns: Columns) -> None:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ExtraMissingError("pyarrow", "export", "Parquet") from error
+    try:
+        table = pyarrow.table({name: pyarrow.array(cells) for name, cells in columns.items()})
+    except pyarrow.ArrowInvalid:  # arguments of commands may be text in one row and a number in the next
+        table = pyarrow.table({name: [None if c is None else str(c) for c in cells] for name, cells in columns.items()})
+    parquet.write_table(table, path)

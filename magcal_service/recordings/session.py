@@ -1,0 +1,150 @@
+"""A recorded session (MCAP) as a recording: the messages as they came in, and the arrays that offline work needs.
+
+A replay takes the messages, so it is the live run again, with the configuration that the session was recorded under.
+Offline work takes the arrays: one row a magnetometer sample, in the order of recording, and what has its own rate
+interpolated to it by the rules of ``series``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from magcal_service.config import CraftConfig
+from magcal_service.config_text import craft_from_toml
+from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
+from magcal_service.recordings.json_form import from_json
+from magcal_service.recordings.mcap import PROFILE, McapReader
+from magcal_service.typed_toml import nearest
+from magcal_service.wire.kinds import KINDS
+from magcal_service.wire.messages import Message
+
+_KINDS: Final = {kind.name: kind for kind in KINDS}
+_INPUTS: Final = frozenset(kind.name for kind in KINDS if kind.code < 16 or kind.name == "command")
+"""What comes in: samples, and commands, which change what becomes of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What one file holds of one craft.
+
+    Parameters
+    ----------
+    craft: its name.
+    configuration: as it was while the session was recorded; None where the file does not say.
+    messages: everything that came in, in the order in which it did.
+    refused: records that are no acceptable message, by reason.
+    dropped: messages that the recorder had to leave out.
+    damage: why the file could not be read to its end, empty where it could.
+    """
+
+    craft: str
+    configuration: CraftConfig | None
+    messages: tuple[Message, ...]
+    refused: Counter[str]
+    dropped: int
+    damage: str
+
+
+@dataclass(slots=True)
+class _Found:
+    """What was read so far."""
+
+    messages: dict[str, list[Message]] = field(default_factory=dict)
+    refused: dict[str, Counter[str]] = field(default_factory=dict)
+
+
+def read_session(path: Path, craft: str | None = None, prefer: str | None = None) -> Session:
+    """Read one craft's part of a session file.
+
+    Parameters
+    ----------
+    craft: whose; may be left out where the file has one craft.
+    prefer: whose where none is named and the file has several.
+
+    Raises ``RecordingError`` where the file cannot be read, was not made by this service, has nothing of that craft,
+    or where it has several craft and none is named.
+    """
+    try:
+        with path.open("rb") as file:
+            reader = McapReader(file, str(path))
+            found = _Found()
+            for name, message in decoded(reader, found.refused, _INPUTS):
+                found.messages.setdefault(name, []).append(message)
+    except OSError as error:
+        raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
+    name = _chosen(path, list(found.messages), craft, prefer)
+    configurations, dropped = _metadata(reader)
+    damage = reader.damage
+    if reader.bad_chunks or reader.bad_records:
+        damage = ", ".join(
+            filter(None, (damage, f"{reader.bad_chunks} chunks and {reader.bad_records} records spoilt"))
+        )
+    return Session(
+        craft=name,
+        configuration=configurations.get(name),
+        messages=tuple(found.messages[name]),
+        refused=found.refused.get(name, Counter()),
+        dropped=dropped,
+        damage=damage,
+    )
+
+
+def decoded(
+    reader: McapReader, refused: dict[str, Counter[str]], kinds: frozenset[str] = frozenset(_KINDS)
+) -> Iterator[tuple[str, Message]]:
+    """Craft and message of every record of some kinds, in order; those that are none are counted in ``refused``."""
+    for raw in reader.messages():
+        if reader.profile != PROFILE:
+            accepted = "a recording made by magcal is accepted; describe another program's log as .csv"
+            raise RecordingError([Fault(reader.name, f"profile {reader.profile!r}", accepted)])
+        craft, kind = raw.topic.craft, _KINDS.get(raw.topic.kind)
+        if kind is None or kind.name not in kinds:
+            continue
+        try:
+            message = from_json(kind, raw.data)
+            if message.craft != craft:
+                raise DecodeError("wrong_craft", f"{message.craft!r} on the channel of {craft!r}")
+        except DecodeError as error:
+            refused.setdefault(craft, Counter())[error.reason] += 1
+            continue
+        yield craft, message
+
+
+def _chosen(path: Path, names: Sequence[str], craft: str | None, prefer: str | None) -> str:
+    if not names:
+        raise RecordingError([Fault(str(path), "no samples", "a recording with samples is accepted")])
+    if craft is None and len(names) == 1:
+        return names[0]
+    wanted = prefer if craft is None else craft
+    if wanted is not None and wanted in names:
+        return wanted
+    if craft is None:
+        accepted = f"choose one with --craft NAME or samples.craft: {', '.join(sorted(names))}"
+        raise RecordingError([Fault(str(path), f"{len(names)} craft", accepted)])
+    raise RecordingError([Fault(f"{path}: craft", craft, nearest(craft, names))])
+
+
+def _metadata(reader: McapReader) -> tuple[dict[str, CraftConfig], int]:
+    """The crafts' configurations and the messages dropped; a configuration that cannot be read says nothing."""
+    configurations: dict[str, CraftConfig] = {}
+    dropped = 0
+    for name, content in reader.metadata:
+        if name == "magcal.craft":
+            craft = _configuration(content)
+            if craft is not None:
+                configurations[craft.name] = craft
+        elif name == "magcal.dropped" and content.get("messages", "").isdecimal():
+            dropped += int(content["messages"][:18])
+    return configurations, dropped
+
+
+def _configuration(content: dict[str, str]) -> CraftConfig | None:
+    try:
+        craft = craft_from_toml(content.get("configuration", ""), "recorded configuration")
+    except ConfigError:  # of another version
+        return None
+    return craft
