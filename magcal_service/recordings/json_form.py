@@ -73,7 +73,7 @@ def from_json(kind: Kind, data: bytes) -> Message:
     if not isinstance(content, dict):
         _refuse(kind, content)
     unknown = content.keys() - _KNOWN[kind.code]
-    if unknown or content.keys() < set(_COMMON):
+    if unknown or not content.keys() >= set(_COMMON):
         _refuse(kind, sorted(content))
     content["time_ns"] = _time_ns(content.get("timestamp"))
     values: dict[str, Any] = {}

@@ -68,9 +68,8 @@ class _Series:
     def at(self, rows_ns: IntArray, gap_s: float, *, held: bool = False) -> FloatArray:
         """Values (m, k) at times (m,) [ns], NaN where there are none close enough."""
         known = self.times_ns
-        after = np.clip(np.searchsorted(known, rows_ns, side="left"), 0, len(known) - 1)
-        exact = known[after] == rows_ns
-        before = np.where(exact, after, np.maximum(after - 1, 0))
+        before = np.maximum(np.searchsorted(known, rows_ns, side="right") - 1, 0)
+        after = np.where(known[before] == rows_ns, before, np.minimum(before + 1, len(known) - 1))
         span_s = (known[after] - known[before]) * 1e-9
         period_s = float(np.median(np.diff(known))) * 1e-9 if len(known) > 1 else 0.0
         passed_s = (rows_ns - known[before]) * 1e-9

@@ -18,6 +18,7 @@ from magcal_service.config import (
     CraftConfig,
     FilterConfig,
     OutputConfig,
+    RecordConfig,
     SensorConfig,
     SpinConfig,
     SpinWindow,
@@ -73,6 +74,14 @@ residual_ratio = 2.0
 [output]
 csv = "estimates.csv"
 status_period_s = 5.0
+[record]
+directory = "recordings"
+flush_s = 2.0
+file_mb = 10.0
+file_h = 1.0
+total_mb = 500.0
+min_free_mb = 20.0
+retry_s = 30.0
 """
 
 
@@ -121,13 +130,14 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
             ),
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0),
+        record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
     )  # fmt: skip
     assert load(tmp_path, FULL) == expected
 
 
 def test_the_full_file_differs_from_the_default_in_every_setting(tmp_path: Path) -> None:
     full = settings_in(load(tmp_path, FULL))
-    default = settings_in(Config(crafts=(CraftConfig("other", spin=SpinConfig()),)))
+    default = settings_in(Config(crafts=(CraftConfig("other", spin=SpinConfig()),), record=RecordConfig(Path("other"))))
     assert [name for name in full if full[name] == default[name]] == []
 
 
@@ -204,6 +214,9 @@ SPIN = "[craft.spin]\nrate_rpm = 7.5\n"
         (MINIMAL + "[output]\ncsv = ''\n", "daemon.toml: output.csv", "''"),
         (MINIMAL + "[output]\ncsv = 5\n", "daemon.toml: output.csv", "5"),
         (MINIMAL + "[output]\nstatus_period_s = 0\n", "daemon.toml: output.status_period_s", "0"),
+        (MINIMAL + "[record]\n", "daemon.toml: record.directory", "'missing'"),
+        (MINIMAL + "[record]\ndirectory = ' '\n", "daemon.toml: record.directory", "' '"),
+        (MINIMAL + "[record]\ndirectory = 'd'\ntotal_mb = 100\n", "daemon.toml: record.total_mb", "100.0"),
         (MINIMAL + "[craft.ticks]\ntick_s = 1.0\n", "daemon.toml: craft[0].ticks.tick_s", "1.0"),
     ],
 )
@@ -211,7 +224,9 @@ def test_a_refusal_names_the_field_and_the_value(tmp_path: Path, text: str, fiel
     assert [line for line in refusals(tmp_path, text) if line.startswith(f"{field}: {value} is refused; ")]
 
 
-@pytest.mark.parametrize("table", ["", "[craft.sensor]", "[craft.spin]", "[craft.filter]", "[craft.ticks]", "[output]"])
+@pytest.mark.parametrize(
+    "table", ["", "[craft.sensor]", "[craft.spin]", "[craft.filter]", "[craft.ticks]", "[output]", "[record]"]
+)
 def test_an_unknown_key_is_refused_in_every_table(tmp_path: Path, table: str) -> None:
     lines = refusals(tmp_path, f"{MINIMAL}{table}\nnosuch = 1\n")
     assert any("nosuch: 1 is refused; unknown key" in line for line in lines)
@@ -274,6 +289,7 @@ KINDS: dict[str, Any] = {
     "craft.ticks": TickConfig,
     "craft.trust": TrustConfig,
     "output": OutputConfig,
+    "record": RecordConfig,
 }
 EVERY_SETTING = [(table, setting.name) for table, kind in KINDS.items() for setting in fields(kind)]
 
@@ -299,7 +315,7 @@ NEEDED_BESIDE = {
     "start_s": "start_max_s = 604800\n",
     "hold_s": "late_s = 600\n",
     "gap_s": "step_confirm_s = 604800\n",
-}
+} | {setting.name: "directory = 'd'\n" for setting in fields(RecordConfig)}
 LIMITED = [
     (
         table,
@@ -327,7 +343,7 @@ def test_the_largest_value_is_accepted_and_nothing_beyond(
 
 def test_every_number_in_the_configuration_has_limits() -> None:
     unlimited = {setting.name for kind in KINDS.values() for setting in fields(kind) if not setting.metadata}
-    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "csv"}
+    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "csv", "directory"}
 
 
 def test_configuration_imports_neither_numpy_nor_an_extra() -> None:

@@ -14,6 +14,7 @@ from magcal_service.config import (
     Config,
     FilterConfig,
     OutputConfig,
+    RecordConfig,
     SensorConfig,
     SpinConfig,
     TickConfig,
@@ -30,6 +31,7 @@ TABLES: dict[str, Any] = {
     "[craft.ticks]": TickConfig,
     "[craft.trust]": TrustConfig,
     "[output]": OutputConfig,
+    "[record]": RecordConfig,
 }
 SETTINGS = [(table, setting) for table, kind in TABLES.items() for setting in fields(kind)]
 
@@ -61,7 +63,7 @@ def test_the_document_lists_exactly_the_keys_there_are(table: str) -> None:
 @pytest.mark.parametrize(("table", "setting"), SETTINGS, ids=lambda value: getattr(value, "name", value))
 def test_the_documented_default_is_the_codes(table: str, setting: Any) -> None:
     documented = rows(f"`{table}`")[setting.name][1]
-    special = {"axis": '`"z"`', "rate_rpm": "required"}
+    special = {"axis": '`"z"`', "rate_rpm": "required", "directory": "required"}
     if setting.name in special:
         assert documented == special[setting.name]
     else:

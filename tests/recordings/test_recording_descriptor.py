@@ -122,6 +122,7 @@ def channel(inner: str) -> str:
     return f"[channels]\nthing = {{ {inner} }}\n"
 
 
+MCAP = 'version = 1\n[samples]\nfile = "log.mcap"\n'
 REFUSED = {
     "unknown section": (descriptor("[magnetometers]\n"), "magnetometers", "did you mean 'magnetometer'"),
     "unknown key": (descriptor(time=TIME + 'colum = "t"\n'), "time.colum", "did you mean 'column'"),
@@ -131,8 +132,11 @@ REFUSED = {
     "no time": (descriptor(time=""), "time", "a table [time]"),
     "no magnetometer": (descriptor(magnetometer=""), "magnetometer", "a table [magnetometer]"),
     "no reference": (descriptor(reference=""), "reference", "a table [reference]"),
-    "mcap": (descriptor(file="log.mcap"), "samples.file", "not supported by this version"),
-    "other file": (descriptor(file="log.xls"), "samples.file", ".csv or .csv.gz"),
+    "mcap with sections": (MCAP + '[time]\ncolumn = "t"\n', "time", "brings its own"),
+    "mcap of a craft without a name": (MCAP + 'craft = "a b"\n', "samples.craft", "name of a craft"),
+    "mcap with a delimiter": (MCAP + 'delimiter = ","\n', "samples.delimiter", "unknown key"),
+    "mcap with a unit": (MCAP + '[magnetometer]\nunit = "nT"\n', "magnetometer.unit", "known: noise_nt"),
+    "other file": (descriptor(file="log.xls"), "samples.file", ".csv, .csv.gz or .mcap"),
     "delimiter": (descriptor().replace("[time]", 'delimiter = "|"\n[time]'), "samples.delimiter", "accepted"),
     "time format": (descriptor(time=TIME.replace("unix_s", "unix")), "time.format", "did you mean 'unix_s'"),
     "start without elapsed": (descriptor(time=TIME + 'start = "2025-06-01T00:00:00Z"\n'), "time.start", "elapsed_s"),

@@ -1,0 +1,92 @@
+"""A replay of a recorded session is the live run, byte for byte."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sessions import command, craft, record, stream
+
+from magcal_service.cli import main
+from magcal_service.config import FilterConfig, TickConfig, TrustConfig
+from magcal_service.wire.messages import Message
+
+
+def replayed(*arguments: str, out: Path) -> bytes:
+    assert main(["replay", *arguments, "--out", str(out)]) in (0, 3)
+    return out.read_bytes()
+
+
+def test_a_replay_writes_the_rows_of_the_live_run(tmp_path: Path) -> None:
+    (file,) = record(tmp_path / "rec", stream(600), csv=tmp_path / "live.csv")
+    live = (tmp_path / "live.csv").read_bytes()
+    assert len(live.splitlines()) == 601
+    assert replayed(str(file), out=tmp_path / "replay.csv") == live
+
+
+def test_settings_that_are_not_the_defaults_are_replayed_too(tmp_path: Path) -> None:
+    own = replace(
+        craft(),
+        filter=FilterConfig(start_s=30.0, prior_bias_nt=12345.678, gate_sigma=5.1, adaptive=True),
+        ticks=TickConfig(hold_s=1.0),
+        trust=TrustConfig(min_ticks=20),
+    )
+    (file,) = record(tmp_path / "rec", stream(600), [own], csv=tmp_path / "live.csv")
+    assert replayed(str(file), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+
+
+def test_commands_take_effect_where_they_did(tmp_path: Path) -> None:
+    samples = stream(300)
+    session: list[Message] = [*samples[:200], command("freeze", 0), *samples[200:300], command("resume", 1)]
+    session += [*samples[300:400], command("reset", 2), *samples[400:]]
+    (file,) = record(tmp_path / "rec", session, csv=tmp_path / "live.csv")
+    live = (tmp_path / "live.csv").read_bytes()
+    assert replayed(str(file), out=tmp_path / "replay.csv") == live
+    record(tmp_path / "plain", samples, csv=tmp_path / "plain.csv")
+    assert live != (tmp_path / "plain.csv").read_bytes()
+
+
+@pytest.mark.parametrize("scenario", ["lossy-link", "stale-reference"])
+def test_a_bad_link_is_replayed_with_its_faults(scenario: str, tmp_path: Path) -> None:
+    (file,) = record(tmp_path / "rec", stream(400, scenario), csv=tmp_path / "live.csv")
+    assert replayed(str(file), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+
+
+def test_each_craft_of_a_session_is_replayed_by_its_name(tmp_path: Path) -> None:
+    crafts = [craft("alpha"), replace(craft("beta"), spin=None)]
+    both = zip(stream(200, name="alpha"), stream(200, name="beta", seed=6), strict=True)
+    (file,) = record(tmp_path / "rec", [one for pair in both for one in pair], crafts, csv=tmp_path / "live.csv")
+    header, *rows = (tmp_path / "live.csv").read_bytes().splitlines(keepends=True)
+    for name in ("alpha", "beta"):
+        wanted = [row for row in rows if row.startswith(name.encode())]
+        assert len(wanted) == 200
+        assert replayed(str(file), "--craft", name, out=tmp_path / name) == b"".join([header, *wanted])
+
+
+def test_the_parts_of_a_rotated_session_joined_are_the_session(tmp_path: Path) -> None:
+    parts = record(tmp_path / "rec", stream(600), csv=tmp_path / "live.csv", file_mb=0.02, flush_s=0.005)
+    assert len(parts) > 1
+    assert main(["record", "join", *map(str, parts), "--out", str(tmp_path / "all.mcap")]) == 0
+    assert replayed(str(tmp_path / "all.mcap"), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+
+
+def test_a_descriptor_of_the_session_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (file,) = record(tmp_path, stream(200), csv=tmp_path / "live.csv")
+    assert main(["record", "describe", str(file)]) == 0
+    (tmp_path / "RECORDING.toml").write_text(capsys.readouterr().out)
+    assert (
+        replayed(str(tmp_path / "RECORDING.toml"), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+    )
+
+
+def test_a_daemon_on_a_session_writes_the_rows_of_the_live_run(tmp_path: Path) -> None:
+    (file,) = record(tmp_path / "rec", stream(200), csv=tmp_path / "live.csv")
+    config = tmp_path / "magcal.toml"
+    axis = list(craft().spin.axis)  # type: ignore[union-attr]
+    config.write_text(
+        f'version = 1\nlink = "recording:{file}"\n[[craft]]\nname = "paper"\n[craft.sensor]\nnoise_nt = 300.0\n'
+        f'[craft.spin]\naxis = {axis}\nrate_rpm = 7.5\n[output]\ncsv = "{tmp_path}/daemon.csv"\n'
+    )
+    assert main(["run", "--config", str(config)]) == 0
+    assert (tmp_path / "daemon.csv").read_bytes() == (tmp_path / "live.csv").read_bytes()
