@@ -96,7 +96,9 @@ def test_a_replay_of_a_file_without_its_end_says_so(cut: Path, capsys: pytest.Ca
     assert "file: truncated_file" in capsys.readouterr().out
 
 
-def test_join_of_a_spoilt_part_is_done_but_not_to_be_trusted(cut: Path, session: Path, say: Say, tmp_path: Path) -> None:
+def test_join_of_a_spoilt_part_is_done_but_not_to_be_trusted(
+    cut: Path, session: Path, say: Say, tmp_path: Path
+) -> None:
     code, told, _ = say("join", session, cut, "--out", tmp_path / "all.mcap")
     assert code == 3
     assert f"not all could be read of: {cut}" in told
