@@ -63,7 +63,10 @@ class Link(abc.ABC):
         self._sequences = SequenceTracker(self.counters, self.most_sources)
 
     def receive(self, timeout_s: float) -> list[Message]:
-        """All messages at hand, in order of arrival; waits at most ``timeout_s`` [s] for the first one."""
+        """The messages at hand, in order of arrival; waits at most ``timeout_s`` [s] for the first one.
+
+        A link may give a craft that floods its turns only; what is left comes with the next call.
+        """
         deadline = time.monotonic() + timeout_s
         while True:
             polled = self._poll(max(0.0, deadline - time.monotonic()))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,8 +19,9 @@ from zenoh import ext, handlers
 from magcal_service.errors import LinkError
 from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Link, Role
-from magcal_service.links.inbox import Inbox
+from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.presence import Presence, PresenceBoard
+from magcal_service.links.rate_limit import RateLimit
 from magcal_service.links.zenoh_log import DENIALS, watch
 from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_rules
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
@@ -53,7 +55,7 @@ class ZenohLink(Link):
 
     def __init__(self, address: LinkAddress, role: Role, crafts: Sequence[str] = ()) -> None:
         super().__init__(address.text, crafts)
-        self.counters.update(dict.fromkeys(("joined", "left", "refused.too_large"), 0))
+        self.counters.update(dict.fromkeys(("joined", "left", "refused.too_large", "refused.too_fast"), 0))
         self.role = role
         self._settings = ZenohSettings.read(address, role)
         self._config = self._settings.session_config(address)
@@ -62,7 +64,10 @@ class ZenohLink(Link):
         if role is Role.SERVICE:
             self.counters.update(dict.fromkeys((f"denied.{name}" for name in DENIALS), 0))
             watch(self._count, address.text, has_rules(self._config))
-        self._inbox: Inbox[zenoh.Sample] = Inbox(self._settings.queue, lambda: self._count("overflow"))
+        self._inbox: FairInbox[zenoh.Sample] = FairInbox(
+            self._settings.queue, lambda: self._count("overflow"), crafts, TURN if role is Role.SERVICE else None
+        )
+        self._rate = RateLimit(self._settings.rate, float(self._settings.queue))
         self._board = PresenceBoard(self._count)
         self._lock = threading.RLock()
         self._closed = threading.Event()
@@ -176,10 +181,14 @@ class ZenohLink(Link):
         return message
 
     def _arrived(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        craft, _, source = key.removeprefix(f"{ROOT}/").partition("/")
         if len(sample.payload) > MAX_PAYLOAD_BYTES:
             self._count("refused.too_large")
+        elif not self._rate.allows(key, time.monotonic()):
+            self._count("refused.too_fast")
         else:
-            self._inbox.put(sample)
+            self._inbox.put(sample, craft, source)
 
     def _transport(self, event: zenoh.TransportEvent) -> None:
         self._connection(str(event.transport.zid), event.kind == zenoh.SampleKind.PUT)

@@ -64,6 +64,7 @@ class ZenohSettings:
     cache: samples of each kind and source that a node keeps for recovery.
     history: samples of each kind and source that a service asks for where it joins a running node.
     queue: messages held at most between arrival and ``receive``.
+    rate: messages a second that each source may send of each kind, after a burst of ``queue``; 0: no limit [1/s].
     lease_ms: silence after which the other end takes this one for gone [ms].
     samples: whether a viewer receives samples too.
     """
@@ -76,6 +77,7 @@ class ZenohSettings:
     cache: int
     history: int
     queue: int
+    rate: float
     lease_ms: int
     samples: bool
 
@@ -97,6 +99,7 @@ class ZenohSettings:
             cache=address.integer("cache", 1000, 1, 1_000_000),
             history=address.integer("history", 100, 0, 1_000_000),
             queue=address.integer("queue", 4096, 1, 1_000_000),
+            rate=address.real("rate", 0.0, 0.0, 1e6),
             lease_ms=address.integer("lease_ms", 4000, 100, 600_000),
             samples=address.flag("samples", True),
         )
