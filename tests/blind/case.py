@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from tests.blind.cause import Telemetry
 from tests.blind.vectors import Floats
@@ -29,7 +29,7 @@ class EffectTruth:
     """
 
     effect: str
-    parameters: Mapping[str, object]
+    parameters: Mapping[str, Any]
     driver: tuple[str, ...]
     scalar: bool
     strength: float
@@ -45,7 +45,8 @@ class Answer:
     ----------
     seed, kind, attempt: how to draw it again.
     verdict: what a diagnosis ought to say.
-    effects: what was put in; for the verdict ``unknown`` one entry whose name is in no catalogue.
+    effects: what was put in; for the verdict ``unknown`` one entry whose name is in no catalogue, for ``none`` nothing
+        or something that the calibration absorbs.
     also: names of effects that are true beside those, which nobody should count as false.
     driver_recorded: whether the channels that drive the effects are in the recording.
     decoys: names of the channels that have nothing to do with it.

@@ -53,6 +53,13 @@ OUTSIDE: Mapping[str, Builder] = MappingProxyType(
 )
 """Disturbances that have none."""
 
+ABSORBED: Mapping[str, Builder] = MappingProxyType(
+    {"steady_lag": motion.steady_lag, "steady_skew": motion.steady_skew},
+)
+"""Effects of the contract as they are where nothing of them shows: to be answered ``none``."""
+
+BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **ABSORBED})
+
 DRIVEN = frozenset({"thermal_bias", "thermal_scale", "current_loop", "torquer", "sun_disturbance"})
 """Effects whose driver can be recorded or not."""
 
@@ -75,5 +82,5 @@ PAIRS: tuple[tuple[str, str], ...] = tuple(
 )
 """Pairs of effects that can be found together."""
 
-KINDS: tuple[str, ...] = (*EFFECTS, "pair", "none", "outside")
+KINDS: tuple[str, ...] = (*EFFECTS, "pair", "none", "absorbed", "outside")
 """What ``draw_case`` takes; also a pair by name, ``"tone+bias_step"``, and ``"outside:walk"``."""

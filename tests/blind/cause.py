@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from tests.blind.sensor import Spoiling
 from tests.blind.vectors import Floats
 from tests.blind.world import World
 
-Parameters = Mapping[str, object]
+Parameters = Mapping[str, Any]
 
 
 class Measure(Enum):
@@ -71,6 +72,7 @@ class Cause:
     stated_rpm: the rate that it states then, where that is not the true one.
     noise: the noise (n, 3) [nT] that it puts in place of the white one (n, 3), from its scale.
     also: names of effects that are true beside it, because it needs them.
+    absorbed: the calibration takes it up whole, so that nothing of it shows.
     """
 
     name: str
@@ -87,11 +89,12 @@ class Cause:
     stated_rpm: float | None = None
     noise: Callable[[float, Floats], Floats] | None = None
     also: tuple[str, ...] = ()
+    absorbed: bool = False
 
     @property
     def scalar(self) -> bool:
         """Does the magnitude show it?"""
-        return self.measure in {Measure.VECTOR, Measure.SCALAR}
+        return self.measure in {Measure.VECTOR, Measure.SCALAR} and not self.absorbed
 
 
 Builder = Callable[[World, bool], Cause]

@@ -12,7 +12,7 @@ import numpy as np
 from magcal_service import geomagnetic
 from tests.blind.attitude import RPM
 from tests.blind.case import Answer, Case, EffectTruth, Verdict
-from tests.blind.catalogue import DRIVEN, EFFECTS, OUTSIDE, PAIRS
+from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, EFFECTS, OUTSIDE, PAIRS
 from tests.blind.cause import Cause, Telemetry
 from tests.blind.decoys import draw_decoys
 from tests.blind.field import times_ns
@@ -24,6 +24,7 @@ from tests.blind.vectors import Floats
 from tests.blind.world import World, draw_world
 
 STRENGTHS = (0.1, 2.0)
+INVISIBLE = (0.0, 2.0)
 ATTEMPTS = 200
 Span = tuple[float, float]
 
@@ -41,8 +42,8 @@ def draw_case(
     Parameters
     ----------
     seed: 0 or more.
-    kind: an effect of the contract, ``"pair"`` or ``"tone+bias_step"``, ``"none"``, ``"outside"`` or
-        ``"outside:walk"``; see ``KINDS``.
+    kind: an effect of the contract, ``"pair"`` or ``"tone+bias_step"``, ``"none"``, ``"absorbed"`` (an effect that
+        the calibration takes up whole, detectability below 2), ``"outside"`` or ``"outside:walk"``; see ``KINDS``.
     driver_recorded: whether the channels that drive an effect are in the recording.
     detectability: range of every effect's detectability; in a pair it is taken beside the other effect.
     strengths: range of every effect's rms [sigma], wherever it has one to choose.
@@ -52,8 +53,9 @@ def draw_case(
     where 200 worlds allow none.
     """
     names, verdict = _names(seed, kind)
-    if verdict == "none":
+    if not names:
         return _assemble(seed, kind, draw_world(Streams(seed, kind)), (), verdict, driver_recorded=driver_recorded)
+    detectability = INVISIBLE if verdict == "none" else detectability
     for attempt in range(ATTEMPTS):
         world = draw_world(Streams(seed, kind, attempt))
         tuned = _tuned(world, names, strengths, detectability, driver_recorded=driver_recorded)
@@ -69,6 +71,8 @@ def _names(seed: int, kind: str) -> tuple[tuple[str, ...], Verdict]:
         return (), "none"
     if kind == "pair":
         return PAIRS[rng.integers(len(PAIRS))], "named"
+    if kind == "absorbed":
+        return (str(rng.choice(sorted(ABSORBED))),), "none"
     if kind == "outside":
         return (str(rng.choice(sorted(OUTSIDE))),), "unknown"
     outer, _, name = kind.partition(":")
@@ -77,7 +81,7 @@ def _names(seed: int, kind: str) -> tuple[tuple[str, ...], Verdict]:
     names = tuple(kind.split("+"))
     if 1 <= len(names) <= 2 and all(name in EFFECTS for name in names):
         return names, "named"
-    raise ValueError(f"{kind!r}: an effect, two joined by '+', 'pair', 'none', 'outside' or 'outside:NAME' is accepted")
+    raise ValueError(f"{kind!r}: an effect, two joined by '+', 'pair', 'none', 'absorbed', 'outside' or 'outside:NAME'")
 
 
 def _tuned(
@@ -87,8 +91,7 @@ def _tuned(
     found: list[Tuned] = []
     # those that change the world itself are made first, so that the others act in the changed one
     for name in sorted(names, key=lambda name: name not in {"response_lag", "axis_skew"}):
-        builder = EFFECTS.get(name) or OUTSIDE[name]
-        cause = builder(world, driver_recorded)
+        cause = BUILDERS[name](world, driver_recorded)
         world = cause.world
         tuned = tune(cause, world.streams.rng(f"strength {name}"), strengths, detectability)
         if tuned is None:

@@ -84,7 +84,7 @@ def despun(world: World, rng: np.random.Generator) -> World:
 
 
 def _late(name: str, world: World, sampling: Callable[[float], Sampling], says: Callable[[float], object]) -> Cause:
-    """A cause in when the sensor takes its values; its scale is a time [s]."""
+    """A cause in when the sensor takes its values, in a craft that slows down; its scale is a time [s]."""
     key = {"response_lag": "tau_s", "axis_skew": "delay_s"}[name]
     return Cause(
         name=name,
@@ -98,13 +98,13 @@ def _late(name: str, world: World, sampling: Callable[[float], Sampling], says: 
     )
 
 
-def response_lag(world: World, _recorded: bool) -> Cause:
-    """A first-order low-pass in front of the converter, tau dy/dt = x - y, in a craft whose spin slows down.
+def _steady(cause: Cause, rng: np.random.Generator) -> Cause:
+    """The same at a constant rate, where the nine errors absorb it: another calibration, the same residual."""
+    scale = log_uniform(rng, 1e-3, min(0.5, 0.4 * cause.largest_scale))
+    return replace(cause, scale=scale, fixed=True, absorbed=True, also=(cause.name,))
 
-    y(t) is the integral of x(t - tau s) exp(-s) over s > 0, taken by Gauss-Laguerre quadrature: exact to 1e-6 of the
-    turning part while the craft turns by less than 0.7 rad in tau.
-    """
-    slowing = despun(world, world.streams.rng("response_lag"))
+
+def _lag(world: World) -> Cause:
     nodes, weights = np.polynomial.laguerre.laggauss(NODES)
 
     def sampling(tau: float) -> Sampling:
@@ -114,13 +114,10 @@ def response_lag(world: World, _recorded: bool) -> Cause:
 
         return late
 
-    return _late("response_lag", slowing, sampling, float)
+    return _late("response_lag", world, sampling, float)
 
 
-def axis_skew(world: World, _recorded: bool) -> Cause:
-    """The axes are digitised one after another, in some order, in a craft whose spin slows down."""
-    rng = world.streams.rng("axis_skew")
-    slowing = despun(world, rng)
+def _skew(world: World, rng: np.random.Generator) -> Cause:
     order = rng.permutation(3).astype(np.float64)
     whole = np.eye(3) + world.scale
     inverse = np.linalg.inv(whole)
@@ -128,10 +125,37 @@ def axis_skew(world: World, _recorded: bool) -> Cause:
     def sampling(delay: float) -> Sampling:
         def one_by_one(field: OverTime, instants: Floats) -> Floats:
             taken = [
-                (field(instants + delay * turn) + world.bias_nt) @ row for turn, row in zip(order, inverse, strict=True)
+                (field(instants + delay * place) + world.bias_nt) @ row
+                for place, row in zip(order, inverse, strict=True)
             ]
             return np.asarray(np.stack(taken, axis=-1) @ whole - world.bias_nt, dtype=np.float64)
 
         return one_by_one
 
-    return _late("axis_skew", slowing, sampling, lambda delay: plain(delay * order))
+    return _late("axis_skew", world, sampling, lambda delay: plain(delay * order))
+
+
+def response_lag(world: World, _recorded: bool) -> Cause:
+    """A first-order low-pass in front of the converter, tau dy/dt = x - y, in a craft whose spin slows down.
+
+    y(t) is the integral of x(t - tau s) exp(-s) over s > 0, taken by Gauss-Laguerre quadrature: exact to 1e-6 of the
+    turning part while the craft turns by less than 0.7 rad in tau.
+    """
+    return _lag(despun(world, world.streams.rng("response_lag")))
+
+
+def axis_skew(world: World, _recorded: bool) -> Cause:
+    """The axes are digitised one after another, in some order, in a craft whose spin slows down."""
+    rng = world.streams.rng("axis_skew")
+    return _skew(despun(world, rng), rng)
+
+
+def steady_lag(world: World, _recorded: bool) -> Cause:
+    """The low-pass of ``response_lag`` at a constant rate: nothing of it shows."""
+    return _steady(_lag(world), world.streams.rng("steady_lag"))
+
+
+def steady_skew(world: World, _recorded: bool) -> Cause:
+    """The delays of ``axis_skew`` at a constant rate: nothing of them shows."""
+    rng = world.streams.rng("steady_skew")
+    return _steady(_skew(world, rng), rng)

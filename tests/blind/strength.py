@@ -87,7 +87,7 @@ class Scales:
     def _strength(self, scale: float, spoiled: Measured, change: Floats) -> float:
         world = self._world
         if self.cause.measure is Measure.COLOURED:
-            return float(str(self.cause.parameters(scale)["correlation"]))
+            return float(self.cause.parameters(scale)["correlation"])
         if self.cause.measure is Measure.SCALAR:
             return float(np.sqrt(np.mean(change**2))) / world.noise_nt
         if self.cause.measure is Measure.VECTOR:
