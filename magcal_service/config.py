@@ -206,7 +206,7 @@ class RecordConfig:
     directory: Path
     flush_s: float = field(default=5.0, metadata=_within(0.1, 60.0))
     file_mb: float = field(default=64.0, metadata=_within(0.01, 4096.0))
-    file_h: float = field(default=24.0, metadata=_within(0.001, 720.0))
+    file_h: float = field(default=6.0, metadata=_within(0.001, 720.0))
     total_mb: float | None = field(default=None, metadata=_within(0.02, 1e7))
     min_free_mb: float = field(default=64.0, metadata=_within(0.0, 1e6))
     retry_s: float = field(default=60.0, metadata=_within(0.1, 3600.0))

@@ -57,6 +57,9 @@ _MOST_IN_CHUNK: Final = 1 << 20
 _LARGEST_RECORD: Final = 1 << 26
 """What a reader takes for a record at most, packed and unpacked: 64 times what the writer makes."""
 
+_SPOILT: Final = (McapError, zstandard.ZstdError, struct.error, ValueError, OverflowError, KeyError)
+"""What the package raises for a record that is none."""
+
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
@@ -114,7 +117,9 @@ class McapWriter:
         self._channels: dict[Topic, Channel] = {}
         self._schemas: dict[tuple[str, bytes], Schema] = {}
         self._in_file: set[int] = set()  # schemas that a chunk of this file holds
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = bytearray()  # their index records, packed: a day of chunks is a tenth of what objects would be
+        self._chunk_count = 0
+        self._span: tuple[int, int] | None = None  # first and last log time
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = defaultdict(int)
         builder = RecordBuilder()
@@ -198,7 +203,11 @@ class McapWriter:
             uncompressed_size=len(records),
         )
         self._write(builder)
-        self._chunks.append(entry)
+        entry.write(builder)
+        self._chunks += builder.end()
+        self._chunk_count += 1
+        first, last = self._span or (min(times), max(times))
+        self._span = min(first, min(times)), max(last, max(times))
         for number, entries in index.items():
             self._counts[number] += len(entries)
         self.messages += len(times)
@@ -227,7 +236,6 @@ class McapWriter:
             (Opcode.SCHEMA, list(self._schemas.values())),
             (Opcode.CHANNEL, list(self._channels.values())),
             (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
             (Opcode.METADATA_INDEX, list(self._metadata)),
         )
         offsets = []
@@ -237,6 +245,9 @@ class McapWriter:
                 record.write(builder)
             if records:
                 offsets.append(SummaryOffset(opcode, start + at, builder.count - at))
+        if self._chunks:
+            offsets.append(SummaryOffset(Opcode.CHUNK_INDEX, start + builder.count, len(self._chunks)))
+            builder.write(self._chunks)
         offset_at = builder.count
         for offset in offsets:
             offset.write(builder)
@@ -247,11 +258,11 @@ class McapWriter:
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=self.messages,
             metadata_count=len(self._metadata),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=(self._span or (0, 0))[0],
+            message_end_time=(self._span or (0, 0))[1],
             schema_count=len(self._schemas),
         )
 
@@ -340,7 +351,7 @@ class McapReader:
         """The messages of a chunk; one whose checksum is wrong is skipped as a whole."""
         try:
             records = _unpack(Chunk.read(ReadDataStream(io.BytesIO(body))))
-        except (McapError, zstandard.ZstdError, struct.error, ValueError):
+        except _SPOILT:
             self.bad_chunks += 1
             return
         at, end = 0, len(records)
@@ -362,7 +373,7 @@ class McapReader:
                 yield RawMessage(self.topics[number], sequence, log_time_ns, publish_time_ns, body[_MESSAGE.size :])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.HEADER):
                 self._remember(opcode, ReadDataStream(io.BytesIO(body)))
-        except (McapError, struct.error, ValueError, KeyError):
+        except _SPOILT:
             self.bad_records += 1
 
     def _remember(self, opcode: int, stream: ReadDataStream) -> None:

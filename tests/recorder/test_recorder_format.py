@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 
@@ -99,6 +100,21 @@ def test_any_message_comes_back_from_json_bit_for_bit(message: Message) -> None:
     data = to_json(message)
     assert repr(from_json(kind_of(message), data)) == repr(message)  # repr tells -0.0 from 0.0
     jsonschema.validate(json.loads(data), schema_of(kind_of(message)))
+
+
+def test_a_day_of_chunks_is_remembered_in_three_megabytes() -> None:
+    kinds = [kind_of(message) for message in stream(2)[:2]]
+    topics = [Topic(name, kind.name, schema_name(kind), b"{}") for kind in kinds for name in "ab"]
+    with open("/dev/null", "wb", buffering=0) as file:
+        writer = McapWriter(file, "test")
+        tracemalloc.start()
+        for number in range(2000):
+            for topic in topics:
+                writer.add(RawMessage(topic, number, number, number, b"{}"))
+            writer.end_chunk()
+        held, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert held / 2000 * 86_400 / 5 < 3e6
 
 
 GOOD = {
