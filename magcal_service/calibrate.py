@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -171,18 +171,27 @@ class Replay:
     estimates: int
 
 
-def replay(recording: Recording, craft: CraftConfig, speed: float = 0.0, csv: EstimateCsv | None = None) -> Replay:
+def replay(
+    recording: Recording,
+    craft: CraftConfig,
+    speed: float = 0.0,
+    csv: EstimateCsv | None = None,
+    sink: Callable[[Message], None] | None = None,
+) -> Replay:
     """Send a recording through the service, the same way a live link's samples go.
 
     Parameters
     ----------
     speed: times real time; 0 as fast as it goes.
     csv: where each tick's estimate is written.
+    sink: is called with every message that the service publishes.
     """
     estimates = Counter[str]()
 
     def count(message: Message) -> None:
         estimates["all"] += isinstance(message, Estimate)
+        if sink is not None:
+            sink(message)
 
     address = f"recording:-?speed={speed:g}&craft={craft.name}"
     with RecordingLink(address, recording=recording, sink=count) as link:

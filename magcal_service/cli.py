@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     study.set_defaults(command=_study)
 
-    add_commands(commands.add_parser("record", help="recorded sessions: info, export, recover, join, describe"))
+    add_commands(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     return parser
 
 

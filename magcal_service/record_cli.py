@@ -41,6 +41,13 @@ def add_commands(record: argparse.ArgumentParser) -> None:
     join.add_argument("--out", type=Path, required=True, metavar="OUT.mcap")
     join.set_defaults(command=_join)
 
+    check = commands.add_parser(
+        "check", help="replay, and compare with the recorded estimates (exit code 3 if not equal)"
+    )
+    check.add_argument("file", type=Path, metavar="FILE.mcap")
+    check.add_argument("--craft", metavar="NAME", help="needed where there are several")
+    check.set_defaults(command=_check)
+
     describe = commands.add_parser("describe", help="a RECORDING.toml of one craft of a session, to be edited")
     describe.add_argument("file", type=Path, metavar="FILE.mcap")
     describe.add_argument("--craft", metavar="NAME", help="needed where there are several")
@@ -114,6 +121,14 @@ def _describe(options: argparse.Namespace) -> int:
         lines += ["[spin]", f"axis = {list(descriptor.spin.axis)!r}", f"rate_rpm = {descriptor.spin.rate_rpm!r}"]
     print("\n".join(filter(None, lines)))
     return DONE
+
+
+def _check(options: argparse.Namespace) -> int:
+    from magcal_service.record_check import check_session
+
+    check = check_session(options.file, options.craft)
+    print(check)
+    return DONE if check.same else NOT_TRUSTED
 
 
 def _refuse_itself(out: Path, sources: list[Path]) -> None:

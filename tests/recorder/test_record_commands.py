@@ -15,6 +15,7 @@ import pytest
 from sessions import craft, record, stream
 
 from magcal_service.cli import main
+from magcal_service.recordings.mcap import McapReader, McapWriter
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.session_info import session_info
 
@@ -102,6 +103,37 @@ def test_join_of_a_spoilt_part_is_done_but_not_to_be_trusted(
     code, told, _ = say("join", session, cut, "--out", tmp_path / "all.mcap")
     assert code == 3
     assert f"not all could be read of: {cut}" in told
+
+
+def test_check_finds_every_recorded_estimate_again(session: Path, say: Say) -> None:
+    code, told, _ = say("check", session)
+    assert (code, told) == (0, "paper: 300 of 300 recorded estimates came again, to the last bit\n")
+
+
+def test_check_takes_a_session_that_was_killed(cut: Path, say: Say) -> None:
+    code, told, _ = say("check", cut)
+    assert code == 0
+    assert "first difference" not in told
+
+
+def test_check_tells_the_first_estimate_that_differs(session: Path, say: Say, tmp_path: Path) -> None:
+    path = tmp_path / "changed.mcap"
+    with session.open("rb") as source, path.open("wb", buffering=0) as file:
+        writer = McapWriter(file, "test")
+        reader = McapReader(source, "session")
+        raws = list(reader.messages())
+        for name, content in reader.metadata:
+            writer.add_metadata(name, content)
+        estimates = 0
+        for raw in raws:
+            estimates += raw.topic.kind == "estimate"
+            changed = raw.topic.kind == "estimate" and estimates == 100
+            writer.add(raw._replace(data=raw.data.replace(b'"noise_nt":300', b'"noise_nt":301')) if changed else raw)
+        writer.finish()
+    code, told, _ = say("check", path)
+    assert code == 3
+    assert "299 of 300 recorded" in told
+    assert "first difference: tick 100: noise_nt was 301.0, is 300.0" in told
 
 
 def test_exported_samples_are_the_recordings_arrays(session: Path, say: Say, tmp_path: Path) -> None:
