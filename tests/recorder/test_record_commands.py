@@ -26,7 +26,7 @@ Say = Callable[..., tuple[int, str, str]]
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """300 s of one craft with telemetry, in several chunks."""
     folder = tmp_path_factory.mktemp("session")
-    (path,) = record(folder, stream(300, "hot-electronics"), csv=folder / "live.csv", flush_s=0.005)
+    (path,) = record(folder, stream(300, "hot-electronics"), csv=folder / "live.csv", flush_s=0.0005)
     return path
 
 

@@ -11,15 +11,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from sessions import craft, record, stream, until
+from sessions import craft, stream, until
 from sessions import settings as record_settings
 
 from magcal_service.errors import RecordingError
-from magcal_service.recorder import Recorder
+from magcal_service.recorder import Recorder, SessionFile
 from magcal_service.recordings.mcap import McapReader, RawMessage
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.session import read_session
-from magcal_service.recordings.session_files import recover, recover_in_place
+from magcal_service.recordings.session_files import SessionFolder, recover, recover_in_place
 from magcal_service.recordings.session_info import session_info
 from magcal_service.wire.messages import MagnetometerSample
 from tests.service.service_processes import Node, daemon, free_port, kill, wait_for, write_config
@@ -29,8 +29,14 @@ SAMPLES = stream(300)
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A sound session file of several chunks."""
-    (path,) = record(tmp_path_factory.mktemp("whole"), SAMPLES, flush_s=0.005)
+    """A sound session file of ten chunks."""
+    path, file = SessionFolder(tmp_path_factory.mktemp("whole")).create(0)
+    session = SessionFile(path, file, {"session": "whole"}, {"paper": craft()})
+    for number, message in enumerate(SAMPLES, 1):
+        session.add(number, message)
+        if number % (len(SAMPLES) // 10) == 0:
+            session.flush()
+    session.close()
     return path.read_bytes()
 
 
@@ -103,17 +109,17 @@ def test_a_file_of_garbage_is_set_aside_and_not_deleted(tmp_path: Path) -> None:
 
 def test_a_recording_that_another_daemon_is_writing_is_left_alone(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "00000001-20260101T000000Z.mcap"
-    path.write_bytes(whole[:5000])
+    path.write_bytes(whole[:10_000])
     with path.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         with Recorder(record_settings(tmp_path), [craft()]) as recorder:
             until(lambda: recorder.counters["record.files"])
-    assert path.read_bytes() == whole[:5000]
+    assert path.read_bytes() == whole[:10_000]
 
 
 def test_leftovers_of_a_recovery_that_was_killed_itself_go_away(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "00000001-20260101T000000Z.mcap"
-    path.write_bytes(whole[:5000])
+    path.write_bytes(whole[:10_000])
     (tmp_path / "00000001-20260101T000000Z.recovered.mcap.partial").write_bytes(b"half")
     with Recorder(record_settings(tmp_path), [craft()]) as recorder:
         until(lambda: recorder.counters["record.files"])

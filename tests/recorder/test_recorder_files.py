@@ -19,7 +19,7 @@ SAMPLES = stream(300)
 
 
 def test_a_file_that_is_large_enough_is_ended_and_nothing_is_lost_between(tmp_path: Path) -> None:
-    parts = record(tmp_path, SAMPLES, file_mb=0.01, flush_s=0.005)
+    parts = record(tmp_path, SAMPLES, file_mb=0.01, flush_s=0.0005)
     assert len(parts) > 2
     assert all(session_info(part).sound for part in parts)
     assert [message for part in parts for message in read_session(part).messages] == list(SAMPLES)
@@ -55,7 +55,7 @@ def _soon(done: object) -> None:
 
 
 def test_the_oldest_files_give_way_to_the_total_limit(tmp_path: Path) -> None:
-    parts = record(tmp_path, SAMPLES, file_mb=0.01, total_mb=0.05, flush_s=0.005)
+    parts = record(tmp_path, SAMPLES, file_mb=0.01, total_mb=0.05, flush_s=0.0005)
     assert sum(part.stat().st_size for part in parts) < 70_000
     assert int(parts[0].name[:8]) > 1
     messages = [message for part in parts for message in read_session(part).messages]
@@ -78,7 +78,7 @@ def test_the_order_of_files_does_not_depend_on_the_clock(tmp_path: Path) -> None
 
 def test_other_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "flight.mcap").write_bytes(b"x" * 1000)
-    record(tmp_path, SAMPLES, file_mb=0.01, total_mb=0.02, flush_s=0.005)
+    record(tmp_path, SAMPLES, file_mb=0.01, total_mb=0.02, flush_s=0.0005)
     assert (tmp_path / "flight.mcap").read_bytes() == b"x" * 1000
 
 

@@ -28,7 +28,7 @@ from tests.wire.wire_cases import messages
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every kind that a service receives or sends, in several chunks."""
     first, *rest = stream(120, "hot-electronics", "paper")
-    (file,) = record(tmp_path_factory.mktemp("rec"), [first, command("status"), *rest], flush_s=0.005)
+    (file,) = record(tmp_path_factory.mktemp("rec"), [first, command("status"), *rest], flush_s=0.0005)
     return file
 
 

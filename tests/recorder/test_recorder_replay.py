@@ -65,7 +65,7 @@ def test_each_craft_of_a_session_is_replayed_by_its_name(tmp_path: Path) -> None
 
 
 def test_the_parts_of_a_rotated_session_joined_are_the_session(tmp_path: Path) -> None:
-    parts = record(tmp_path / "rec", stream(600), csv=tmp_path / "live.csv", file_mb=0.02, flush_s=0.005)
+    parts = record(tmp_path / "rec", stream(600), csv=tmp_path / "live.csv", file_mb=0.02, flush_s=0.0005)
     assert len(parts) > 1
     assert main(["record", "join", *map(str, parts), "--out", str(tmp_path / "all.mcap")]) == 0
     assert replayed(str(tmp_path / "all.mcap"), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()

@@ -211,11 +211,11 @@ def test_a_selection_of_rows_is_no_session_any_more(tmp_path: Path) -> None:
 
 def test_calibrate_reads_a_session_as_it_reads_the_simulators_recording(tmp_path: Path) -> None:
     own = replace(craft("craft"), spin=None)
-    record(tmp_path / "rec", stream(1500, "random-errors"), [replace(own, name="paper")])
+    record(tmp_path / "rec", stream(700, "random-errors"), [replace(own, name="paper")])
     (file,) = (tmp_path / "rec").glob("*.mcap")
     session = calibrate_file(file, "two-step")
     rows = calibrate_file(
-        record_simulation(Simulation(load_scenario("random-errors"), 5, 1500.0), tmp_path / "csv"), "two-step"
+        record_simulation(Simulation(load_scenario("random-errors"), 5, 700.0), tmp_path / "csv"), "two-step"
     )
     assert session.samples == rows.samples
     assert session.residuals.before == pytest.approx(rows.residuals.before, rel=1e-9)
