@@ -86,7 +86,7 @@ def _recover(options: argparse.Namespace) -> int:
 def _join(options: argparse.Namespace) -> int:
     from contextlib import ExitStack
 
-    from magcal_service.recordings.mcap import McapReader
+    from magcal_service.recordings.mcap import SESSION, McapReader
     from magcal_service.recordings.session_files import rewrite
 
     _refuse_itself(options.out, options.files)
@@ -102,6 +102,9 @@ def _join(options: argparse.Namespace) -> int:
         except OSError as error:
             raise _unusable(options.out, error) from None
     print(f"{messages} records: {options.out}")
+    sessions = {content.get("session") for reader in readers for name, content in reader.metadata if name == SESSION}
+    if len(sessions) > 1:
+        print(f"of {len(sessions)} sessions: the service began anew between them, a replay of the file does not")
     unsound = [reader.name for reader in readers if not reader.sound]
     if unsound:
         print(f"not all could be read of: {', '.join(unsound)}")

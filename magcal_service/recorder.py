@@ -27,7 +27,7 @@ from magcal_service.config import CraftConfig, RecordConfig
 from magcal_service.config_text import craft_as_toml, digest
 from magcal_service.errors import DecodeError, Fault, InputRefusedError
 from magcal_service.recordings.json_form import schema_name, schema_of, to_json
-from magcal_service.recordings.mcap import McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, McapWriter, RawMessage, Topic
 from magcal_service.recordings.session_files import LIBRARY, SessionFolder, recover_in_place
 from magcal_service.wire.kinds import KIND_BY_CODE, kind_of
 from magcal_service.wire.messages import SCHEMA_VERSION, Clock, Message
@@ -39,6 +39,9 @@ MOST_WAITING: Final = 8192
 
 PATIENCE_S: Final = 20.0
 """How long the end of the service waits for the disk to take what is in the queue."""
+
+_TO_BEGIN: Final = 1.1
+"""To begin, ``min_free_mb`` times this has to be free, so that a disk at its limit is not filled with short files."""
 
 _LARGEST_TIME: Final = (1 << 63) - 1
 _MB: Final = 1_000_000
@@ -68,7 +71,7 @@ class SessionFile:
         self._saved = 0
         self.opened_s = time.monotonic()
         self._writer = McapWriter(file, LIBRARY)
-        self._writer.add_metadata("magcal.session", about)
+        self._writer.add_metadata(SESSION, about)
 
     @property
     def size(self) -> int:
@@ -90,7 +93,7 @@ class SessionFile:
         self.taken += 1
         craft = self._crafts.pop(message.craft, None)
         if craft is not None:
-            self._writer.add_metadata("magcal.craft", {"name": craft.name, "configuration": craft_as_toml(craft)})
+            self._writer.add_metadata(CRAFT, {"name": craft.name, "configuration": craft_as_toml(craft)})
         self._last_ns = max(self._last_ns, now_ns)
         published = message.clock is Clock.UTC and 0 <= message.time_ns <= _LARGEST_TIME
         publish_ns = message.time_ns if published else self._last_ns
@@ -99,12 +102,13 @@ class SessionFile:
 
     def note_dropped(self, count: int) -> None:
         """Mark a hole: so many messages are missing between what was added before and what comes next."""
-        self._writer.add_metadata("magcal.dropped", {"messages": str(count)})
+        self._writer.add_metadata(DROPPED, {"messages": str(count)})
 
     def flush(self) -> int:
         """Everything added so far survives a crash of the machine from now on; how many messages did not before."""
-        self._writer.end_chunk()
-        os.fdatasync(self._file.fileno())
+        if self.taken > self._saved:
+            self._writer.end_chunk()
+            os.fdatasync(self._file.fileno())
         return self._newly_saved()
 
     def close(self) -> int:
@@ -266,7 +270,8 @@ class Recorder:
         if self.config.total_mb is not None:
             deleted = self._folder.delete_oldest(self.config.total_mb * _MB, current)
             self.counters["record.deleted"] += len(deleted)
-        if self._folder.free_bytes() < self.config.min_free_mb * _MB:
+        needed = self.config.min_free_mb * _MB * (1.0 if current is not None else _TO_BEGIN)
+        if self._folder.free_bytes() < needed:
             raise OSError(None, f"the disk has less than min_free_mb = {self.config.min_free_mb:g} MB left")
 
     def _flush(self, file: SessionFile) -> None:

@@ -48,6 +48,11 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 PROFILE: Final = "magcal"
 
+# Names of metadata records: the session's account of itself, a craft's configuration, a hole.
+SESSION: Final = "magcal.session"
+CRAFT: Final = "magcal.craft"
+DROPPED: Final = "magcal.dropped"
+
 MOST_CHANNELS: Final = 65_000
 """A channel's number has 16 bits; a file with this many is full."""
 

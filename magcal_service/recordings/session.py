@@ -17,7 +17,7 @@ from magcal_service.config import CraftConfig
 from magcal_service.config_text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
-from magcal_service.recordings.mcap import PROFILE, McapReader
+from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, McapReader
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS
 from magcal_service.wire.messages import Message
@@ -133,11 +133,11 @@ def _metadata(reader: McapReader) -> tuple[dict[str, CraftConfig], int]:
     configurations: dict[str, CraftConfig] = {}
     dropped = 0
     for name, content in reader.metadata:
-        if name == "magcal.craft":
+        if name == CRAFT:
             craft = _configuration(content)
             if craft is not None:
                 configurations[craft.name] = craft
-        elif name == "magcal.dropped" and content.get("messages", "").isdecimal():
+        elif name == DROPPED and content.get("messages", "").isdecimal():
             dropped += int(content["messages"][:18])
     return configurations, dropped
 

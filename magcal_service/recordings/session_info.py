@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.mcap import McapReader
+from magcal_service.recordings.mcap import DROPPED, SESSION, McapReader
 from magcal_service.recordings.timestamps import ns_to_iso8601
 
 
@@ -114,8 +114,8 @@ def _info(reader: McapReader) -> SessionInfo:
     info.good_bytes, info.sound, info.damage = reader.good_bytes, reader.sound, reader.damage
     info.bad_chunks, info.bad_records, info.library = reader.bad_chunks, reader.bad_records, reader.library
     for name, content in reader.metadata:
-        if name == "magcal.session":
+        if name == SESSION:
             info.about |= content
-        elif name == "magcal.dropped" and content.get("messages", "").isdecimal():
+        elif name == DROPPED and content.get("messages", "").isdecimal():
             info.dropped += int(content["messages"][:18])
     return info

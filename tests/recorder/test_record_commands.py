@@ -105,6 +105,12 @@ def test_join_of_a_spoilt_part_is_done_but_not_to_be_trusted(
     assert f"not all could be read of: {cut}" in told
 
 
+def test_join_of_two_sessions_says_so(session: Path, two: Path, say: Say, tmp_path: Path) -> None:
+    code, told, _ = say("join", session, two, "--out", tmp_path / "all.mcap")
+    assert code == 0
+    assert "of 2 sessions: the service began anew between them" in told
+
+
 def test_check_finds_every_recorded_estimate_again(session: Path, say: Say) -> None:
     code, told, _ = say("check", session)
     assert (code, told) == (0, "paper: 300 of 300 recorded estimates came again, to the last bit\n")

@@ -45,6 +45,16 @@ def test_an_empty_file_is_never_too_old(tmp_path: Path) -> None:
             _soon(lambda: recorder.counters["record.files"] > 1)
 
 
+def test_an_idle_recorder_does_not_touch_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    syncs: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", syncs.append)
+    with Recorder(settings(tmp_path, flush_s=0.01), [craft()]) as recorder:
+        recorder.add(SAMPLES[0])
+        until(lambda: recorder.counters["record.written"])
+        with pytest.raises(AssertionError):
+            _soon(lambda: len(syncs) > 1)
+
+
 def _soon(done: object) -> None:
     import time
 
