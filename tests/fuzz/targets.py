@@ -24,6 +24,7 @@ from magcal_service.errors import ConfigError, DecodeError, LinkAddressError, Ma
 from magcal_service.links.address import parse_address
 from magcal_service.links.counter_file import CounterFile
 from magcal_service.pipeline import Pipeline
+from magcal_service.private_files import read_key
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.json_form import from_json, schema_name, to_json
 from magcal_service.recordings.mcap import McapReader, McapWriter, RawMessage, Topic
@@ -154,6 +155,15 @@ def run_counter(data: bytes) -> Hashable:
     last = CounterFile(_file("counter", data)).last
     assert last is None or 0 <= last < 1 << 64
     return last is None
+
+
+def run_key(data: bytes) -> Hashable:
+    """A key is long enough or refused."""
+    path = _file("key", data)
+    path.chmod(0o600)
+    key = read_key(path)
+    assert len(key) >= 16
+    return len(key)
 
 
 def run_address(data: bytes) -> Hashable:
@@ -342,6 +352,7 @@ TARGETS: tuple[Target, ...] = (
     ),
     Target("address", run_address, LinkAddressError, lambda: _ADDRESSES, (b"?", b"&", b"%00", b"=")),
     Target("counter", run_counter, (), lambda: [b"magcal counter 7 %08x\n" % zlib.crc32(b"7")]),
+    Target("key", run_key, ConfigError, lambda: [b"0123456789abcdef" * 4 + b"\n"]),
     Target("times", run_times, (), lambda: _TIMES, (b"UTC", b"Z", b"T24:00", b"e999")),
     Target(
         "json",

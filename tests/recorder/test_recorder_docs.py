@@ -1,0 +1,45 @@
+"""docs/recorder.md says what the code does."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tomllib
+from pathlib import Path
+
+from sessions import craft, settings
+
+from magcal_service.record_cli import add_commands
+from magcal_service.recorder import MOST_WAITING, Recorder
+from magcal_service.recordings import mcap
+from magcal_service.recordings.session_arrays import WIDEST_PERIODS
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recorder.md").read_text(encoding="utf-8")
+
+
+def test_the_page_names_every_counter_and_no_other(tmp_path: Path) -> None:
+    with Recorder(settings(tmp_path), [craft()]) as recorder:
+        known = set(recorder.counters)
+    assert set(re.findall(r"`(record\.[a-z]+)`", PAGE)) == known
+
+
+def test_the_page_names_every_command() -> None:
+    parser = argparse.ArgumentParser()
+    add_commands(parser)
+    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    assert set(re.findall(r"magcal record ([a-z]+)", PAGE)) == set(commands.choices)
+
+
+def test_the_page_names_every_metadata_record() -> None:
+    assert set(re.findall(r"`(magcal\.[a-z]+)`", PAGE)) == {mcap.SESSION, mcap.CRAFT, mcap.DROPPED}
+
+
+def test_the_pages_numbers_are_the_codes() -> None:
+    assert f"Up to {MOST_WAITING} messages wait" in PAGE
+    assert WIDEST_PERIODS == 2.5
+    assert "two and a half of its periods" in PAGE
+
+
+def test_the_pages_example_is_toml() -> None:
+    (example,) = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
+    assert set(tomllib.loads(example)) == {"record"}
