@@ -5,18 +5,19 @@ A live link, a recording and the simulator all end here, so what is proved on on
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from magcal_service.config import CraftConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.interface import Phase, StateEstimate
+from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, vector_jacobian
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick, TickAssembler
 from magcal_service.trust import NOT_STARTED, TrustMonitor
 from magcal_service.wire.messages import (
@@ -41,13 +42,24 @@ _UPPER_3 = np.triu_indices(3)
 _IDENTITY_3 = np.eye(3)
 
 
-class Pipeline:
+class Pipeline(Saved):
     """Everything the daemon does for one craft.
 
     Parameters
     ----------
     config: the craft's configuration.
     """
+
+    ticks: TickAssembler
+    estimator: Estimator
+    monitor: TrustMonitor
+    frozen: bool
+    counters: Counter[str]
+    _sequence: int
+    _last_time_ns: int
+    _clock: Clock
+    _stuck: bool
+    _thawed: bool
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -56,13 +68,22 @@ class Pipeline:
         self.monitor = TrustMonitor(config)
         self.trust = NOT_STARTED
         self.frozen = False
-        self.counters: Counter[str] = Counter()
-        self._sequence = itertools.count()
+        self.counters = Counter()
+        self._sequence = 0
         self._state: StateEstimate = self.estimator.estimate()
         self._last_time_ns = 0
         self._clock = Clock.ELAPSED
         self._stuck = False
         self._thawed = False  # ticks have passed unused since the estimator's last one
+
+    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
+        """Take over an exported state, with the verdict that follows from it."""
+        super().restore_state(saved, where, given)
+        self._take_over()
+
+    def _take_over(self) -> None:
+        self._state = self.estimator.estimate()
+        self.trust = self.monitor.judge(self._state)
 
     def handle(self, message: Message) -> list[Message]:
         """Take one message; what is to be published because of it, in order: ``answer``, then ``advance``."""
@@ -181,7 +202,7 @@ class Pipeline:
         return Estimate(
             craft=self.config.name,
             source=SOURCE,
-            sequence=next(self._sequence) % (1 << 32),
+            sequence=self._number(),
             time_ns=time_ns,
             clock=clock,
             method=self.estimator.name,
@@ -196,6 +217,11 @@ class Pipeline:
             noise_nt=state.noise_nt,
             samples_used=state.samples,
         )
+
+    def _number(self) -> int:
+        """The next sequence number of what this craft publishes."""
+        number, self._sequence = self._sequence, (self._sequence + 1) % (1 << 32)
+        return number
 
     def _command(self, command: Command) -> CommandReply:
         """``status`` says how things are; ``freeze`` stops learning, ``resume`` goes on, ``reset`` begins anew."""
@@ -215,7 +241,7 @@ class Pipeline:
         return CommandReply(
             craft=self.config.name,
             source=SOURCE,
-            sequence=next(self._sequence) % (1 << 32),
+            sequence=self._number(),
             time_ns=self._last_time_ns,
             clock=self._clock,
             name=command.name,
@@ -237,7 +263,7 @@ class Pipeline:
         return Status(
             craft=self.config.name,
             source=SOURCE,
-            sequence=next(self._sequence) % (1 << 32),
+            sequence=self._number(),
             time_ns=self._last_time_ns,
             clock=self._clock,
             uptime_s=uptime_s,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import Final
 
+from magcal_service.snapshot import Saved
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, TelemetrySample, Vector
 
@@ -16,7 +17,7 @@ _MOST: Final = 8192
 """Rates kept at most; the oldest go first."""
 
 
-class RateTrack:
+class RateTrack(Saved):
     """Rates of one craft, by time.
 
     Parameters
@@ -24,12 +25,17 @@ class RateTrack:
     max_gap_ns: two samples further apart are not interpolated between [ns].
     """
 
+    _channel: str
+    _clock: Clock | None
+    _times: list[int]
+    _rates: list[Vector]
+
     def __init__(self, max_gap_ns: int) -> None:
         self._max_gap_ns = max_gap_ns
         self._channel = ""
-        self._clock: Clock | None = None
-        self._times: list[int] = []
-        self._rates: list[Vector] = []
+        self._clock = None
+        self._times = []
+        self._rates = []
 
     def add(self, sample: TelemetrySample) -> bool:
         """Take a sample if it is the craft's rate: the first channel of three angular rates; whether it was taken."""

@@ -20,10 +20,14 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
+from magcal_service.snapshot import Saved
 from magcal_service.wire.messages import Clock, Frame, ReferenceSample, Vector
 
 _MOST: Final = 8192
 """Reference samples kept at most; the oldest go first."""
+
+_REMEMBERED: Final = 128
+"""Used references that are kept to know them again when a node sends its history: 100 by default."""
 
 SMALLEST_NT: Final = 1.0
 """A reference below this is a source that sends zeros, not a field: 1 nT is 1/20000 of the weakest at the ground."""
@@ -40,7 +44,7 @@ class Reference:
     field_eci_nt: Vector | None
 
 
-class ReferenceTrack:
+class ReferenceTrack(Saved):
     """Reference samples of one craft, by time.
 
     Parameters
@@ -50,6 +54,11 @@ class ReferenceTrack:
     late_ns, jump_ns: a sample further behind or ahead of the newest has to be confirmed [ns].
     """
 
+    _clock: Clock | None
+    _times: list[int]
+    _found: list[Reference]
+    _votes: list[ReferenceSample]
+
     def __init__(self, max_gap_ns: int, counters: Counter[str], late_ns: int, jump_ns: int) -> None:
         self._max_gap_ns, self._late_ns, self._jump_ns = max_gap_ns, late_ns, jump_ns
         self._counters = counters
@@ -57,9 +66,9 @@ class ReferenceTrack:
 
     def _clear(self, clock: Clock | None = None) -> None:
         self._clock = clock
-        self._times: list[int] = []
-        self._found: list[Reference] = []
-        self._votes: list[ReferenceSample] = []
+        self._times = []
+        self._found = []
+        self._votes = []
 
     def add(self, sample: ReferenceSample) -> None:
         """Take a sample.
@@ -72,7 +81,7 @@ class ReferenceTrack:
         if found.magnitude_nt < SMALLEST_NT:
             self._counters["reference_zero"] += 1
             return
-        if not self._times or self._fits(sample):
+        if not self._times or self._fits(sample) or self._is_repeated(sample, found):
             self._drop_votes()
             self._insert(sample, found)
             return
@@ -89,6 +98,12 @@ class ReferenceTrack:
     def _fits(self, sample: ReferenceSample) -> bool:
         ahead_ns = sample.time_ns - self._times[-1]
         return sample.clock is self._clock and -self._late_ns <= ahead_ns <= self._jump_ns
+
+    def _is_repeated(self, sample: ReferenceSample, found: Reference) -> bool:
+        """Whether it is known already, however far behind: a node's history after a restart, no step of its clock."""
+        at = bisect_left(self._times, sample.time_ns)
+        known = at < len(self._times) and self._times[at] == sample.time_ns and sample.clock is self._clock
+        return known and self._found[at] == found
 
     def _agree(self, before: ReferenceSample, after: ReferenceSample) -> bool:
         step_ns = after.time_ns - before.time_ns
@@ -136,9 +151,9 @@ class ReferenceTrack:
         return _between(self._found[after - 1], self._found[after], share)
 
     def forget_before(self, time_ns: int) -> None:
-        """Drop what no later sample can need: all but the last reference before ``time_ns``, once there are many."""
-        keep = bisect_left(self._times, time_ns) - 1
-        if keep > 64:
+        """Drop what no later sample can need, but for the last ones, once there are many."""
+        keep = bisect_left(self._times, time_ns) - 1 - _REMEMBERED
+        if keep > _REMEMBERED:
             del self._times[:keep], self._found[:keep]
 
 

@@ -28,7 +28,7 @@ between two that are less than ``gap_s`` apart, under ``ticks_empty``.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
@@ -38,7 +38,8 @@ from magcal_service.config import SensorConfig, TickConfig
 from magcal_service.model import Array
 from magcal_service.rate_track import RateTrack
 from magcal_service.reference_track import ReferenceTrack
-from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample
+from magcal_service.snapshot import Saved
+from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample, Vector
 
 SECOND_NS: Final = 1_000_000_000
 
@@ -81,7 +82,7 @@ class Tick:
     rate_body_rad_s: Array | None = None
 
 
-class TickAssembler:
+class TickAssembler(Saved):
     """One craft's samples on their way into ticks.
 
     Parameters
@@ -90,9 +91,25 @@ class TickAssembler:
     sensor: when a sensor counts as stuck.
     """
 
+    counters: Counter[str]
+    rates: RateTrack
+    references: ReferenceTrack
+    _clock: Clock | None
+    _base_ns: int
+    _newest_ns: int
+    _closed_ns: int
+    _open: list[tuple[int, MagnetometerSample]]
+    _last_ns: int | None
+    _broken: bool
+    _recent: dict[int, Vector]
+    _votes: list[tuple[str, int]]
+    _same: int
+    _last_field: Vector | None
+    _done: list[Tick]
+
     def __init__(self, config: TickConfig, sensor: SensorConfig) -> None:
         self.sensor = sensor
-        self.counters: Counter[str] = Counter()
+        self.counters = Counter()
         self._gap_ns = round(config.gap_s * SECOND_NS)
         self._late_ns = round(config.late_s * SECOND_NS)
         self._hold_ns = round(config.hold_s * SECOND_NS)
@@ -100,18 +117,18 @@ class TickAssembler:
         max_gap_ns = round(config.reference_max_gap_s * SECOND_NS)
         self.rates = RateTrack(max_gap_ns)
         self.references = ReferenceTrack(max_gap_ns, self.counters, self._late_ns, self._jump_ns)
-        self._clock: Clock | None = None
+        self._clock = None
         self._base_ns = 0  # source time less elapsed time
         self._newest_ns = 0  # elapsed time of the newest accepted sample
         self._closed_ns = -SECOND_NS // 2  # elapsed time before which every tick is closed
-        self._open: list[tuple[int, MagnetometerSample]] = []  # by elapsed time
-        self._last_ns: int | None = None  # elapsed time of the last sample in a closed tick, None after a clock step
+        self._open = []  # by elapsed time
+        self._last_ns = None  # elapsed time of the last sample in a closed tick, None after a clock step
         self._broken = False  # a gap or a clock step since the last tick that had a reference
-        self._recent: deque[int] = deque(maxlen=_REMEMBERED)
-        self._votes: list[tuple[str, int]] = []
+        self._recent = {}  # accepted samples: their times and vectors
+        self._votes = []
         self._same = 0
-        self._last_field: tuple[float, float, float] | None = None
-        self._done: list[Tick] = []
+        self._last_field = None
+        self._done = []
 
     @property
     def closed(self) -> int:
@@ -140,7 +157,9 @@ class TickAssembler:
             self.counters["gap"] += 1
         self._newest_ns = max(self._newest_ns, elapsed_ns)
         insort(self._open, (elapsed_ns, sample), key=_elapsed)
-        self._recent.append(sample.time_ns)
+        self._recent[sample.time_ns] = sample.field_body_nt
+        if len(self._recent) > _REMEMBERED:
+            del self._recent[next(iter(self._recent))]
         self.counters["accepted"] += 1
         return ""
 
@@ -150,6 +169,8 @@ class TickAssembler:
         if self._clock is None:
             self._anchor(sample, 0)
         elapsed_ns = sample.time_ns - self._base_ns
+        if self._recent.get(sample.time_ns) == sample.field_body_nt and sample.clock is self._clock:
+            return "doubled"  # however far behind: a node's history after a restart, no step of its clock
         if sample.clock is not self._clock:
             return self._vote(sample, "clock_changed")
         if elapsed_ns > self._newest_ns + self._jump_ns:

@@ -21,6 +21,7 @@ from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcom
 from magcal_service.estimators.start import StartGate
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 from magcal_service.wire.messages import Verdict
 
@@ -127,13 +128,31 @@ def _largest_variance(estimate: StateEstimate, field_nt: Array) -> float:
     return float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1])
 
 
-class TrustMonitor:
+class TrustMonitor(Saved):
     """Watches one craft's ticks.
 
     Parameters
     ----------
     config: the craft's configuration.
     """
+
+    _innovation: float
+    _rejected_share: float
+    _ticks: int
+    _since_start: int
+    _restarts: int
+    _residuals: deque[float]
+    _floor_nt: float
+    _block: list[float]
+    _block_spread_nt2: float
+    _blocks: deque[float]
+    _block_ratio: float
+    _magnitude: Moments
+    _square: float
+    _last_sample_s: float | None
+    _aliased: float
+    _unpaired_s: float
+    _stuck: bool
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -145,15 +164,15 @@ class TrustMonitor:
         self._ticks = 0
         self._since_start = 0
         self._restarts = 0
-        self._residuals: deque[float] = deque(maxlen=_Levels.spectrum_samples)
+        self._residuals = deque(maxlen=_Levels.spectrum_samples)
         self._floor_nt = 0.0
-        self._block: list[float] = []
+        self._block = []
         self._block_spread_nt2 = 0.0  # what the estimate's own error may add to the present block's mean
-        self._blocks: deque[float] = deque(maxlen=_Levels.blocks)
+        self._blocks = deque(maxlen=_Levels.blocks)
         self._block_ratio = 0.0
         self._magnitude = Moments()
         self._square = 0.0
-        self._last_sample_s: float | None = None
+        self._last_sample_s = None
         self._aliased = 0.0
         self._unpaired_s = 0.0
         self._stuck = False
@@ -301,8 +320,12 @@ class TrustMonitor:
         return unfinished
 
 
-class Moments:
+class Moments(Saved):
     """Running mean and standard deviation (Welford 1962)."""
+
+    mean: float
+    _count: int
+    _sum: float
 
     def __init__(self) -> None:
         self._count, self.mean, self._sum = 0, 0.0, 0.0

@@ -32,6 +32,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.snapshot import Saved
 
 EVERY_TICKS: Final = 16
 """Ticks between two tests, and between the newest candidates for the time of a jump."""
@@ -130,13 +131,17 @@ class _Open:
     free: slice
 
 
-class ChangeDetector:
+class ChangeDetector(Saved):
     """Asks one filter, tick by tick, whether the errors have jumped.
 
     Parameters
     ----------
     walk: covariance of the random walk per second (9, 9) [nT, -]; None: no process noise.
     """
+
+    _tick: int
+    _past: list[_Past]
+    _open: _Open | None
 
     def __init__(self, walk: Array | None = None) -> None:
         self._walk = walk
@@ -145,8 +150,8 @@ class ChangeDetector:
     def clear(self) -> None:
         """Forget the past, as after a start."""
         self._tick = 0
-        self._past: list[_Past] = []
-        self._open: _Open | None = None
+        self._past = []
+        self._open = None
 
     def push(self, time_s: float, x: Array, covariance: Array, noise_variance: float) -> Change | None:
         """Take the estimate after one tick; a jump where one is found, or turns out to be one of other states.

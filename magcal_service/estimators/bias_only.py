@@ -13,9 +13,10 @@ from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.noise_level import NoiseLevel
 from magcal_service.estimators.start import prior_sigma
 from magcal_service.model import BIAS, STATE_SIZE, Array
+from magcal_service.snapshot import Saved
 
 
-class BiasState:
+class BiasState(Saved):
     """A bias with its covariance, and the account that every estimator keeps.
 
     Parameters
@@ -23,11 +24,18 @@ class BiasState:
     config: the craft's configuration (sensor, filter's prior and process noise of the bias).
     """
 
+    bias_nt: Array
+    covariance: Array
+    noise: NoiseLevel
+    phase: Phase
+    samples: int
+    rejected: int
+
     def __init__(self, config: CraftConfig) -> None:
         self._prior = prior_sigma(config.filter)
         self._walk = np.diag(np.array(config.filter.process_noise_bias_nt) ** 2)
-        self.bias_nt: Array = np.zeros(3)
-        self.covariance: Array = np.diag(self._prior[BIAS] ** 2)
+        self.bias_nt = np.zeros(3)
+        self.covariance = np.diag(self._prior[BIAS] ** 2)
         self.noise = NoiseLevel(config.sensor.noise_nt)
         self.phase = Phase.STARTING
         self.samples = self.rejected = 0

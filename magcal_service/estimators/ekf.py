@@ -19,13 +19,14 @@ from magcal_service.estimators.interface import Method, Phase, StateEstimate, Ti
 from magcal_service.estimators.noise_level import NoiseLevel
 from magcal_service.estimators.start import prior_sigma
 from magcal_service.model import STATE_SIZE, Array, calibrate, field_jacobian
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 _FIRST_NOISE = 0.01
 """Share of |H| that stands for an unknown noise level before it is learned."""
 
 
-class Ekf:
+class Ekf(Saved):
     """One craft's filter.
 
     Parameters
@@ -35,6 +36,13 @@ class Ekf:
 
     name = "ekf"
 
+    _x: Array
+    _covariance: Array
+    _noise: NoiseLevel
+    _phase: Phase
+    _samples: int
+    _time_s: float | None
+
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
         walk = np.array(config.filter.process_noise_bias_nt + config.filter.process_noise_D)
@@ -43,12 +51,12 @@ class Ekf:
 
     def reset(self) -> None:
         """Back to the prior, before any sample."""
-        self._x: Array = np.zeros(STATE_SIZE)
-        self._covariance: Array = np.diag(prior_sigma(self.config.filter) ** 2)
+        self._x = np.zeros(STATE_SIZE)
+        self._covariance = np.diag(prior_sigma(self.config.filter) ** 2)
         self._noise = NoiseLevel(self.config.sensor.noise_nt)
         self._phase = Phase.STARTING
         self._samples = 0
-        self._time_s: float | None = None
+        self._time_s = None
 
     def estimate(self) -> StateEstimate:
         """The estimate after the last tick."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 from magcal_service.config import CraftConfig
 from magcal_service.estimators.start import StartGate
@@ -89,6 +89,12 @@ class Estimator(Protocol):
 
     def estimate(self) -> StateEstimate:
         """The estimate after the last tick."""
+
+    def export_state(self) -> dict[str, Any]:
+        """The whole state as plain data (``snapshot.Saved``)."""
+
+    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
+        """Take over an exported state; ``SnapshotError`` where it does not fit."""
 
 
 @dataclass(frozen=True, slots=True)

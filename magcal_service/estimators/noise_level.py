@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import BIAS, D_ALL, Array, calibrate, d_matrix, field_jacobian
+from magcal_service.snapshot import Saved
 
 _MEMORY: Final = 600
 """Samples over which an unknown noise level is averaged: 3 % of its value."""
@@ -16,7 +17,7 @@ _SETTLED: Final = 30
 """Residuals from which on the second differences are believed."""
 
 
-class NoiseLevel:
+class NoiseLevel(Saved):
     """1 sigma of the residual, and of the part of it that is white.
 
     The second difference of white noise s has the variance 6 s^2 and leaves out what is slow, so physics that was left
@@ -27,11 +28,16 @@ class NoiseLevel:
     given_nt: 1 sigma per axis [nT], then never changed; None: learned.
     """
 
+    total_nt: float
+    white_nt: float
+    _count: int
+    _before: list[float]
+
     def __init__(self, given_nt: float | None) -> None:
         self.given_nt = given_nt
         self.total_nt = self.white_nt = given_nt or 0.0
         self._count = 0
-        self._before: list[float] = []
+        self._before = []
 
     def set(self, total_nt: float) -> None:
         """Take a level found by a batch, where none was given; the white part stays below it."""

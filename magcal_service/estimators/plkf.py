@@ -22,13 +22,14 @@ from magcal_service.estimators.bias_only import BiasState
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.spin_window import SpinWindows, Window
 from magcal_service.model import scalar_residual
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 _LEAK_MEMORY_S = 1500.0
 """Time over which the leak keeps its sign: a quarter of a low orbit."""
 
 
-class Plkf:
+class Plkf(Saved):
     """One craft's filter.
 
     Parameters
@@ -40,6 +41,10 @@ class Plkf:
 
     name = "plkf"
 
+    _state: BiasState
+    _windows: SpinWindows
+    _time_s: float | None
+
     def __init__(self, config: CraftConfig) -> None:
         self._spin = _spin_of(config)
         self.config = config
@@ -50,7 +55,7 @@ class Plkf:
         """Back to the prior, before any sample."""
         self._state = BiasState(self.config)
         self._windows = SpinWindows(self._spin)
-        self._time_s: float | None = None
+        self._time_s = None
 
     def estimate(self) -> StateEstimate:
         """The estimate after the last tick."""

@@ -27,6 +27,7 @@ from magcal_service.estimators.bias_only import BiasState
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.spin_window import LEO_FIELD_RATE_RAD_S
 from magcal_service.model import Array, scalar_residual
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 GYRO_NOISE_RAD_S: Final = 1e-3
@@ -53,11 +54,17 @@ def rotation(rate_rad_s: Array, seconds: float) -> Array:
     return turned
 
 
-class _RateNoise:
+class _RateNoise(Saved):
     """Noise of the gyro by its second differences, and how far the axis of turning really changes."""
 
+    _last: list[Array]
+    _count: int
+    _noise: float
+    _change: Array
+    _expected: float
+
     def __init__(self) -> None:
-        self._last: list[Array] = []
+        self._last = []
         self._count = 0
         self._noise = 0.0
         self._change = np.zeros((3, 3))  # sum of (I - R)'(I - R)
@@ -86,7 +93,7 @@ class _RateNoise:
         return projector
 
 
-class RateAided:
+class RateAided(Saved):
     """One craft's filter.
 
     Parameters
@@ -95,6 +102,14 @@ class RateAided:
     """
 
     name = "rate-aided"
+
+    _state: BiasState
+    _joint: Array
+    _joint_covariance: Array
+    _rates: _RateNoise
+    _last: tuple[float, Array, Array | None] | None
+    _norm: float
+    _updates: int
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -107,7 +122,7 @@ class RateAided:
         self._joint_covariance = np.zeros((6, 6))
         self._joint_covariance[3:, 3:] = self._state.covariance
         self._rates = _RateNoise()
-        self._last: tuple[float, Array, Array | None] | None = None  # time, rate, H
+        self._last = None  # time, rate, H
         self._norm = 1.0
         self._updates = 0
 

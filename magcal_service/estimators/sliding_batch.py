@@ -47,12 +47,16 @@ class SlidingBatch(TwoStep):
 
     name = "sliding-batch"
 
+    _blocks: deque[tuple[float, MagnitudeSums]]  # time of the first sample, sums
+    _now_s: float
+
     def __init__(self, config: CraftConfig, *, window_s: float = WINDOW_S, decay_s: float = DECAY_S) -> None:
         self.window_s, self.decay_s = window_s, decay_s
         super().__init__(config)
 
     def _clear(self) -> None:
-        self._blocks: deque[tuple[float, MagnitudeSums]] = deque()  # time of the first sample, sums
+        super()._clear()
+        self._blocks = deque()
         self._now_s = 0.0
 
     def _take(self, tick: Tick) -> None:

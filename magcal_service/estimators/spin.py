@@ -15,8 +15,9 @@ project's own.  ``docs/spin-estimator.md`` holds the reasons and the figures.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,11 +25,12 @@ from magcal_service.config import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.spin_search import SpinSearch, SpinStart
 from magcal_service.estimators.spin_start import AxisTie, Prior
-from magcal_service.estimators.spin_state import ERRORS, SpinEstimate, SpinState, spin_estimate
+from magcal_service.estimators.spin_state import ERRORS, SPIN_STATE_SIZE, SpinEstimate, SpinState, spin_estimate
 from magcal_service.estimators.spin_watch import SpinGate, SpinWatch
 from magcal_service.estimators.spin_window import across_axis
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 _PHASE_LOST_RAD: Final = 0.3
@@ -44,7 +46,7 @@ _LONGEST_SILENCE_S: Final = 60.0
 """Without a reference vector for longer than this, the scalar estimate is published, which still learns."""
 
 
-class SpinTracker:
+class SpinTracker(Saved):
     """The running filter with its noise level and its watch.
 
     Parameters
@@ -55,8 +57,16 @@ class SpinTracker:
     time_s: sample time of the start [s].
     """
 
+    state: SpinState
+    time_s: float
+    noise_variance: float
+    _noise_samples: int
+    _rate_walk: float
+    _watch: SpinWatch
+    lost: SpinGate | None
+
     def __init__(self, config: CraftConfig, start: SpinStart, error_walk: Array | None, time_s: float) -> None:
-        self.state: SpinState = start.state
+        self.state = start.state
         self.time_s = time_s
         self.noise_variance = start.noise_nt**2
         self._learning = config.sensor.noise_nt is None
@@ -64,7 +74,7 @@ class SpinTracker:
         self._limit = config.filter.gate_sigma**2 + 3.0
         self._error_walk, self._rate_walk = error_walk, start.rate_walk
         self._watch = SpinWatch()
-        self.lost: SpinGate | None = None
+        self.lost = None
 
     def handle(self, tick: Tick, reference_eci_nt: Array) -> TickOutcome:
         """Update with the samples of a tick; ``lost`` says whether the spin is still what it was."""
@@ -99,7 +109,7 @@ class SpinTracker:
         self.state.covariance = self.state.covariance * factor
 
 
-class SpinFilter:
+class SpinFilter(Saved):
     """One craft's spin estimator with its scalar fallback.
 
     Parameters
@@ -110,6 +120,16 @@ class SpinFilter:
     """
 
     name = "spin"
+
+    _scalar: Ukf
+    _search: SpinSearch
+    _tracker: SpinTracker | None
+    _silent_s: float
+    _samples: int
+    _rejected: int
+    _restarts: int
+    _scalar_restarts: int
+    fallbacks: int
 
     def __init__(self, config: CraftConfig, axis_sigma_rad: float = 0.0, rate_walk: float = 0.0) -> None:
         self.config = config
@@ -124,11 +144,19 @@ class SpinFilter:
         """Back to the prior, before any sample."""
         self._scalar.reset()
         self._search = SpinSearch(self.config, self._rate_walk, self._axis)
-        self._tracker: SpinTracker | None = None
+        self._tracker = None
         self._silent_s = 0.0
         self._samples = self._rejected = self._restarts = 0
         self._scalar_restarts = 0
         self.fallbacks = 0
+
+    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
+        """Take over an exported state; a running filter is made first, for the state to be put into."""
+        if isinstance(saved, dict) and saved.get("_tracker") is not None:
+            blank = SpinState(np.zeros(9), np.eye(3), np.zeros(3), np.eye(SPIN_STATE_SIZE))
+            start = SpinStart(blank, 1.0, self._rate_walk, 0)
+            self._tracker = SpinTracker(self.config, start, self._search.error_walk, 0.0)
+        super().restore_state(saved, where, given)
 
     @property
     def fallback(self) -> SpinGate | None:

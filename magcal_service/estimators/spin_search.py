@@ -16,8 +16,9 @@ little, though: each time the spin is lost, the next has to hold for twice as lo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -45,6 +46,7 @@ from magcal_service.estimators.spin_watch import FitQuality, SpinGate, fit_quali
 from magcal_service.estimators.start import LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma, vector_sigma
 from magcal_service.model import Array, d_matrix, scalar_residual
 from magcal_service.residuals import rms
+from magcal_service.snapshot import Saved, SnapshotError, plain, restored
 from magcal_service.ticks import Tick
 
 RATE_WALKS: Final = (0.0, 1e-8, 1e-7, 1e-6, 1e-5)
@@ -101,12 +103,24 @@ _GROWTH: Final = 2.0
 _SMALLEST_GROWTH: Final = 1.1
 
 
-class SampleBuffer:
+class SampleBuffer(Saved):
     """The newest samples; when it is full, the oldest quarter goes."""
 
     def __init__(self) -> None:
         self._rows = np.empty((256, 7))
         self.count = 0
+
+    def export_state(self) -> dict[str, Any]:
+        """The samples; what lies behind them in memory is no state."""
+        return {"rows": plain(self._rows[: self.count])}
+
+    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
+        """Take over exported samples into an empty buffer."""
+        rows = restored(saved.get("rows") if isinstance(saved, dict) else None, Array, where)
+        if rows.ndim != 2 or rows.shape[1] != 7 or len(rows) > 2 * _CAPACITY:
+            raise SnapshotError(f"{where} has the shape {rows.shape}; rows of 7 are accepted")
+        self._rows, self.count = np.empty((256, 7)), 0
+        self.add(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
 
     @property
     def full(self) -> bool:
@@ -151,7 +165,7 @@ class _Candidate:
     span_s: float
 
 
-class SpinSearch:
+class SpinSearch(Saved):
     """Collects samples and tries for a start.
 
     Parameters
@@ -161,6 +175,18 @@ class SpinSearch:
     axis: the configured axis; it is believed as long as the samples agree with it.
     """
 
+    seen: SpinEstimate | None
+    gate: SpinGate
+    _walks: list[float]
+    _required_s: float
+    _prior: Prior
+    _buffer: SampleBuffer
+    _refining: bool
+    _seconds: float
+    _last_s: float | None
+    _began_s: float
+    _attempt_at_s: float
+
     def __init__(self, config: CraftConfig, rate_walk: float = 0.0, axis: AxisTie | None = None) -> None:
         self.config = config
         self._axis = axis
@@ -168,7 +194,7 @@ class SpinSearch:
         self._walks.insert(0, rate_walk)
         walk = np.array(config.filter.process_noise_bias_nt + config.filter.process_noise_D)
         self.error_walk: Array | None = walk**2 if walk.any() else None
-        self.seen: SpinEstimate | None = None
+        self.seen = None
         self._required_s = _SHORTEST_S
         self.begin(None, SpinGate.COLLECTING)
 
@@ -190,7 +216,7 @@ class SpinSearch:
         self._buffer = SampleBuffer()
         self._refining = False
         self._seconds = 0.0
-        self._last_s: float | None = None
+        self._last_s = None
         self._began_s = 0.0
         self._attempt_at_s = self._required_s
 

@@ -25,6 +25,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
+from magcal_service.snapshot import Saved
 
 SPIN_STATE_SIZE: Final = 15
 ERRORS: Final = slice(0, STATE_SIZE)  # b [nT], D [-]
@@ -113,7 +114,7 @@ class Innovation:
         return float(self.value @ self.weighted)
 
 
-class SpinState:
+class SpinState(Saved):
     """The fifteen-state extended filter itself: predict, look, apply.
 
     Parameters
@@ -123,6 +124,11 @@ class SpinState:
     rate_rad_s: body rate (3,) [rad/s].
     covariance: of the fifteen error states (15, 15).
     """
+
+    x: Array
+    body_from_eci: Array
+    rate_rad_s: Array
+    covariance: Array
 
     def __init__(self, x: Array, body_from_eci: Array, rate_rad_s: Array, covariance: Array) -> None:
         self.x = x

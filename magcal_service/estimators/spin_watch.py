@@ -20,6 +20,7 @@ import numpy as np
 from magcal_service.estimators.spin_start import SpinFit
 from magcal_service.estimators.spin_state import Innovation
 from magcal_service.model import Array
+from magcal_service.snapshot import Saved
 
 _MEMORY: Final = 300
 """Samples over which the running ratio of across to along is averaged: 1 +- 0.1."""
@@ -107,8 +108,19 @@ def fit_quality(fit: SpinFit) -> FitQuality:
     return FitQuality(math.sqrt(total / 3.0), 0.5 * (total - along) / max(along, 1e-12), drift, len(y))
 
 
-class SpinWatch:
+class SpinWatch(Saved):
     """Watches the innovations of a running filter."""
+
+    _count: int
+    _along: float
+    _across: float
+    _sum: Array
+    _sum_variance: float
+    _in_block: int
+    _blocks: int
+    _drift: float
+    _rejected_in_row: int
+    _since_gap: int
 
     def __init__(self) -> None:
         self._count = 0

@@ -19,6 +19,7 @@ import numpy as np
 
 from magcal_service.config import SpinConfig, SpinWindow
 from magcal_service.model import Array
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 LEO_FIELD_RATE_RAD_S: Final = 2.3e-3
@@ -70,12 +71,12 @@ def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
     normal = design.T @ design
     if np.linalg.eigvalsh(normal)[0] < 1e-4:  # the constant can't be told from the spin: aliased or too short
         return None
-    weights: Array = np.linalg.solve(normal, design.T)[0]
+    weights: Array = np.linalg.solve(normal, design.T)[0].copy()  # in one piece, as a restored one is: sums are alike
     weights /= weights.sum()
     return weights
 
 
-class SpinWindows:
+class SpinWindows(Saved):
     """Collects ticks into windows of spin.
 
     Parameters
@@ -83,12 +84,16 @@ class SpinWindows:
     spin: the configured spin.
     """
 
+    _ticks: deque[Tick]
+    _first_s: float
+    _samples: int
+
     def __init__(self, spin: SpinConfig) -> None:
         self.spin = spin
         self._across = across_axis(np.array(spin.axis))
         self._rate_rad_s = abs(spin.rate_rpm) * 2.0 * math.pi / 60.0
         self._span_s = spin.window_turns * 60.0 / abs(spin.rate_rpm)
-        self._ticks: deque[Tick] = deque()
+        self._ticks = deque()
         self._first_s = 0.0
         self._samples = 0
 

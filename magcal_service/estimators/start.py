@@ -26,6 +26,7 @@ from magcal_service.estimators.spin_window import Window
 from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 Entry = TypeVar("Entry")
@@ -238,7 +239,7 @@ def vector_sigma(covariance: Array, field_nt: Array) -> float:
     return float(np.sqrt(variance.max()))
 
 
-class StartBuffer(Generic[Entry]):
+class StartBuffer(Saved, Generic[Entry]):
     """What is kept towards a start, one entry a tick, and when a start is due.
 
     Parameters
@@ -246,13 +247,21 @@ class StartBuffer(Generic[Entry]):
     start_s: sample time after which a start is first tried [s].
     """
 
+    stride: int
+    samples: int
+    seconds: float
+    _kept: list[tuple[int, Entry]]
+    _seen: int
+    _last_s: float | None
+    _attempt_at_s: float
+
     def __init__(self, start_s: float) -> None:
         self.stride = 1
         self.samples = 0
         self.seconds = 0.0
-        self._kept: list[tuple[int, Entry]] = []
+        self._kept = []
         self._seen = 0
-        self._last_s: float | None = None
+        self._last_s = None
         self._attempt_at_s = start_s
 
     @property
@@ -283,7 +292,7 @@ class StartBuffer(Generic[Entry]):
         return True
 
 
-class StartCollector:
+class StartCollector(Saved):
     """Collects ticks until a batch solution passes every gate.
 
     Parameters
@@ -298,13 +307,19 @@ class StartCollector:
     noise_contradicted: the solution is one that takes the noise from the residual.
     """
 
+    gate: StartGate | None
+    spin_contradicted: bool
+    noise_contradicted: bool
+    _ticks: StartBuffer[Tick]
+    _windows: list[Window]
+
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
-        self.gate: StartGate | None = None
+        self.gate = None
         self.spin_contradicted = False
         self.noise_contradicted = False
-        self._ticks: StartBuffer[Tick] = StartBuffer(config.filter.start_s)
-        self._windows: list[Window] = []
+        self._ticks = StartBuffer(config.filter.start_s)
+        self._windows = []
 
     @property
     def samples(self) -> int:

@@ -40,6 +40,7 @@ from magcal_service.estimators.start import (
     prior_sigma,
 )
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 _ITERATIONS: Final = 60
@@ -191,7 +192,7 @@ class _Problem:
         return unscaled_covariance(self._variance * np.linalg.inv(self._normal(y)))
 
 
-class TwoStep:
+class TwoStep(Saved):
     """One craft's batch.
 
     Parameters
@@ -202,6 +203,19 @@ class TwoStep:
 
     name = "two-step"
 
+    _x: Array
+    _covariance: Array
+    _noise: NoiseLevel
+    _phase: Phase
+    _gate: StartGate | None
+    _samples: int
+    _restarts: int
+    _first_s: float | None
+    _attempt_at_s: float
+    _fresh: int
+    _solved_count: float
+    _all: MagnitudeSums
+
     def __init__(self, config: CraftConfig, *, corrected: bool = True) -> None:
         self.config = config
         self._corrected = corrected
@@ -210,13 +224,13 @@ class TwoStep:
 
     def reset(self) -> None:
         """Back to the prior, before any sample."""
-        self._x: Array = np.zeros(STATE_SIZE)
-        self._covariance: Array = np.diag(self._prior**2)
+        self._x = np.zeros(STATE_SIZE)
+        self._covariance = np.diag(self._prior**2)
         self._noise = NoiseLevel(self.config.sensor.noise_nt)
         self._phase = Phase.STARTING
-        self._gate: StartGate | None = None
+        self._gate = None
         self._samples = self._restarts = 0
-        self._first_s: float | None = None
+        self._first_s = None
         self._attempt_at_s = self.config.filter.start_s
         self._fresh = 0
         self._solved_count = 0.0

@@ -34,6 +34,7 @@ from magcal_service.estimators.unscented import (
     transformed_innovation,
 )
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 REJECTED_MEMORY: Final = 60
@@ -83,7 +84,7 @@ def _only(tick: Tick, used: NDArray[np.bool_]) -> Tick:
     )
 
 
-class Ukf:
+class Ukf(Saved):
     """One craft's filter.
 
     Parameters
@@ -97,6 +98,30 @@ class Ukf:
 
     name = "ukf"
 
+    _x: Array
+    _covariance: Array
+    _samples: int
+    _rejected: int
+    _restarts: int
+    _spin_given_up: bool
+    changes: int
+    _windows: SpinWindows | None
+    _start: StartCollector
+    _phase: Phase
+    _noise_variance: float
+    _white_variance: float
+    _noise_samples: int
+    _residuals_before: tuple[float, float]
+    _rejected_share: float
+    _innovation_mean: float
+    _innovation_count: int
+    _learning: bool
+    _time_s: float | None
+    _last_field: Array | None
+    _spin_norm: float
+    _spin_count: int
+    _detector: ChangeDetector | None
+
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
         settings = config.filter
@@ -109,8 +134,8 @@ class Ukf:
 
     def reset(self) -> None:
         """Back to the prior, before any sample."""
-        self._x: Array = np.zeros(STATE_SIZE)
-        self._covariance: Array = np.diag(self._prior**2)
+        self._x = np.zeros(STATE_SIZE)
+        self._covariance = np.diag(self._prior**2)
         self._samples = self._rejected = self._restarts = 0
         self._spin_given_up = False
         self.changes = 0
@@ -128,8 +153,8 @@ class Ukf:
         self._residuals_before = (0.0, 0.0)
         self._rejected_share, self._innovation_mean, self._innovation_count = 0.0, 1.0, 0
         self._learning = self.config.sensor.noise_nt is None
-        self._time_s: float | None = None
-        self._last_field: Array | None = None
+        self._time_s = None
+        self._last_field = None
         self._spin_norm, self._spin_count = 2.0, 0
         if self._detector is not None:
             self._detector.clear()
@@ -185,6 +210,7 @@ class Ukf:
             if self._start.spin_contradicted:
                 self._spin_given_up, self._windows = True, None
             self._phase = Phase.RUNNING
+            self._start = StartCollector(self.config)  # what was collected has served
             self._time_s = float(tick.times_s[-1])
         return TickOutcome(self._phase, self._residual(tick), used=len(tick.times_s))
 

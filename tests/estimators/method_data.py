@@ -67,7 +67,7 @@ class Field:
         return RateTick(
             index,
             self.times_s[part],
-            field_nt[part],
+            np.ascontiguousarray(field_nt[part]),  # as ticks are that were made of messages
             np.linalg.norm(reference, axis=1),
             reference,
             after_gap,

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from functools import cache
 
+import msgpack
 import numpy as np
 import pytest
 from method_data import PAPER_X, RateTick, paper_field, play
@@ -118,6 +119,28 @@ def test_a_reset_gives_the_same_result_again(name: str) -> None:
     estimator.reset()
     assert same(estimator.estimate(), fresh)
     play(estimator, ticks(name))
+    assert same(estimator.estimate(), final(name))
+
+
+@every_method
+@pytest.mark.parametrize("count", [0, 3, 39, 121, 400])
+def test_a_saved_state_goes_on_as_if_nothing_had_happened(name: str, count: int) -> None:
+    """To the last bit, through msgpack, from the prior, from the midst of the start and from a running filter."""
+    first, second = build(name), build(name)
+    play(first, ticks(name)[:count])
+    second.restore_state(msgpack.unpackb(msgpack.packb(first.export_state())))
+    assert same(first.estimate(), second.estimate())
+    play(second, ticks(name)[count:])
+    assert same(second.estimate(), final(name))
+
+
+@every_method
+def test_saving_changes_nothing(name: str) -> None:
+    estimator = build(name)
+    for tick in ticks(name):
+        estimator.handle(tick)
+        if tick.index % 50 == 0:
+            estimator.export_state()
     assert same(estimator.estimate(), final(name))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,10 +123,19 @@ def test_what_is_remembered_is_bounded() -> None:
 
 def test_forgetting_keeps_the_reference_before_the_time() -> None:
     target = track()
-    for second in range(200):
+    for second in range(500):
         target.add(reference(second))
-    target.forget_before(START_NS + 150 * SECOND_NS + 1)
-    assert (magnitude_at(target, 149.5), magnitude_at(target, 150.5)) == (None, 31_505.0)
+    target.forget_before(START_NS + 450 * SECOND_NS + 1)
+    assert (magnitude_at(target, 321.5), magnitude_at(target, 450.5)) == (None, 34_505.0)
+
+
+def test_a_history_sent_again_is_known_and_no_step_of_the_clock() -> None:
+    """The 100 references before the newest, 30 s of which would be too far behind for new ones."""
+    counters: Counter[str] = Counter()
+    target = ReferenceTrack(10 * SECOND_NS, counters, 30 * SECOND_NS, 600 * SECOND_NS)
+    for second in (*range(200), *range(100, 200), 200):
+        target.add(reference(second))
+    assert (counters["reference"], counters["reference_doubled"], counters["reference_step"]) == (201, 100, 0)
 
 
 def test_while_a_step_of_the_clock_is_in_the_air_no_reference_is_given() -> None:
@@ -133,7 +143,7 @@ def test_while_a_step_of_the_clock_is_in_the_air_no_reference_is_given() -> None
     target = track()
     for second in range(100):
         target.add(reference(second))
-    target.add(reference(50))
+    target.add(replace(reference(50), field_nt=(0.0, 0.0, 40_000.0)))
     assert (magnitude_at(target, 49.5), target.covers(START_NS + 50 * SECOND_NS, Clock.UTC)) == (None, False)
 
 

@@ -16,6 +16,19 @@ def test_each_spoiling_is_counted_by_kind_and_nothing_else_is(spoiling: Spoiling
     assert counted(counters) == spoiling.counts
 
 
+def test_a_history_sent_again_after_a_restart_is_doubled_and_no_step_of_the_clock() -> None:
+    """A node's last 100 samples, 70 of them further behind than ``late_s``: each is known by its time and its vector."""
+    target = assembler()
+    whole = in_order(good())
+    for message in (*whole, *whole):
+        if isinstance(message, ReferenceSample):
+            target.add_reference(message)
+        else:
+            target.add(message)
+        target.ready()
+    assert (target.counters["doubled"], target.counters["clock_step"], target.counters["time_behind"]) == (100, 0, 0)
+
+
 @pytest.mark.parametrize("spoiling", Spoiling)
 def test_every_paired_sample_has_the_reference_of_its_own_time(spoiling: Spoiling) -> None:
     """The sample's x component is its true time and the reference grows linearly with it, whatever the labels say."""
