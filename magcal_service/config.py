@@ -29,6 +29,7 @@ __all__ = [
     "SensorConfig",
     "SpinConfig",
     "SpinWindow",
+    "StateConfig",
     "TickConfig",
     "TrustConfig",
     "default_craft",
@@ -213,6 +214,22 @@ class RecordConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class StateConfig:
+    """Checkpoints: the whole state of each craft on disk, taken up again by a restarted daemon.
+
+    Parameters
+    ----------
+    directory: where they go, a folder for each craft, relative to the working directory; made where absent.
+    period_s: time between two checkpoints of a craft [s]; its least value bounds the wear on flash.
+    keep: checkpoints of a craft that are kept, so that a damaged one has another before it.
+    """
+
+    directory: Path
+    period_s: float = field(default=60.0, metadata=_within(10.0, 86_400.0))
+    keep: int = field(default=3, metadata=_within(2, 100))
+
+
+@dataclass(frozen=True, slots=True)
 class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
@@ -232,6 +249,7 @@ class Config:
     crafts: tuple[CraftConfig, ...] = ()
     output: OutputConfig = OutputConfig()
     record: RecordConfig | None = None
+    state: StateConfig | None = None
 
 
 def default_craft(name: str) -> CraftConfig:
@@ -265,7 +283,11 @@ def read_config(top: Table, methods: Collection[str] = ()) -> Config:
     except LinkAddressError as exc:
         top.refuse("link", link, str(exc))
     config = Config(
-        link, _read_crafts(top, methods), _read_output(top.table("output")), _read_record(top.table("record"))
+        link,
+        _read_crafts(top, methods),
+        _read_output(top.table("output")),
+        _read_record(top.table("record")),
+        _read_state(top.table("state")),
     )
     top.finish()
     if top.faults:
@@ -432,3 +454,14 @@ def _read_record(table: Table | None) -> RecordConfig | None:
         table.refuse("total_mb", values["total_mb"], f"at least twice file_mb = {values['file_mb']:g} is accepted")
     table.finish()
     return RecordConfig(directory=Path(text), **values)
+
+
+def _read_state(table: Table | None) -> StateConfig | None:
+    if table is None:
+        return None
+    text = table.text("directory", accepted="the folder that checkpoints go to")
+    if not text.strip() and isinstance(table.content.get("directory"), str):
+        table.refuse("directory", text, "the folder that checkpoints go to is accepted; leave [state] out for none")
+    values = {setting.name: _read_setting(table, setting) for setting in fields(StateConfig) if setting.metadata}
+    table.finish()
+    return StateConfig(directory=Path(text), **values)

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 
 
 class JsonLines(logging.Formatter):
-    """Time (UTC), level, logger and text of a record as one JSON object."""
+    """Time (UTC), level, logger and text of a record as one JSON object, and its ``event`` where it tells of one."""
 
     def format(self, record: logging.LogRecord) -> str:
         """One line for one record."""
@@ -22,6 +22,9 @@ class JsonLines(logging.Formatter):
             "logger": record.name,
             "text": record.getMessage(),
         }
+        event = getattr(record, "event", None)
+        if event is not None:
+            entry["event"] = event
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
         return json.dumps(entry, ensure_ascii=False)

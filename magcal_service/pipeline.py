@@ -16,10 +16,12 @@ import numpy as np
 from magcal_service.config import CraftConfig
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
+from magcal_service.events import Event
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, vector_jacobian
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Saved, SnapshotError, restored
 from magcal_service.ticks import Tick, TickAssembler
 from magcal_service.trust import NOT_STARTED, TrustMonitor
+from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import (
     CalibratedVector,
     Clock,
@@ -35,7 +37,11 @@ from magcal_service.wire.messages import (
 )
 
 SOURCE: Final = "magcal"
-COMMANDS: Final = ("status", "freeze", "resume", "reset")
+COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
+ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "shutdown")
+"""Those of ``commands`` included."""
+
+_WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
 
 _UPPER = np.triu_indices(STATE_SIZE)
 _UPPER_3 = np.triu_indices(3)
@@ -56,10 +62,12 @@ class Pipeline(Saved):
     frozen: bool
     counters: Counter[str]
     _sequence: int
-    _last_time_ns: int
+    last_time_ns: int
     _clock: Clock
+    first_time_ns: int
     _stuck: bool
     _thawed: bool
+    _process_noise: tuple[float, float] | None
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -71,19 +79,53 @@ class Pipeline(Saved):
         self.counters = Counter()
         self._sequence = 0
         self._state: StateEstimate = self.estimator.estimate()
-        self._last_time_ns = 0
+        self.first_time_ns = self.last_time_ns = 0
         self._clock = Clock.ELAPSED
         self._stuck = False
         self._thawed = False  # ticks have passed unused since the estimator's last one
+        self._process_noise = None  # of bias [nT/sqrt(s)] and D [1/sqrt(s)], where a command has set it
+        self._events: list[Event] = []
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Take over an exported state, with the verdict that follows from it."""
+        noise = saved.get("_process_noise") if isinstance(saved, dict) else None
+        if noise is not None:
+            self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
         super().restore_state(saved, where, given)
         self._take_over()
 
     def _take_over(self) -> None:
         self._state = self.estimator.estimate()
+        sigma = np.sqrt(np.maximum(np.diagonal(self._state.covariance), 1e-300))
+        if np.linalg.eigvalsh(self._state.covariance / np.outer(sigma, sigma))[0] <= 0.0:
+            raise SnapshotError("the covariance is not positive definite")
         self.trust = self.monitor.judge(self._state)
+
+    def roll_back(self, to: Pipeline) -> None:
+        """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
+        self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
+        self._thawed, self._stuck = True, False
+        self._take_over()
+
+    def _set_process_noise(self, bias_nt: float, d: float) -> None:
+        """An estimator with other process noise, and the state of the one before."""
+        settings = replace(self.config.filter, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
+        estimator = find_method(settings.method).build(replace(self.config, filter=settings))
+        estimator.restore_state(self.estimator.export_state())
+        self.estimator, self._process_noise = estimator, (bias_nt, d)
+
+    def event(self, what: str, cause: str, source: str = SOURCE) -> Event:
+        """An event of this craft, now."""
+        return Event(self.config.name, what, cause, source, self.last_time_ns)
+
+    def tell(self, what: str, cause: str, source: str = SOURCE) -> None:
+        """Note an event for ``take_events``."""
+        self._events.append(self.event(what, cause, source))
+
+    def take_events(self) -> list[Event]:
+        """What has changed since the last call."""
+        events, self._events = self._events, []
+        return events
 
     def handle(self, message: Message) -> list[Message]:
         """Take one message; what is to be published because of it, in order: ``answer``, then ``advance``."""
@@ -125,7 +167,8 @@ class Pipeline(Saved):
         if self._stuck:
             self._stuck = False
             self.monitor.observe_stuck(False)
-        self._last_time_ns, self._clock = sample.time_ns, sample.clock
+        self.first_time_ns = self.first_time_ns or sample.time_ns
+        self.last_time_ns, self._clock = sample.time_ns, sample.clock
         return [self._calibrated(sample)]
 
     def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
@@ -176,13 +219,21 @@ class Pipeline(Saved):
             state = self.estimator.estimate()
             if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
                 raise np.linalg.LinAlgError("the estimate is not finite")
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
             self._reset()
+            self.tell("estimator_failed", f"{error}; it starts anew")
             return
+        self._tell_phase(self._state, state)
         self._state = state
         self.monitor.observe(tick, outcome, state)
         self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
+
+    def _tell_phase(self, before: StateEstimate, now: StateEstimate) -> None:
+        if now.restarts != before.restarts:
+            self.tell("restarted", "the samples contradicted the estimate")
+        if before.phase is Phase.STARTING and now.phase is Phase.RUNNING:
+            self.tell("started", f"the start passed every gate after {now.samples} samples")
 
     def _reset(self) -> None:
         self.estimator.reset()
@@ -225,30 +276,52 @@ class Pipeline(Saved):
 
     def _command(self, command: Command) -> CommandReply:
         """``status`` says how things are; ``freeze`` stops learning, ``resume`` goes on, ``reset`` begins anew."""
-        accepted, text = command.name in COMMANDS, ""
+        refusal = ""
         match command.name:
-            case "freeze":
-                self.frozen = True
-            case "resume":
-                self.frozen = False
+            case "freeze" | "resume":
+                self.frozen = command.name == "freeze"
+                self.tell("frozen" if self.frozen else "resumed", "command", command.source)
             case "reset":
                 self._reset()
+                self.tell("reset", "command", command.source)
+            case "process_noise":
+                refusal = self._process_noise_command(command)
             case "status":
                 pass
             case _:
-                text = f"{command.name!r} is not known; known: {', '.join(COMMANDS)}"
+                refusal = f"{command.name!r} is not known; known: {', '.join(ALL_COMMANDS)}"
+        return self.reply(command, refusal)
+
+    def _process_noise_command(self, command: Command) -> str:
+        """Set the random walk by ``bias_nt`` and ``D``, 0 where not given; why that is refused, or empty."""
+        given, limits = command.arguments, {"bias_nt": 1000.0, "D": 0.01}
+        if self.estimator.name in _WITHOUT_PROCESS_NOISE:
+            return f"method {self.estimator.name} has no process noise"
+        if not given or not set(given) <= set(limits):
+            return f"arguments {dict(given)!r}: bias_nt (nT/sqrt(s)) and D (1/sqrt(s)) are accepted"
+        for name, value in given.items():
+            if isinstance(value, bool | str) or not 0.0 <= value <= limits[name]:
+                return f"{name} is {value!r}; 0 to {limits[name]:g} is accepted"
+        bias_nt, d = (float(given.get(name, 0.0)) for name in limits)
+        self._set_process_noise(bias_nt, d)
+        self.tell("process_noise", f"bias {bias_nt:g} nT/sqrt(s), D {d:g} /sqrt(s)", command.source)
+        return ""
+
+    def reply(self, command: Command, refusal: str = "") -> CommandReply:
+        """The answer to a command that was carried out, or refused for a reason; it is counted."""
+        accepted = not refusal
         self.counters["commands" if accepted else "commands_refused"] += 1
         return CommandReply(
             craft=self.config.name,
             source=SOURCE,
             sequence=self._number(),
-            time_ns=self._last_time_ns,
+            time_ns=self.last_time_ns,
             clock=self._clock,
             name=command.name,
             command_source=command.source,
             command_sequence=command.sequence,
             accepted=accepted,
-            text=text or self.summary(),
+            text=fitting(refusal or self.summary()),
         )
 
     def summary(self) -> str:
@@ -264,7 +337,7 @@ class Pipeline(Saved):
             craft=self.config.name,
             source=SOURCE,
             sequence=self._number(),
-            time_ns=self._last_time_ns,
+            time_ns=self.last_time_ns,
             clock=self._clock,
             uptime_s=uptime_s,
             verdict=self.trust.verdict,

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
 from magcal_service import notify
+from magcal_service.checkpoints import Checkpoints
+from magcal_service.commands import Commander
 from magcal_service.config import Config
 from magcal_service.errors import InputRefusedError
+from magcal_service.events import Event
 from magcal_service.links import Link, Role, open_link
 from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.fields import fitting
-from magcal_service.wire.messages import Estimate, Message
+from magcal_service.wire.kinds import FIRST_RESULT, kind_of
+from magcal_service.wire.messages import Command, Estimate, MagnetometerSample, Message
 
 if TYPE_CHECKING:
     from magcal_service.recorder import Recorder
@@ -32,6 +37,10 @@ WAIT_S: Final = 0.5
 
 WATCHDOG_S: Final = 10.0
 """How often ``systemctl status`` gets a new line where no watchdog asks for more."""
+
+
+HISTORY_S: Final = 3.0
+"""Longest time for which a restored daemon gathers what its nodes send again before it works through it."""
 
 
 class Timer:
@@ -59,28 +68,74 @@ class Service:
     link: an open link in the role of the service.
     csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
     recorder: takes everything that comes in and goes out.
+    checkpoints: where the state is kept and, at the start, taken from.
     """
 
     def __init__(
-        self, config: Config, link: Link, csv: EstimateCsv | None = None, recorder: Recorder | None = None
+        self,
+        config: Config,
+        link: Link,
+        csv: EstimateCsv | None = None,
+        recorder: Recorder | None = None,
+        checkpoints: Checkpoints | None = None,
     ) -> None:
         self.config = config
         self.link = link
         self.csv = csv
         self.recorder = recorder
+        self.checkpoints = checkpoints
         self.csv_error: InputRefusedError | None = None
         self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
+        self._commander = Commander(checkpoints, self.shut_down)
+        self._ending = self._restored = False
+        self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
         self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
         self._started_s = time.monotonic()
 
+    def shut_down(self) -> None:
+        """End ``run`` before it waits for another message."""
+        self._ending = True
+
+    def restore(self) -> None:
+        """Take up each craft's newest checkpoint where there is one of its own."""
+        if self.checkpoints is None:
+            return
+        for name, pipeline in self.pipelines.items():
+            self.pipelines[name], events = self.checkpoints.restore(pipeline)
+            self._restored |= self.pipelines[name] is not pipeline
+            self._tell(events)
+
+    def _received(self) -> list[Message]:
+        """What has come; after a restart what nodes send again, kind by kind, is taken at once and by time."""
+        messages = self.link.receive(WAIT_S)
+        if not (messages and self._restored):
+            return messages
+        self._restored, deadline_s = False, time.monotonic() + HISTORY_S
+        while time.monotonic() < deadline_s and (more := self.link.receive(WAIT_S)):
+            messages += more
+        return sorted(messages, key=_by_time)
+
+    def _tell(self, events: Iterable[Event]) -> None:
+        """Log each event, and send a status at once that names it."""
+        for event in events:
+            self.counters["events"] += 1
+            self._last_events[event.craft] = event
+            log.info("%s: %s", event.craft, event, extra={"event": asdict(event)})
+            self._publish_status(self.pipelines[event.craft])
+
     def run(self, stop: threading.Event) -> None:
-        """Work until ``stop`` is set or the link is exhausted, then close the open ticks."""
+        """Work until ``stop`` is set, a command ends it or the link is exhausted, then close the open ticks.
+
+        The last checkpoint is written before that: what the open ticks wait for may still come to the next daemon.
+        """
+        state = self.config.state
+        checkpoint = Timer(state.period_s if state is not None else math.inf)
         status = Timer(self.config.output.status_period_s)
         watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
-        while not stop.is_set():
-            messages = self.link.receive(WAIT_S)
+        while not (stop.is_set() or self._ending):
+            messages = self._received()
             for message in messages:
                 self.handle(message)
             if self.link.exhausted and not messages:
@@ -89,9 +144,17 @@ class Service:
                 self.publish_status()
             if watchdog.due():
                 self.feed_watchdog()
+            if checkpoint.due():
+                self.save()
+        self.save()
         for pipeline in self.pipelines.values():
             self._publish(pipeline.flush())
         self.publish_status()
+
+    def save(self) -> None:
+        """Write a checkpoint of every craft that has taken samples since its last one."""
+        if self.checkpoints is not None:
+            self.checkpoints.save(self.pipelines.values())
 
     def handle(self, message: Message) -> None:
         """Give one message to its craft and publish what comes of it."""
@@ -101,8 +164,10 @@ class Service:
             return
         if self.recorder is not None:
             self.recorder.add(message)
-        self._publish(pipeline.answer(message))
+        reply = self._commander.carry_out(message, pipeline) if isinstance(message, Command) else None
+        self._publish(pipeline.answer(message) if reply is None else [reply])
         self._publish(pipeline.advance())
+        self._tell(pipeline.take_events())
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:
@@ -127,16 +192,25 @@ class Service:
             log.info("%s: %s at tick %d; %s", estimate.craft, state, estimate.tick, estimate.remedy or "nothing to do")
 
     def publish_status(self) -> None:
-        """Send each craft's status, with the link's counters as ``link.*``, and put the rows written so far on disk."""
+        """Send each craft's status, and put the rows written so far on disk."""
+        for pipeline in self.pipelines.values():
+            self._publish_status(pipeline)
+        self._to_disk(EstimateCsv.flush)
+
+    def _publish_status(self, pipeline: Pipeline) -> None:
+        """With the link's counters as ``link.*``, the craft's newest event, and what is amiss with disk and link."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
-        trouble = []
+        remarks = list(self.link.warnings)
         if self.recorder is not None:
             counters += self.recorder.counters
-            trouble = [f"not recording: {self.recorder.trouble}"] if self.recorder.trouble else []
-        for pipeline in self.pipelines.values():
-            status = pipeline.status(time.monotonic() - self._started_s, counters)
-            self._send(replace(status, text=fitting("; ".join((status.text, *self.link.warnings, *trouble)))))
-        self._to_disk(EstimateCsv.flush)
+            remarks += [f"not recording: {self.recorder.trouble}"] if self.recorder.trouble else []
+        if self.checkpoints is not None:
+            counters += self.checkpoints.counters
+            remarks += [f"no checkpoints: {self.checkpoints.trouble}"] if self.checkpoints.trouble else []
+        event = self._last_events.get(pipeline.config.name)
+        remarks += [f"last event: {event}"] if event is not None else []
+        status = pipeline.status(time.monotonic() - self._started_s, counters)
+        self._send(replace(status, text=fitting("; ".join((status.text, *remarks)))))
 
     def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
         """A full disk ends the file, not the service: the error is kept, and rows from then on are counted."""
@@ -163,6 +237,12 @@ class Service:
         self._fed = (accepted, closed)
 
 
+def _by_time(message: Message) -> tuple[bool, int, bool]:
+    """Samples by their time, references first; then whatever is no sample, as it came."""
+    sample = kind_of(message).code < FIRST_RESULT
+    return (not sample, message.time_ns if sample else 0, isinstance(message, MagnetometerSample))
+
+
 def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:
     path = config.output.csv
     return None if path is None else stack.enter_context(EstimateCsv(path, append=True))
@@ -184,8 +264,10 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
     crafts = [craft.name for craft in config.crafts]
     with ExitStack() as stack:
         csv, recorder = _csv(config, stack), _recorder(config, stack)
+        checkpoints = None if config.state is None else Checkpoints(config.state, config.crafts)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
-        service = Service(config, link, csv, recorder)
+        service = Service(config, link, csv, recorder, checkpoints)
+        service.restore()
         log.info("serving %s on %s", ", ".join(crafts), config.link)
         for warning in link.warnings:
             log.warning("%s: %s", config.link, warning)

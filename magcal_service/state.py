@@ -1,9 +1,9 @@
 """Checkpoints: a craft's whole state on disk, so that a restarted daemon goes on where it was.
 
 A file is replaced in one step (written beside, flushed, renamed, the folder flushed), so it is there whole or not at
-all; a SHA-256 over its content tells a file that a failing disk has changed.  Its content is one msgpack map (``SCHEMA``):
-who it belongs to (craft, version of magcal, digest of the craft's configuration), what went into it, and the plain data
-of ``snapshot``.  It is taken up only where all three of the owner's marks agree; nothing is guessed, no code is run.
+all; a SHA-256 over its content tells a file that a failing disk has changed.  Its content is one msgpack map, as in
+``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
+data as ``snapshot`` has them.  It is taken up only where all three marks of the owner agree; nothing is guessed.
 
     magcal-state 1\\n   SHA-256 of the rest, 32 bytes   msgpack
 """
@@ -89,7 +89,7 @@ class Checkpoint:
 
 def encode(checkpoint: Checkpoint) -> bytes:
     """The bytes of a file."""
-    body = msgpack.packb({name: getattr(checkpoint, name) for name in SCHEMA})
+    body: bytes = msgpack.packb({name: getattr(checkpoint, name) for name in SCHEMA})
     return MAGIC + hashlib.sha256(body).digest() + body
 
 
@@ -129,8 +129,6 @@ class StateStore:
     """
 
     def __init__(self, config: StateConfig, craft: str) -> None:
-        if config.directory is None:
-            raise ValueError("a store needs a directory")
         self.folder = config.directory / craft
         self._keep = config.keep
         self.writes = self.written_bytes = 0
@@ -165,7 +163,9 @@ class StateStore:
         """
         path = self._path_of(name)
         if not path.exists() and len(self.named()) >= _MOST_NAMED:
-            raise StateError(f"{_MOST_NAMED} named checkpoints are there already: {', '.join(self.named())}; use one of them")
+            raise StateError(
+                f"{_MOST_NAMED} named checkpoints are there already: {', '.join(self.named())}; use one of them"
+            )
         self._replace(path, checkpoint)
 
     def read_named(self, name: str) -> Checkpoint:
@@ -207,7 +207,7 @@ class StateStore:
         raw = encode(checkpoint)
         part = path.with_suffix(".part")
         try:
-            with part.open("wb", opener=_private) as file:
+            with open(part, "wb", opener=_private) as file:
                 file.write(raw)
                 file.flush()
                 os.fsync(file.fileno())

@@ -37,6 +37,7 @@ MAX_COUNTERS = 128
 MAX_ARGUMENTS = 8
 MAX_VALUES = 16
 MAX_REASONS = 16
+FIRST_RESULT = 16  # codes below are samples
 
 
 def _plain_map(value: Any) -> Any:

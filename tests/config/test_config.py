@@ -22,6 +22,7 @@ from magcal_service.config import (
     SensorConfig,
     SpinConfig,
     SpinWindow,
+    StateConfig,
     TickConfig,
     TrustConfig,
     default_craft,
@@ -82,6 +83,11 @@ file_h = 1.0
 total_mb = 500.0
 min_free_mb = 20.0
 retry_s = 30.0
+
+[state]
+directory = "state"
+period_s = 120.0
+keep = 5
 """
 
 
@@ -131,13 +137,16 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0),
         record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
+        state=StateConfig(Path("state"), 120.0, 5),
     )  # fmt: skip
     assert load(tmp_path, FULL) == expected
 
 
 def test_the_full_file_differs_from_the_default_in_every_setting(tmp_path: Path) -> None:
     full = settings_in(load(tmp_path, FULL))
-    default = settings_in(Config(crafts=(CraftConfig("other", spin=SpinConfig()),), record=RecordConfig(Path("other"))))
+    other = Path("other")
+    crafts = (CraftConfig("other", spin=SpinConfig()),)
+    default = settings_in(Config(crafts=crafts, record=RecordConfig(other), state=StateConfig(other)))
     assert [name for name in full if full[name] == default[name]] == []
 
 

@@ -17,6 +17,7 @@ from magcal_service.config import (
     RecordConfig,
     SensorConfig,
     SpinConfig,
+    StateConfig,
     TickConfig,
     TrustConfig,
     load_config,
@@ -32,6 +33,7 @@ TABLES: dict[str, Any] = {
     "[craft.trust]": TrustConfig,
     "[output]": OutputConfig,
     "[record]": RecordConfig,
+    "[state]": StateConfig,
 }
 SETTINGS = [(table, setting) for table, kind in TABLES.items() for setting in fields(kind)]
 

@@ -1,4 +1,4 @@
-"""``status``, ``freeze``, ``resume``, ``reset``, and what is none of them."""
+"""The commands that a craft answers itself, and what is none of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from pipeline_streams import handle_all, paper, paper_craft
 
-from magcal_service.pipeline import COMMANDS, Pipeline
+from magcal_service.pipeline import ALL_COMMANDS, COMMANDS, Pipeline
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 
@@ -28,8 +28,8 @@ def messages(first_s: int, end_s: int) -> list[Message]:
     return list(paper(11, SECONDS).messages())[2 * first_s : 2 * end_s]
 
 
-def ask(pipeline: Pipeline, name: str) -> CommandReply:
-    command = Command(craft="paper", source="ops", sequence=7, time_ns=0, name=name)
+def ask(pipeline: Pipeline, name: str, **arguments: float | str | bool) -> CommandReply:
+    command = Command(craft="paper", source="ops", sequence=7, time_ns=0, name=name, arguments=arguments)
     (reply,) = pipeline.handle(command)
     assert isinstance(reply, CommandReply)
     return reply
@@ -37,7 +37,7 @@ def ask(pipeline: Pipeline, name: str) -> CommandReply:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_answered_by_name(pipeline: Pipeline, name: str) -> None:
-    reply = ask(pipeline, name)
+    reply = ask(pipeline, name, **({"bias_nt": 1.0} if name == "process_noise" else {}))
     assert (reply.name, reply.command_source, reply.command_sequence, reply.accepted) == (name, "ops", 7, True)
 
 
@@ -48,7 +48,7 @@ def test_status_says_verdict_and_ticks(pipeline: Pipeline) -> None:
 def test_an_unknown_command_is_refused_and_told_what_is_known(pipeline: Pipeline) -> None:
     reply = ask(pipeline, "x" * 32)
     assert not reply.accepted
-    assert reply.text.endswith("is not known; known: status, freeze, resume, reset")
+    assert reply.text.endswith("is not known; known: " + ", ".join(ALL_COMMANDS))
     encode(reply)
 
 
@@ -122,3 +122,42 @@ def test_a_sensor_that_is_stuck_during_a_reset_is_told_again(pipeline: Pipeline)
     ask(pipeline, "reset")
     handle_all(pipeline, [replace(m, field_body_nt=(1.0, 2.0, 3.0)) for m in frozen[15:]])
     assert "stuck" in pipeline.trust.reasons
+
+
+def test_process_noise_lets_the_covariance_grow_from_the_estimate_at_hand(pipeline: Pipeline) -> None:
+    """100 nT/sqrt(s) on the bias, for the tick that closes next."""
+    before = pipeline.estimator.estimate()
+    assert ask(pipeline, "process_noise", bias_nt=100.0).accepted
+    after = pipeline.estimator.estimate()
+    assert (after.x.tolist(), after.samples) == (before.x.tolist(), before.samples)
+    estimates(pipeline, 900, 902)
+    grown = pipeline.estimator.estimate().covariance[2, 2] - before.covariance[2, 2]
+    assert grown > 0.5 * 100.0**2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({}, "bias_nt (nT/sqrt(s)) and D"),
+        ({"bias": 1.0}, "bias_nt (nT/sqrt(s)) and D"),
+        ({"bias_nt": -1.0}, "bias_nt is -1.0; 0 to 1000"),
+        ({"D": 0.02}, "D is 0.02; 0 to 0.01"),
+        ({"D": True}, "D is True"),
+        ({"D": "much"}, "D is 'much'"),
+    ],
+)
+def test_process_noise_that_is_not_accepted_changes_nothing(
+    pipeline: Pipeline, arguments: dict[str, float | str | bool], told: str
+) -> None:
+    reply = ask(pipeline, "process_noise", **arguments)
+    assert (reply.accepted, told in reply.text, pipeline.take_events()[1:]) == (False, True, [])
+
+
+def test_every_change_is_an_event_with_its_source_and_time(pipeline: Pipeline) -> None:
+    for name in ("freeze", "resume", "reset"):
+        ask(pipeline, name)
+    last_ns = messages(899, 900)[-1].time_ns
+    told = [(event.what, event.source, event.time_ns) for event in pipeline.take_events()]
+    assert told[0][:2] == ("started", "magcal")
+    assert told[1:] == [(what, "ops", last_ns) for what in ("frozen", "resumed", "reset")]
+    assert pipeline.take_events() == []

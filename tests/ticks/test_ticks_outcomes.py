@@ -17,7 +17,7 @@ def test_each_spoiling_is_counted_by_kind_and_nothing_else_is(spoiling: Spoiling
 
 
 def test_a_history_sent_again_after_a_restart_is_doubled_and_no_step_of_the_clock() -> None:
-    """A node's last 100 samples, 70 of them further behind than ``late_s``: each is known by its time and its vector."""
+    """A node's last 100 samples, 70 of them further behind than ``late_s``: each is known by its time and vector."""
     target = assembler()
     whole = in_order(good())
     for message in (*whole, *whole):

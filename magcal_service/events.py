@@ -1,0 +1,28 @@
+"""Changes of state, each with its cause and its source: what the daemon says aloud, in the log and in the status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One change of state of one craft.
+
+    Parameters
+    ----------
+    craft: whose.
+    what: a short fixed name, such as ``reset`` or ``restored``; docs/state.md lists them.
+    cause: why, for people.
+    source: who brought it about: the source of a command, or ``magcal`` itself.
+    time_ns: source time of the newest sample then [ns].
+    """
+
+    craft: str
+    what: str
+    cause: str
+    source: str
+    time_ns: int
+
+    def __str__(self) -> str:
+        return f"{self.what} ({self.cause}; by {self.source})"
