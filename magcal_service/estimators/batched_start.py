@@ -127,13 +127,10 @@ class BatchedStart:
             elif not found:
                 yield StartGate.NO_CONVERGENCE
             else:
-                costs = [float(road.cost[run]) for road in roads if road.arrived[run]]
-                yield self._gated(problem.run(run), found, costs)
+                yield self._gated(problem.run(run), found)
 
-    def _gated(
-        self, problem: BatchProblem, found: list[tuple[Array, Array]], costs: list[float]
-    ) -> BatchSolution | StartGate:
-        solution = lowest(problem, found, costs)
+    def _gated(self, problem: BatchProblem, found: list[tuple[Array, Array]]) -> BatchSolution | StartGate:
+        solution = lowest(problem, found)
         if isinstance(solution, StartGate):
             return solution
         if not fits_all(problem, solution.x):
@@ -154,7 +151,6 @@ class _Road:
         runs = len(start)
         self.x = np.zeros((runs, STATE_SIZE))
         self.covariance = np.zeros((runs, STATE_SIZE, STATE_SIZE))
-        self.cost = np.zeros(runs)
         self.arrived: NDArray[np.bool_] = np.zeros(runs, dtype=bool)
         self._go(problem, start)
 
@@ -170,7 +166,7 @@ class _Road:
             step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
             settled = (step * (normal @ step[:, :, None])[:, :, 0]).sum(axis=1) < SETTLED
             if settled.any():
-                self._arrive(rows[settled], x[settled], normal[settled], cost[settled])
+                self._arrive(rows[settled], x[settled], normal[settled])
                 if settled.all():
                     return
                 on = ~settled
@@ -186,6 +182,6 @@ class _Road:
             relaxed = np.where(damping > LEAST_DAMPING, 0.1 * damping, 0.0)
             damping = np.where(better, relaxed, np.maximum(10.0 * damping, FIRST_DAMPING))
 
-    def _arrive(self, rows: NDArray[np.intp], x: Array, normal: Array, cost: Array) -> None:
-        self.x[rows], self.cost[rows], self.arrived[rows] = x, cost, True
+    def _arrive(self, rows: NDArray[np.intp], x: Array, normal: Array) -> None:
+        self.x[rows], self.arrived[rows] = x, True
         self.covariance[rows] = np.linalg.inv(normal)

@@ -47,7 +47,7 @@ BAD_FIT: Final = 1.5
 """Residual rms over the given noise beyond which a solution is not believed; 120 samples give 1 +- 0.065."""
 
 _AMBIGUOUS: Final = 25.0
-"""Difference in cost below which two distinct minima can't be told apart (odds of e^12)."""
+"""Advantage below which two distinct minima can't be told apart (odds of e^12)."""
 
 _OUTLIER: Final = 6.0
 _OUTLIER_PASSES: Final = 4
@@ -199,18 +199,22 @@ def _solve(problem: BatchProblem) -> BatchSolution | StartGate:
     found = [result for start in starts if (result := gauss_newton(problem, start)) is not None]
     if not found:
         return StartGate.NO_CONVERGENCE if positive else StartGate.NOT_POSITIVE
-    costs = [float(problem.normal_equations(x)[2]) for x, _ in found]
-    return lowest(problem, found, costs)
+    return lowest(problem, found)
 
 
-def lowest(
-    problem: BatchProblem, found: Sequence[tuple[Array, Array]], costs: Sequence[float]
-) -> BatchSolution | StartGate:
-    """The lowest of the minima (state, covariance) of a problem, unless another is as low."""
-    x, covariance = found[int(np.argmin(costs))]
-    apart = max(float((x - other) @ np.linalg.solve(covariance, x - other)) for other, _ in found)
-    if apart > _AMBIGUOUS and max(costs) - min(costs) < _AMBIGUOUS:
-        return StartGate.POOR_COVERAGE
+def lowest(problem: BatchProblem, found: Sequence[tuple[Array, Array]]) -> BatchSolution | StartGate:
+    """The best of one or two minima (state, covariance) of a problem, unless they are distinct and as good."""
+    x, covariance = found[0]
+    for other, its_covariance in found[1:]:
+        step = x - other
+        apart = max(float(step @ np.linalg.solve(each, step)) for each in (covariance, its_covariance))
+        if apart <= _AMBIGUOUS:
+            continue
+        advantage = problem.advantage(x, other)
+        if abs(advantage) < _AMBIGUOUS:
+            return StartGate.POOR_COVERAGE
+        if advantage < 0.0:
+            x, covariance = other, its_covariance
     rms = float(np.sqrt(np.mean(problem.residuals(x) ** 2)))
     return BatchSolution(x, covariance, problem.sigma_nt, min(problem.noise_nt, problem.sigma_nt), rms)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.estimators.spin_window import Window
-from magcal_service.model import BIAS, D_ALL, Array, state_of
+from magcal_service.model import BIAS, D_ALL, Array, d_matrix, state_of
 
 SETTLED: Final = 1e-6
 """Squared length of a step, in sigmas, below which the iteration ends."""
@@ -30,6 +30,9 @@ LARGEST_D: Final = 2.0
 
 FIRST_DAMPING: Final = 1e-3
 LEAST_DAMPING: Final = 1e-6
+
+_LEAST_SLOPE: Final = 1e-3
+"""Of a residual against another's, for its logarithm: what is as flat, or falls, has collapsed or is mirrored."""
 
 _I: Final = np.array([0, 1, 2, 0, 0, 1])
 _J: Final = np.array([0, 1, 2, 1, 2, 2])
@@ -145,6 +148,21 @@ class BatchProblem:
         gradient += tie * x + (window_rows @ window_residual[..., None])[..., 0]
         cost = weight * (residual * residual).sum(axis=-1) + (window_residual * window_residual).sum(axis=-1)
         return normal, gradient, cost + (tie * x * x).sum(axis=-1)
+
+    def advantage(self, x: Array, other: Array) -> float:
+        """By how much a state (9,) explains the samples better than another: -2 log of the ratio of likelihoods.
+
+        Costs alone cannot be compared.  The noise in B goes through I + D: a solution that is smaller by a tenth makes
+        the sum of squares smaller by a fifth, and so better than the truth by a hundred within minutes.  A density of B
+        along the direction u in which it is measured has the derivative of the residual beside its square.
+        """
+        w = np.stack(_calibrated(x, self.field_nt)), np.stack(_calibrated(other, self.field_nt))  # (3, n) each
+        unit, other_unit = (each / np.sqrt((each * each).sum(axis=0)) for each in w)
+        same = np.linalg.solve(np.eye(3) + d_matrix(x), unit)  # a step of 1 nT in the residual of x
+        slope = (other_unit * ((np.eye(3) + d_matrix(other)) @ same)).sum(axis=0)
+        gained = 2.0 * float(np.log(np.maximum(slope, _LEAST_SLOPE)).sum())
+        costs = self.normal_equations(other)[2] - self.normal_equations(x)[2]
+        return float(costs) - (self.noise_nt / self.sigma_nt) ** 2 * gained
 
     def _scalar_rows(self, x: Array) -> tuple[Array, Array]:
         """Gauss-Newton rows (..., 9, n) and residuals (..., n) of e = |w| - |H| less its mean s^2 / |H|.
