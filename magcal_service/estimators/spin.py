@@ -23,8 +23,8 @@ import numpy as np
 
 from magcal_service.config import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.spin_fit import AxisTie, Prior
 from magcal_service.estimators.spin_search import SpinSearch, SpinStart
-from magcal_service.estimators.spin_start import AxisTie, Prior
 from magcal_service.estimators.spin_state import ERRORS, SPIN_STATE_SIZE, SpinEstimate, SpinState, spin_estimate
 from magcal_service.estimators.spin_watch import SpinGate, SpinWatch
 from magcal_service.estimators.spin_window import across_axis
@@ -44,6 +44,13 @@ _NOISE_MEMORY: Final = 600
 
 _LONGEST_SILENCE_S: Final = 60.0
 """Without a reference vector for longer than this, the scalar estimate is published, which still learns."""
+
+
+def configured_tie(config: CraftConfig, sigma_rad: float) -> AxisTie | None:
+    """The configured spin axis, known to ``sigma_rad``; None where none is configured."""
+    if config.spin is None:
+        return None
+    return AxisTie(across_axis(np.array(config.spin.axis)), max(sigma_rad, SMALLEST_AXIS_SIGMA_RAD))
 
 
 class SpinTracker(Saved):
@@ -133,9 +140,7 @@ class SpinFilter(Saved):
 
     def __init__(self, config: CraftConfig, axis_sigma_rad: float = 0.0, rate_walk: float = 0.0) -> None:
         self.config = config
-        self._axis: AxisTie | None = None
-        if config.spin is not None:
-            self._axis = AxisTie(across_axis(np.array(config.spin.axis)), max(axis_sigma_rad, SMALLEST_AXIS_SIGMA_RAD))
+        self._axis = configured_tie(config, axis_sigma_rad)
         self._rate_walk = rate_walk
         self._scalar = Ukf(replace(config, spin=None))
         self.reset()

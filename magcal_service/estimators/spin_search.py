@@ -16,24 +16,16 @@ little, though: each time the spin is lost, the next has to hold for twice as lo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from magcal_service.config import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.estimators.spin_start import (
-    AxisTie,
-    Prior,
-    Samples,
-    SpinFit,
-    SpinGuess,
-    contradiction,
-    find_spin,
-    fit_spin,
-)
+from magcal_service.estimators.sample_buffer import SampleBuffer
+from magcal_service.estimators.spin_fit import AxisTie, Prior, Samples, SpinFit, contradiction, fit_spin
+from magcal_service.estimators.spin_start import SpinGuess, find_spin
 from magcal_service.estimators.spin_state import (
     ERRORS,
     SPIN_STATE_SIZE,
@@ -46,14 +38,11 @@ from magcal_service.estimators.spin_watch import FitQuality, SpinGate, fit_quali
 from magcal_service.estimators.start import LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma, vector_sigma
 from magcal_service.model import Array, d_matrix, scalar_residual
 from magcal_service.residuals import rms
-from magcal_service.snapshot import Saved, SnapshotError, plain, restored
+from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
 
 RATE_WALKS: Final = (0.0, 1e-8, 1e-7, 1e-6, 1e-5)
 """Random walk of the body rate [rad/s/sqrt(s)], from free of torque to a despin that doubles the noise in minutes."""
-
-_CAPACITY: Final = 16384
-"""Samples kept, 0.9 MB: three orbits at 1 Hz, half an orbit at 6 Hz."""
 
 _SHORTEST_S: Final = 120.0
 _FIRST_S: Final = 240.0
@@ -103,51 +92,6 @@ _GROWTH: Final = 2.0
 _SMALLEST_GROWTH: Final = 1.1
 
 
-class SampleBuffer(Saved):
-    """The newest samples; when it is full, the oldest quarter goes."""
-
-    def __init__(self) -> None:
-        self._rows = np.empty((256, 7))
-        self.count = 0
-
-    def export_state(self) -> dict[str, Any]:
-        """The samples; what lies behind them in memory is no state."""
-        return {"rows": plain(self._rows[: self.count])}
-
-    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
-        """Take over exported samples into an empty buffer."""
-        rows = restored(saved.get("rows") if isinstance(saved, dict) else None, Array, where)
-        if rows.ndim != 2 or rows.shape[1] != 7 or len(rows) > 2 * _CAPACITY:
-            raise SnapshotError(f"{where} has the shape {rows.shape}; rows of 7 are accepted")
-        self._rows, self.count = np.empty((256, 7)), 0
-        self.add(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
-
-    @property
-    def full(self) -> bool:
-        """Whether the next samples would cost the oldest."""
-        return self.count >= _CAPACITY
-
-    def add(self, times_s: Array, field_nt: Array, reference_eci_nt: Array) -> None:
-        """Take samples: times (n,) [s], B (n, 3) and H (n, 3) [nT]."""
-        new = np.column_stack([times_s, field_nt, reference_eci_nt])
-        if self.full:
-            self._rows[: self.count * 3 // 4] = self._rows[self.count - self.count * 3 // 4 : self.count]
-            self.count = self.count * 3 // 4
-        while self.count + len(new) > len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        self._rows[self.count : self.count + len(new)] = new
-        self.count += len(new)
-
-    def period_s(self) -> float:
-        """Median time between two kept samples [s]."""
-        return float(np.median(np.diff(self._rows[: self.count, 0]))) if self.count > 1 else 1.0
-
-    def samples(self) -> Samples:
-        """All of them, with times before the newest."""
-        rows = self._rows[: self.count]
-        return Samples(rows[:, 0] - rows[-1, 0], rows[:, 1:4], rows[:, 4:7])
-
-
 @dataclass(frozen=True, slots=True)
 class SpinStart:
     """What the filter starts with: the state, per-axis noise [nT] of its covariance, the walk of its rate, samples."""
@@ -163,6 +107,11 @@ class _Candidate:
     fit: SpinFit
     quality: FitQuality
     span_s: float
+
+
+def retry_at(seconds: float) -> float:
+    """Sample time at which to try again after an attempt, or a fit, at a sample time [s]."""
+    return max(seconds * _RETRY, seconds + _PAUSE_S)
 
 
 class SpinSearch(Saved):
@@ -220,6 +169,11 @@ class SpinSearch(Saved):
         self._began_s = 0.0
         self._attempt_at_s = self._required_s
 
+    @property
+    def first_attempt_s(self) -> float:
+        """Sample time before which no start is tried [s]."""
+        return self._required_s
+
     def doubt(self, now_s: float) -> None:
         """The spin was not as steady as the last start assumed: allow more, and ask for a longer proof."""
         self._required_s = min(2.0 * self._required_s, _LONGEST_PROOF_S)
@@ -261,18 +215,19 @@ class SpinSearch(Saved):
         self._take(tick)
         if self._seconds < self._attempt_at_s and not self._buffer.full:
             return None
-        self._attempt_at_s = max(self._seconds * _RETRY, self._seconds + _PAUSE_S)
-        samples = self._buffer.samples()
-        fit = fit_spin(samples, state, self._prior, noise_nt)
+        self._attempt_at_s = retry_at(self._seconds)
+        refitted = self.refit(self._buffer.samples(), state, noise_nt)
         if self._buffer.full:
-            self._stop_refining()
+            self._refining = False
+            self._buffer = SampleBuffer()
+        return refitted
+
+    def refit(self, samples: Samples, state: SpinState, noise_nt: float) -> SpinState | SpinGate:
+        """A new fit to samples from the filter's state at the last of them, or why there is none."""
+        fit = fit_spin(samples, state, self._prior, noise_nt)
         if fit is None or not self._sound(fit_quality(fit)):
             return SpinGate.INCONSISTENT
         return self._with_axis(fit, samples, noise_nt)
-
-    def _stop_refining(self) -> None:
-        self._refining = False
-        self._buffer = SampleBuffer()
 
     def attempt(self, scalar: StateEstimate) -> SpinStart | None:
         """A start, when it is time for an attempt and the attempt succeeds; ``gate`` says why not."""
@@ -281,17 +236,19 @@ class SpinSearch(Saved):
         if scalar.phase is not Phase.RUNNING:
             self.gate = SpinGate.NO_SCALAR_START
             return None
-        self._attempt_at_s = max(self._seconds * _RETRY, self._seconds + _PAUSE_S)
-        result = self._try(scalar, self._last_s)
+        self._attempt_at_s = retry_at(self._seconds)
+        result = self.start_of(self._buffer.samples(), scalar, self._last_s)
         if isinstance(result, SpinGate):
             self.gate = result
             return None
         return result
 
-    def _try(self, scalar: StateEstimate, now_s: float) -> SpinStart | SpinGate:
-        samples = self._clean(self._buffer.samples(), scalar)
+    def start_of(self, samples: Samples, scalar: StateEstimate, now_s: float) -> SpinStart | SpinGate:
+        """A start from samples up to now and a scalar estimate that is running, or the gate that stops it."""
+        ranges = self._rate_ranges(samples.period_s())
+        samples = self._clean(samples, scalar)
         gate = SpinGate.NO_AXIS
-        for lowest, highest in self._rate_ranges():
+        for lowest, highest in ranges:
             first = samples.newest(self._first_span_s())
             guesses = find_spin(first, scalar.x, lowest, highest)
             if guesses and guesses[0].mirrored:
@@ -338,9 +295,9 @@ class SpinSearch(Saved):
                 return SpinGate.POOR_COVERAGE
         return self._hand_over(samples, best, scalar)
 
-    def _rate_ranges(self) -> list[tuple[float, float]]:
-        """Around the configured rate first, then everywhere the samples allow."""
-        nyquist = 0.98 * math.pi / self._buffer.period_s()
+    def _rate_ranges(self, period_s: float) -> list[tuple[float, float]]:
+        """Around the configured rate first, then everywhere samples so far apart allow."""
+        nyquist = 0.98 * math.pi / period_s
         ranges = [(_SLOWEST_RAD_S, min(nyquist, _FASTEST_RAD_S))]
         if self.config.spin is not None:
             configured = abs(self.config.spin.rate_rpm) * 2.0 * math.pi / 60.0

@@ -17,27 +17,27 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.estimators.spin_start import SpinFit
+from magcal_service.estimators.spin_fit import SpinFit
 from magcal_service.estimators.spin_state import Innovation
 from magcal_service.model import Array
 from magcal_service.snapshot import Saved
 
-_MEMORY: Final = 300
+MEMORY: Final = 300
 """Samples over which the running ratio of across to along is averaged: 1 +- 0.1."""
 
-_RATIO_LIMIT: Final = 1.6
+RATIO_LIMIT: Final = 1.6
 _FIT_RATIO: Final = 1.2
 _FIT_DRIFT: Final = 1.5
 _SIGMAS: Final = 5.0
 
-_BLOCK: Final = 128
+BLOCK: Final = 128
 """Samples in a block mean."""
 
-_BLOCKS: Final = 8
+BLOCKS: Final = 8
 """Blocks over which their squares are averaged: 1 +- 0.29."""
 
-_DRIFT_LIMIT: Final = 2.8
-_BLOCK_LIMIT: Final = 10.0
+DRIFT_LIMIT: Final = 2.8
+BLOCK_LIMIT: Final = 10.0
 """The same for one block alone, a third of chi-squared with 3 degrees: 1 in 10^6."""
 
 _LONGEST_OUTAGE: Final = 30
@@ -87,7 +87,7 @@ class FitQuality:
     @property
     def steady(self) -> bool:
         """Whether the vectors agree with a steady spin."""
-        blocks = max(self.samples // _BLOCK, 1)
+        blocks = max(self.samples // BLOCK, 1)
         return self.ratio < _FIT_RATIO + _SIGMAS * math.sqrt(
             3.0 / self.samples
         ) and self.drift < _FIT_DRIFT + _SIGMAS * math.sqrt(2.0 / (3.0 * blocks))
@@ -99,12 +99,12 @@ def fit_quality(fit: SpinFit) -> FitQuality:
     unit = fit.field_body_nt / np.linalg.norm(fit.field_body_nt, axis=1)[:, None]
     along = float(np.mean(np.einsum("ni,ni->n", y, unit) ** 2))
     total = float(np.mean((y**2).sum(axis=1)))
-    blocks = len(y) // _BLOCK
+    blocks = len(y) // BLOCK
     drift = 1.0
     if blocks:
-        space = np.einsum("nji,nj->ni", fit.attitudes, y)[-blocks * _BLOCK :]
-        means = space.reshape(blocks, _BLOCK, 3).mean(axis=1)
-        drift = float((means**2).mean()) * _BLOCK / max(along, 1e-12)
+        space = fit.residual_eci_nt[-blocks * BLOCK :]
+        means = space.reshape(blocks, BLOCK, 3).mean(axis=1)
+        drift = float((means**2).mean()) * BLOCK / max(along, 1e-12)
     return FitQuality(math.sqrt(total / 3.0), 0.5 * (total - along) / max(along, 1e-12), drift, len(y))
 
 
@@ -159,10 +159,10 @@ class SpinWatch(Saved):
         along, total = float(h @ y) ** 2 / square, float(y @ y)
         along_expected = float(h @ covariance @ h) / square
         trace = float(covariance[0, 0] + covariance[1, 1] + covariance[2, 2])
-        self._count = min(self._count + 1, _MEMORY)
+        self._count = min(self._count + 1, MEMORY)
         self._along += (along / along_expected - self._along) / self._count
         self._across += ((total - along) / (trace - along_expected) - self._across) / self._count
-        lost = self._count == _MEMORY and self._across > _RATIO_LIMIT * self._along
+        lost = self._count == MEMORY and self._across > RATIO_LIMIT * self._along
         return SpinGate.INCONSISTENT if lost else None
 
     def _drifts(self, innovation: Innovation, body_from_eci: Array) -> SpinGate | None:
@@ -170,11 +170,11 @@ class SpinWatch(Saved):
         self._sum += innovation.value @ body_from_eci
         self._sum_variance += float(np.trace(innovation.covariance))
         self._in_block += 1
-        if self._in_block < _BLOCK:
+        if self._in_block < BLOCK:
             return None
         squared = float(self._sum @ self._sum) / (self._sum_variance * max(self._along, 1e-12))
         self._sum, self._sum_variance, self._in_block = np.zeros(3), 0.0, 0
-        self._blocks = min(self._blocks + 1, _BLOCKS)
+        self._blocks = min(self._blocks + 1, BLOCKS)
         self._drift += (squared - self._drift) / self._blocks
-        lost = squared > _BLOCK_LIMIT or (self._blocks == _BLOCKS and self._drift > _DRIFT_LIMIT)
+        lost = squared > BLOCK_LIMIT or (self._blocks == BLOCKS and self._drift > DRIFT_LIMIT)
         return SpinGate.INCONSISTENT if lost else None

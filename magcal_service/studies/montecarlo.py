@@ -4,25 +4,51 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config import CraftConfig
 from magcal_service.estimators import find_method
+from magcal_service.estimators.batched_spin import BatchedSpin
 from magcal_service.estimators.batched_ukf import BatchedUkf
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.executor import Executor
 from magcal_service.studies.flights import FlightPlan, Flown, fly
 from magcal_service.studies.progress import progress
+from magcal_service.ticks import Tick
 
 BATCH: Final = 250
 """Runs in one batched job: 110 MB of samples over three orbits, and the loop over ticks costs little beside them."""
 
 ALONE: Final = 4
 """Runs in one job of a method that goes one run at a time."""
+
+
+class Batch(Protocol):
+    """An estimator for many runs at once; ``left`` says which have to be repeated alone."""
+
+    left: NDArray[np.bool_]
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Runs with an estimate (runs,)."""
+
+    @property
+    def x(self) -> Array:
+        """States (runs, 9)."""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariances (runs, 9, 9)."""
+
+    def handle(self, tick: Tick, field_body_nt: Array) -> None:
+        """Take one tick with the measured vectors (runs, 3) [nT]."""
+
+
+_BATCHES: Final[dict[str, type[BatchedUkf] | type[BatchedSpin]]] = {"ukf": BatchedUkf, "spin": BatchedSpin}
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +142,7 @@ def simulate(
     label: what the progress bar says.
     """
     times = tuple(at_s) or (float(plan.duration_s - 1),)
-    size = BATCH if _in_batch(config) else ALONE
+    size = BATCH if in_batch(config) else ALONE
     jobs = [Job(plan, config, tuple(seeds[i : i + size]), times) for i in range(0, len(seeds), size)]
     parts = []
     with progress(label or config.filter.method, len(seeds)) as advance:
@@ -133,8 +159,10 @@ def simulate(
     )
 
 
-def _in_batch(config: CraftConfig) -> bool:
-    return config.filter.method == "ukf" and BatchedUkf.supports(config)
+def in_batch(config: CraftConfig) -> bool:
+    """Whether the configuration's method has a batched twin that covers it."""
+    batch = _BATCHES.get(config.filter.method)
+    return batch is not None and batch.supports(config)
 
 
 def run_job(job: Job) -> Ensemble:
@@ -142,7 +170,7 @@ def run_job(job: Job) -> Ensemble:
     flown = fly(job.plan)
     result = _empty(job, flown)
     rows: Sequence[int] = range(len(job.seeds))
-    if _in_batch(job.config):
+    if in_batch(job.config):
         rows = _run_batch(job, flown, result)
     for row in rows:
         _run_alone(job, flown, result, row)
@@ -167,7 +195,7 @@ def _run_batch(job: Job, flown: Flown, result: Ensemble) -> Sequence[int]:
     measured = np.empty((wanted[-1] + 1, 3, len(job.seeds)))  # the runs of a tick side by side
     for run, seed in enumerate(job.seeds):
         measured[:, :, run] = flown.measured(seed)[: len(measured)]
-    batch = BatchedUkf(job.config, len(job.seeds))
+    batch: Batch = _BATCHES[job.config.filter.method](job.config, len(job.seeds))
     for index, fields in enumerate(measured):
         batch.handle(flown.tick(index, fields[:, 0]), fields.T)
         for column in np.flatnonzero(wanted == index).tolist():

@@ -9,7 +9,7 @@ from test_spin_start import PRIOR, near_truth, samples_of
 
 from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.spin import SpinFilter
-from magcal_service.estimators.spin_start import AxisTie, contradiction, fit_spin
+from magcal_service.estimators.spin_fit import AxisTie, contradiction, fit_spin
 from magcal_service.estimators.spin_window import across_axis
 
 Z = np.array([0.0, 0.0, 1.0])

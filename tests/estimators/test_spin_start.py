@@ -7,15 +7,8 @@ import pytest
 from estimator_ticks import TABLE_1, Craft, triad
 
 from magcal_service.config import FilterConfig
-from magcal_service.estimators.spin_start import (
-    Prior,
-    Samples,
-    SpinGuess,
-    best_rotation,
-    find_axis,
-    find_spin,
-    fit_spin,
-)
+from magcal_service.estimators.spin_fit import Prior, Samples, fit_spin
+from magcal_service.estimators.spin_start import SpinGuess, best_rotation, find_axis, find_spin
 from magcal_service.estimators.spin_state import SPIN_STATE_SIZE, SpinState, turned_once
 from magcal_service.estimators.start import prior_sigma
 from magcal_service.model import calibrate

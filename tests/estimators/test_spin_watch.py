@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from magcal_service.estimators.spin_start import SpinFit
+from magcal_service.estimators.spin_fit import SpinFit
 from magcal_service.estimators.spin_state import Innovation, SpinState, turned, turned_once
 from magcal_service.estimators.spin_watch import SpinGate, SpinWatch, fit_quality
 
@@ -84,8 +84,9 @@ def fit_with(tilt_eci_rad: np.ndarray) -> SpinFit:
     attitudes = turned(RATE, times)[0]
     noise = NOISE_NT * np.random.default_rng(3).normal(size=(2000, 3))
     residual = noise + attitudes @ np.cross(FIELD_ECI, tilt_eci_rad)
+    residual_eci = np.einsum("nji,nj->ni", attitudes, residual)
     state = SpinState(np.zeros(9), np.eye(3), RATE, np.eye(15))
-    return SpinFit(state, residual, attitudes @ FIELD_ECI, attitudes)
+    return SpinFit(state, residual, residual_eci, attitudes @ FIELD_ECI)
 
 
 @pytest.mark.parametrize(("tilt_rad", "steady"), [(0.0, True), (3e-3, False)])
