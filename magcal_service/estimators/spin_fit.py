@@ -22,8 +22,8 @@ _ITERATIONS: Final = 25
 _LARGEST_TURN_RAD: Final = 0.3
 _LARGEST_D: Final = 2.0
 _CONVERGED: Final = 1e-6
-_PIECE: Final = 2048
-"""Samples worked through at a time: some forty arrays of 16 kB."""
+_PIECE: Final = 4096
+"""Samples worked through at a time: some forty arrays of 32 kB."""
 
 _COLUMNS: Final = tuple(
     np.array([i, *d_columns, *range(ATTITUDE.start, RATE.stop), SPIN_STATE_SIZE])

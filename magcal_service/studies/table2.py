@@ -13,7 +13,7 @@ from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.bounds import InformationSet, bound_over_time
 from magcal_service.model import BIAS, STATE_NAMES, Array
 from magcal_service.studies.flights import FlightPlan, fly
-from magcal_service.studies.montecarlo import Ensemble, Statistics, seeds_of, simulate, statistics
+from magcal_service.studies.montecarlo import Ensemble, Statistics, in_batch, seeds_of, simulate, statistics
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study
 
@@ -71,8 +71,7 @@ def run(request: Request) -> Findings:
         if reason:
             notes.append(f"`{name}` was not run: {reason}")
             continue
-        runs = (request.runs or STUDY.runs) if name == "ukf" or request.methods else min(request.runs or 0, RUNS_ALONE)
-        outcomes += [_outcome(case, name, runs, request) for case in cases(request.duration_s)]
+        outcomes += [_outcome(case, name, request) for case in cases(request.duration_s)]
     plan = cases(request.duration_s)[0].plan
     return Findings(
         tables=(*_summaries(outcomes), *(_nine(outcome) for outcome in outcomes)),
@@ -102,9 +101,11 @@ def _refusal(name: str) -> str:
     return ""
 
 
-def _outcome(case: Case, name: str, runs: int, request: Request) -> Outcome:
-    plan = case.plan
+def _outcome(case: Case, name: str, request: Request) -> Outcome:
+    plan, runs = case.plan, request.runs or STUDY.runs
     config = plan.craft(FilterConfig(method=name))
+    if not (request.methods or in_batch(config)):
+        runs = min(runs, RUNS_ALONE)
     at_s = np.geomspace(plan.duration_s / 60.0, plan.duration_s - 1.0, _TIMES)
     seeds = seeds_of(request.seed, runs)
     ensemble = simulate(plan, config, seeds, request.executor, at_s.tolist(), f"{name}, {case.name}")
