@@ -210,11 +210,11 @@ def lowest(problem: BatchProblem, found: Sequence[tuple[Array, Array]]) -> Batch
         apart = max(float(step @ np.linalg.solve(each, step)) for each in (covariance, its_covariance))
         if apart <= _AMBIGUOUS:
             continue
-        advantage = problem.advantage(x, other)
-        if abs(advantage) < _AMBIGUOUS:
+        if problem.advantage(x, other) >= _AMBIGUOUS:
+            continue
+        if problem.advantage(other, x) < _AMBIGUOUS:
             return StartGate.POOR_COVERAGE
-        if advantage < 0.0:
-            x, covariance = other, its_covariance
+        x, covariance = other, its_covariance
     rms = float(np.sqrt(np.mean(problem.residuals(x) ** 2)))
     return BatchSolution(x, covariance, problem.sigma_nt, min(problem.noise_nt, problem.sigma_nt), rms)
 

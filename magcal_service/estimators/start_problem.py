@@ -31,8 +31,8 @@ LARGEST_D: Final = 2.0
 FIRST_DAMPING: Final = 1e-3
 LEAST_DAMPING: Final = 1e-6
 
-_LEAST_SLOPE: Final = 1e-3
-"""Of a residual against another's, for its logarithm: what is as flat, or falls, has collapsed or is mirrored."""
+_LEAST_SLOPE: Final = 0.25
+"""Of a residual against another's, for its logarithm: what is flatter or falls has collapsed or is mirrored."""
 
 _I: Final = np.array([0, 1, 2, 0, 0, 1])
 _J: Final = np.array([0, 1, 2, 1, 2, 2])
@@ -150,19 +150,24 @@ class BatchProblem:
         return normal, gradient, cost + (tie * x * x).sum(axis=-1)
 
     def advantage(self, x: Array, other: Array) -> float:
-        """By how much a state (9,) explains the samples better than another: -2 log of the ratio of likelihoods.
+        """By how much a state (9,) explains the samples better than another, at least: -2 log of a likelihood ratio.
 
         Costs alone cannot be compared.  The noise in B goes through I + D: a solution that is smaller by a tenth makes
         the sum of squares smaller by a fifth, and so better than the truth by a hundred within minutes.  A density of B
-        along the direction u in which it is measured has the derivative of the residual beside its square.
+        on a line has the slope of the residual along it beside its square.  The line taken is the one across the
+        other's surface |w| = |H|, on which ``x`` looks worst.
         """
-        w = np.stack(_calibrated(x, self.field_nt)), np.stack(_calibrated(other, self.field_nt))  # (3, n) each
-        unit, other_unit = (each / np.sqrt((each * each).sum(axis=0)) for each in w)
-        same = np.linalg.solve(np.eye(3) + d_matrix(x), unit)  # a step of 1 nT in the residual of x
-        slope = (other_unit * ((np.eye(3) + d_matrix(other)) @ same)).sum(axis=0)
-        gained = 2.0 * float(np.log(np.maximum(slope, _LEAST_SLOPE)).sum())
-        costs = self.normal_equations(other)[2] - self.normal_equations(x)[2]
-        return float(costs) - (self.noise_nt / self.sigma_nt) ** 2 * gained
+        step = np.linalg.solve(np.eye(3) + d_matrix(other), self._directions(other))  # 1 nT in the other's residual
+        slope = (self._directions(x) * ((np.eye(3) + d_matrix(x)) @ step)).sum(axis=0)
+        thinner = float(np.log(np.maximum(slope, _LEAST_SLOPE)).sum())
+        costs = float(self.normal_equations(other)[2] - self.normal_equations(x)[2])
+        return costs + 2.0 * (self.noise_nt / self.sigma_nt) ** 2 * thinner
+
+    def _directions(self, x: Array) -> Array:
+        """Unit vectors of w (3, n) at a state (9,)."""
+        w = np.stack(_calibrated(x, self.field_nt))
+        directions: Array = w / np.linalg.norm(w, axis=0)
+        return directions
 
     def _scalar_rows(self, x: Array) -> tuple[Array, Array]:
         """Gauss-Newton rows (..., 9, n) and residuals (..., n) of e = |w| - |H| less its mean s^2 / |H|.
