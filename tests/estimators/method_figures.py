@@ -1,12 +1,13 @@
 """The figures of docs/methods.md: ``python tests/estimators/method_figures.py NAME [--runs N]``, on the paper's orbit.
 
 ``two-step`` against its bound; ``ekf``, the share of runs that do not converge; ``fourth``, equation (8) at each noise;
-``step``, how long a 200 nT step takes to be followed.
+``step``, how long a 200 nT step takes to be followed; ``suchai``, SUCHAI-3's spin by ``spin`` beside its gyro.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable
@@ -28,13 +29,18 @@ from magcal_service.estimators.magnitude_sums import MagnitudeSums
 from magcal_service.estimators.noise_level import NoiseLevel
 from magcal_service.estimators.scalar_ukf import ScalarUkf
 from magcal_service.estimators.sliding_batch import SlidingBatch
+from magcal_service.estimators.spin import SpinFilter
 from magcal_service.estimators.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, TwoStep, two_step
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES, d_matrix
+from magcal_service.recordings.reader import read_recording
+from magcal_service.ticks import Tick
 
 Seeds = list[np.random.SeedSequence]
 STEP_AT_S = 6000.0
+SUCHAI = Path(__file__).resolve().parents[3] / "shared" / "data" / "suchai3" / "2023-08-24.toml"
+GYRO_S = 300.0
 
 
 def each(pool: ProcessPoolExecutor, work: Callable[[np.random.SeedSequence], Any], seeds: Seeds) -> list[Any]:
@@ -163,7 +169,45 @@ def step_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
         )
 
 
-FIGURES = {"two-step": two_step_figures, "ekf": ekf_figures, "fourth": fourth_figures, "step": step_figures}
+def suchai_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+    """Every attempt of ``spin`` at SUCHAI-3's spin, without its gyro and with nothing configured, beside the gyro."""
+    recording = read_recording(SUCHAI).sorted_unique()
+    times_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
+    reference, gyro = recording.reference.vector_nt, np.radians(recording.channels["gyro"].values)
+    if reference is None:
+        raise ValueError("the recording has no reference vector")
+    estimator, seen, before_s = SpinFilter(CraftConfig("suchai3")), np.zeros(3), 0.0
+    rates, angles = [], []
+    for i, now_s in enumerate(times_s.tolist()):
+        rows = slice(i, i + 1)
+        magnitude = recording.reference.magnitude_nt[rows]
+        gap = now_s - before_s > 5.0
+        estimator.handle(Tick(i, times_s[rows], recording.field_body_nt[rows], magnitude, reference[rows], gap))
+        before_s, spin = now_s, estimator.spin
+        if spin is None or estimator.fallback is None or (spin.axis_body == seen).all():
+            continue
+        seen = spin.axis_body
+        measured = np.nanmean(gyro[(times_s > now_s - GYRO_S) & (times_s <= now_s)], axis=0)
+        speed = float(np.linalg.norm(measured))
+        rates.append(spin.rate_rad_s / speed - 1.0)
+        angles.append(math.degrees(math.acos(min(1.0, float(measured @ seen) / speed))))
+        yield (
+            f"{now_s:5.0f} s: {math.degrees(spin.rate_rad_s):.2f} deg/s about {np.round(seen, 2)}, gyro "
+            f"{math.degrees(speed):.2f} about {np.round(measured / speed, 2)}: {angles[-1]:.1f} deg apart"
+        )
+    yield (
+        f"{len(rates)} attempts: rate within {100 * max(map(abs, rates)):.2f} % of the gyro's, "
+        f"axis {min(angles):.1f} to {max(angles):.1f} deg off, median {np.median(angles):.1f}"
+    )
+
+
+FIGURES = {
+    "two-step": two_step_figures,
+    "ekf": ekf_figures,
+    "fourth": fourth_figures,
+    "step": step_figures,
+    "suchai": suchai_figures,
+}
 
 
 def main() -> None:
