@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from magcal_service import __version__
 from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.record_cli import add_commands
+from magcal_service.status_cli import add_status
 
 if TYPE_CHECKING:
     from magcal_service.calibrate import Calibration, Replay
@@ -83,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     study.set_defaults(command=_study)
 
+    add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
     add_commands(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     return parser
 

@@ -24,6 +24,7 @@ __all__ = [
     "Config",
     "CraftConfig",
     "FilterConfig",
+    "HealthConfig",
     "OutputConfig",
     "RecordConfig",
     "SensorConfig",
@@ -42,6 +43,7 @@ MAX_CRAFT = 10_000
 MIN_RATE_RPM = 0.01  # slower turns are longer than an orbit
 
 _METHOD = re.compile(r"[a-z][a-z0-9-]{0,31}")
+_LOOPBACK = re.compile(r"(127\.[0-9]{1,3}\.[0-9]{1,3}\.[0-9]{1,3}|localhost|\[::1\]):([0-9]{1,5})")
 _AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 T = TypeVar("T", "SensorConfig", "FilterConfig", "TickConfig", "TrustConfig", "OutputConfig")
@@ -230,6 +232,20 @@ class StateConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class HealthConfig:
+    """What the daemon tells about itself beside its status.
+
+    Parameters
+    ----------
+    metrics: loopback address and port of the Prometheus text; None: not served.
+    summary_s: time between two summaries in the log [s].
+    """
+
+    metrics: str | None = None
+    summary_s: float = field(default=300.0, metadata=_within(1.0, 86_400.0))
+
+
+@dataclass(frozen=True, slots=True)
 class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
@@ -250,6 +266,7 @@ class Config:
     output: OutputConfig = OutputConfig()
     record: RecordConfig | None = None
     state: StateConfig | None = None
+    health: HealthConfig = HealthConfig()
 
 
 def default_craft(name: str) -> CraftConfig:
@@ -288,6 +305,7 @@ def read_config(top: Table, methods: Collection[str] = ()) -> Config:
         _read_output(top.table("output")),
         _read_record(top.table("record")),
         _read_state(top.table("state")),
+        _read_health(top.table("health")),
     )
     top.finish()
     if top.faults:
@@ -465,3 +483,15 @@ def _read_state(table: Table | None) -> StateConfig | None:
     values = {setting.name: _read_setting(table, setting) for setting in fields(StateConfig) if setting.metadata}
     table.finish()
     return StateConfig(directory=Path(text), **values)
+
+
+def _read_health(table: Table | None) -> HealthConfig:
+    if table is None:
+        return HealthConfig()
+    text = table.text("metrics", "", accepted="a loopback address and port such as '127.0.0.1:9464'")
+    match = _LOOPBACK.fullmatch(text)
+    if isinstance(table.content.get("metrics"), str) and (match is None or int(match[2]) > 65_535):
+        table.refuse("metrics", text, "a loopback address and port such as '127.0.0.1:9464' is accepted")
+    summary_s = _read_setting(table, next(one for one in fields(HealthConfig) if one.metadata))
+    table.finish()
+    return HealthConfig(text or None, summary_s)

@@ -9,22 +9,21 @@ import logging
 import os
 import sys
 from datetime import UTC, datetime
+from typing import Any
 
 
 class JsonLines(logging.Formatter):
-    """Time (UTC), level, logger and text of a record as one JSON object, and its ``event`` where it tells of one."""
+    """Time (UTC), level, logger and text of a record as one JSON object, and the ``fields`` it brings."""
 
     def format(self, record: logging.LogRecord) -> str:
         """One line for one record."""
-        entry = {
+        entry: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "text": record.getMessage(),
         }
-        event = getattr(record, "event", None)
-        if event is not None:
-            entry["event"] = event
+        entry |= getattr(record, "fields", {})
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
         return json.dumps(entry, ensure_ascii=False)

@@ -22,6 +22,7 @@ from magcal_service.snapshot import Saved, SnapshotError, restored
 from magcal_service.ticks import Tick, TickAssembler
 from magcal_service.trust import NOT_STARTED, TrustMonitor
 from magcal_service.wire.fields import fitting
+from magcal_service.wire.kinds import MAX_COUNTERS
 from magcal_service.wire.messages import (
     CalibratedVector,
     Clock,
@@ -341,6 +342,15 @@ class Pipeline(Saved):
             clock=self._clock,
             uptime_s=uptime_s,
             verdict=self.trust.verdict,
-            counters=dict(self.ticks.counters + self.counters + own + counters),
+            counters=dict(capped(self.ticks.counters + self.counters + own + counters)),
             text=self.summary(),
         )
+
+
+def capped(counters: Counter[str]) -> Counter[str]:
+    """As many counters as a status may hold; what is left out is counted."""
+    if len(counters) <= MAX_COUNTERS:
+        return counters
+    kept = Counter(dict(list(counters.items())[: MAX_COUNTERS - 1]))
+    kept["counters_left_out"] = len(counters) - len(kept)
+    return kept

@@ -18,7 +18,9 @@ from magcal_service.commands import Commander
 from magcal_service.config import Config
 from magcal_service.errors import InputRefusedError
 from magcal_service.events import Event
+from magcal_service.health_report import Health
 from magcal_service.links import Link, Role, open_link
+from magcal_service.metrics import MetricsServer
 from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.fields import fitting
@@ -69,6 +71,7 @@ class Service:
     csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
     recorder: takes everything that comes in and goes out.
     checkpoints: where the state is kept and, at the start, taken from.
+    metrics: serves the figures as Prometheus text.
     """
 
     def __init__(
@@ -78,12 +81,13 @@ class Service:
         csv: EstimateCsv | None = None,
         recorder: Recorder | None = None,
         checkpoints: Checkpoints | None = None,
+        metrics: MetricsServer | None = None,
     ) -> None:
         self.config = config
         self.link = link
         self.csv = csv
         self.recorder = recorder
-        self.checkpoints = checkpoints
+        self.checkpoints, self.metrics = checkpoints, metrics
         self.csv_error: InputRefusedError | None = None
         self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
@@ -92,7 +96,7 @@ class Service:
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
         self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
-        self._started_s = time.monotonic()
+        self.health = Health(link)
 
     def shut_down(self) -> None:
         """End ``run`` before it waits for another message."""
@@ -109,7 +113,9 @@ class Service:
 
     def _received(self) -> list[Message]:
         """What has come; after a restart what nodes send again, kind by kind, is taken at once and by time."""
+        began_s = time.monotonic()
         messages = self.link.receive(WAIT_S)
+        self.health.lateness.looked(began_s)
         if not (messages and self._restored):
             return messages
         self._restored, deadline_s = False, time.monotonic() + HISTORY_S
@@ -122,7 +128,7 @@ class Service:
         for event in events:
             self.counters["events"] += 1
             self._last_events[event.craft] = event
-            log.info("%s: %s", event.craft, event, extra={"event": asdict(event)})
+            log.info("%s: %s", event.craft, event, extra={"fields": {"event": asdict(event)}})
             self._publish_status(self.pipelines[event.craft])
 
     def run(self, stop: threading.Event) -> None:
@@ -132,8 +138,10 @@ class Service:
         """
         state = self.config.state
         checkpoint = Timer(state.period_s if state is not None else math.inf)
+        summary = Timer(self.config.health.summary_s)
         status = Timer(self.config.output.status_period_s)
         watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
+        self._publish_metrics()
         while not (stop.is_set() or self._ending):
             messages = self._received()
             for message in messages:
@@ -142,6 +150,8 @@ class Service:
                 break
             if status.due():
                 self.publish_status()
+            if summary.due():
+                log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
             if watchdog.due():
                 self.feed_watchdog()
             if checkpoint.due():
@@ -168,11 +178,14 @@ class Service:
         self._publish(pipeline.answer(message) if reply is None else [reply])
         self._publish(pipeline.advance())
         self._tell(pipeline.take_events())
+        if isinstance(message, Command) and message.name == "status":
+            self._publish_status(pipeline)
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:
             self._send(message)
             if isinstance(message, Estimate):
+                self.health.lateness.note()
                 self._note(message)
 
     def _send(self, message: Message) -> None:
@@ -195,21 +208,30 @@ class Service:
         """Send each craft's status, and put the rows written so far on disk."""
         for pipeline in self.pipelines.values():
             self._publish_status(pipeline)
+        self._publish_metrics()
         self._to_disk(EstimateCsv.flush)
+
+    def _publish_metrics(self) -> None:
+        if self.metrics is not None:
+            others = sum(self._others(), Counter(self.counters))
+            self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
+
+    def _others(self) -> list[Counter[str]]:
+        """What recorder and checkpoints have counted."""
+        return [part.counters for part in (self.recorder, self.checkpoints) if part is not None]
 
     def _publish_status(self, pipeline: Pipeline) -> None:
         """With the link's counters as ``link.*``, the craft's newest event, and what is amiss with disk and link."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
-        remarks = list(self.link.warnings)
-        if self.recorder is not None:
-            counters += self.recorder.counters
-            remarks += [f"not recording: {self.recorder.trouble}"] if self.recorder.trouble else []
-        if self.checkpoints is not None:
-            counters += self.checkpoints.counters
-            remarks += [f"no checkpoints: {self.checkpoints.trouble}"] if self.checkpoints.trouble else []
+        troubles = self.health.troubles(pipeline)
+        if self.recorder is not None and self.recorder.trouble:
+            troubles.append(f"not recording: {self.recorder.trouble}")
+        if self.checkpoints is not None and self.checkpoints.trouble:
+            troubles.append(f"no checkpoints: {self.checkpoints.trouble}")
+        counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
         event = self._last_events.get(pipeline.config.name)
-        remarks += [f"last event: {event}"] if event is not None else []
-        status = pipeline.status(time.monotonic() - self._started_s, counters)
+        remarks = [*troubles, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
+        status = pipeline.status(self.health.uptime_s, counters)
         self._send(replace(status, text=fitting("; ".join((status.text, *remarks)))))
 
     def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
@@ -266,7 +288,8 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
         csv, recorder = _csv(config, stack), _recorder(config, stack)
         checkpoints = None if config.state is None else Checkpoints(config.state, config.crafts)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
-        service = Service(config, link, csv, recorder, checkpoints)
+        metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
+        service = Service(config, link, csv, recorder, checkpoints, metrics)
         service.restore()
         log.info("serving %s on %s", ", ".join(crafts), config.link)
         for warning in link.warnings:

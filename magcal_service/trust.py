@@ -183,6 +183,16 @@ class TrustMonitor(Saved):
         return math.sqrt(self._square)
 
     @property
+    def innovation(self) -> float:
+        """Running mean of the normalised innovation squared; 1 where the covariance is right."""
+        return self._innovation
+
+    @property
+    def rejected_share(self) -> float:
+        """Running share of samples that the gate stopped."""
+        return self._rejected_share
+
+    @property
     def noise_floor_nt(self) -> float:
         """White noise level of the newest residuals [nT], 0 while there are too few."""
         return self._floor_nt

@@ -13,6 +13,7 @@ import pytest
 from magcal_service.config import (
     Config,
     FilterConfig,
+    HealthConfig,
     OutputConfig,
     RecordConfig,
     SensorConfig,
@@ -34,6 +35,7 @@ TABLES: dict[str, Any] = {
     "[output]": OutputConfig,
     "[record]": RecordConfig,
     "[state]": StateConfig,
+    "[health]": HealthConfig,
 }
 SETTINGS = [(table, setting) for table, kind in TABLES.items() for setting in fields(kind)]
 
