@@ -206,8 +206,30 @@ def _answer(
     *,
     driver_recorded: bool,
 ) -> Answer:
+    motion = world.motion
+    for found in tuned:
+        motion = found.cause.spoil(found.scale).motion or motion
+    return Answer(
+        seed=seed,
+        kind=kind,
+        attempt=world.streams.attempt,
+        verdict=verdict,
+        effects=_truths(tuned, driver_recorded=driver_recorded),
+        also=tuple(sorted({name for found in tuned for name in found.cause.also})),
+        driver_recorded=driver_recorded and any(found.cause.name in DRIVEN for found in tuned),
+        decoys=tuple(channel.name for channel in decoys),
+        noise_nt=world.noise_nt,
+        bias_nt=tuple(world.bias_nt.tolist()),
+        scale=tuple(map(tuple, world.scale.tolist())),
+        spin_rpm=motion.rate.start_rad_s / RPM,
+        spin_axis=tuple(motion.axis_body.tolist()),
+        orbit=_orbit(world),
+    )
+
+
+def _truths(tuned: Sequence[Tuned], *, driver_recorded: bool) -> tuple[EffectTruth, ...]:
     joint = _beside(tuned) if len(tuned) == 2 else [found.detectability for found in tuned]
-    effects = tuple(
+    return tuple(
         EffectTruth(
             effect=found.cause.name,
             parameters=found.cause.parameters(found.scale),
@@ -219,28 +241,14 @@ def _answer(
         )
         for found, beside in zip(tuned, joint, strict=True)
     )
-    orbit, motion = world.orbit, world.motion
-    for found in tuned:
-        motion = found.cause.spoil(found.scale).motion or motion
+
+
+def _orbit(world: World) -> dict[str, float]:
+    orbit = world.orbit
     low, high = (orbit.semi_major_km * (1.0 + sign * orbit.eccentricity) - EQUATOR_KM for sign in (-1.0, 1.0))
-    return Answer(
-        seed=seed,
-        kind=kind,
-        attempt=world.streams.attempt,
-        verdict=verdict,
-        effects=effects,
-        also=tuple(sorted({name for found in tuned for name in found.cause.also})),
-        driver_recorded=driver_recorded and any(found.cause.name in DRIVEN for found in tuned),
-        decoys=tuple(channel.name for channel in decoys),
-        noise_nt=world.noise_nt,
-        bias_nt=tuple(world.bias_nt.tolist()),
-        scale=tuple(map(tuple, world.scale.tolist())),
-        spin_rpm=motion.rate.start_rad_s / RPM,
-        spin_axis=tuple(motion.axis_body.tolist()),
-        orbit={
-            "perigee_km": low,
-            "apogee_km": high,
-            "inclination_deg": math.degrees(orbit.inclination_rad),
-            "lit_share": float(world.sunlit(world.time_s).mean()),
-        },
-    )
+    return {
+        "perigee_km": low,
+        "apogee_km": high,
+        "inclination_deg": math.degrees(orbit.inclination_rad),
+        "lit_share": float(world.sunlit(world.time_s).mean()),
+    }

@@ -73,6 +73,7 @@ def test_eclipse_share_of_a_circular_orbit_in_the_suns_plane() -> None:
         radius = EARTH_RADIUS_KM + altitude
         place = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
         lit = sunlit(place, np.broadcast_to([1.0, 0.0, 0.0], place.shape))
+        assert (lit[0], lit[10000]) == (1.0, 0.0)  # towards the Sun, and behind the Earth
         assert 1.0 - lit.mean() == pytest.approx(math.asin(EARTH_RADIUS_KM / radius) / math.pi, abs=1e-3)
 
 
