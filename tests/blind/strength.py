@@ -60,8 +60,7 @@ def calibration_columns(world: World, clean: Measured) -> Floats:
 
 
 def without(columns: Floats, values: Floats) -> Floats:
-    """Values (n,) with orthonormal columns (n, k) projected out, twice for rounding."""
-    values = values - columns @ (columns.T @ values)
+    """Values (n,) with orthonormal columns (n, k) projected out."""
     return np.asarray(values - columns @ (columns.T @ values), dtype=np.float64)
 
 

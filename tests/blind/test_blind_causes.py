@@ -10,6 +10,7 @@ import pytest
 
 from tests.blind import EFFECTS, draw_case
 from tests.blind.attitude import RPM
+from tests.blind.body import apparent_hz
 from tests.blind.cause import Cause
 from tests.blind.hysteresis import play
 from tests.blind.motion import despun
@@ -53,6 +54,26 @@ def test_skewed_axis_shows_the_field_of_its_own_instant() -> None:
         later = measure(replace(cause.world, time_s=cause.world.time_s + delay)).field_nt
         assert skewed[:, axis] == pytest.approx(later[:, axis], abs=1e-6)
     assert sorted(delays) == pytest.approx([0.0, 0.02, 0.04])
+
+
+def test_curved_response_is_in_the_measured_field() -> None:
+    """(I + D) B - b - d(B) is the field in the body, d by the answer's cubic and transverse numbers."""
+    for seed in range(20):
+        world = replace(draw_world(Streams(seed, "cubic")), time_s=np.arange(500.0))
+        cause = EFFECTS["cubic_response"](world, True)
+        truth = cause.parameters(200.0)
+        field = measure(world, [cause.spoil(200.0)]).field_nt
+        curved = np.array(truth["per_nt2"]) * field**3 + field * (field**2 @ np.array(truth["transverse_per_nt2"]).T)
+        body = field @ (np.eye(3) + world.scale) - world.bias_nt - curved
+        assert body == pytest.approx(world.field_body(world.time_s), abs=1e-2)
+        if np.any(truth["transverse_per_nt2"]):
+            return
+    raise AssertionError("no sensor of twenty has transverse terms")
+
+
+def test_alias_is_the_distance_to_the_nearest_multiple() -> None:
+    """Samples at 1 Hz show 0.7 Hz as 0.3 Hz, 1000.2 Hz as 0.2 Hz and 0.1 Hz as itself."""
+    assert [apparent_hz(tone, 1.0) for tone in (0.7, 1000.2, 0.1)] == pytest.approx([0.3, 0.2, 0.1])
 
 
 def test_late_sensors_come_with_a_despin() -> None:

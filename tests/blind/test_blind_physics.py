@@ -170,6 +170,14 @@ def test_warm_sensor_sits_above_the_structure_by_power_over_conductance() -> Non
     assert settled[1] - settled[0] == pytest.approx(3.0, abs=1e-6)
 
 
+def test_heat_that_passes_between_the_two_is_not_lost() -> None:
+    """Where nothing radiates, what the magnetometer's 0.5 W put in is in the two heat capacities."""
+    craft = _craft(emissivity=1e-15, power_w=0.0, sensor_power_w=0.5)
+    course = heat_balance(craft, np.zeros(201), 0.0, 280.0) - 280.0
+    stored = course @ [craft.capacity_j_k, craft.sensor_capacity_j_k]
+    assert stored == pytest.approx(0.5 * STEP_S * np.arange(201), abs=1e-6)
+
+
 def test_sensor_follows_with_its_time_constant() -> None:
     """Behind a structure that barely moves, the magnetometer's gap closes by e in C2 / G."""
     craft = _craft(capacity_j_k=1e9)
@@ -220,9 +228,11 @@ def test_field_track_against_igrf(world: World) -> None:
 
 
 def test_ring_current_on_the_ground() -> None:
-    """On the ground at the dipole's equator the field points along the axis with the size of Dst."""
+    """Along the axis the equator's ground has Dst, the pole's less, and far away the outer part alone is left."""
     axis = np.array([[0.0, 0.0, 1.0]])
     field = ring_current_field(np.array([-100.0]), axis, np.array([[6371.2, 0.0, 0.0]]))
     assert field[0] == pytest.approx([0.0, 0.0, -100.0], abs=1e-9)
+    pole = ring_current_field(np.array([-100.0]), axis, np.array([[0.0, 0.0, 6371.2]]))
+    assert pole[0] == pytest.approx([0.0, 0.0, -100.0 * (1.0 - 2.0 * 0.27) / 1.27], abs=1e-9)
     far = ring_current_field(np.array([-100.0]), axis, np.array([[60000.0, 0.0, 0.0]]))
     assert far[0, 2] == pytest.approx(-100.0 / 1.27, rel=1e-2)
