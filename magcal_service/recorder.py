@@ -20,7 +20,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Final, Self
+from typing import BinaryIO, Final, NamedTuple, Self
 
 from magcal_service import __version__
 from magcal_service.config import CraftConfig, RecordConfig
@@ -51,6 +51,14 @@ _MB: Final = 1_000_000
 def _topic(craft: str, code: int) -> Topic:
     kind = KIND_BY_CODE[code]
     return Topic(craft, kind.name, schema_name(kind), json.dumps(schema_of(kind)).encode())
+
+
+class _Entry(NamedTuple):
+    """A message in the queue: when it came [ns], and how many before it found no room."""
+
+    now_ns: int
+    message: Message
+    missed: int
 
 
 class SessionFile:
@@ -165,9 +173,10 @@ class Recorder:
         }
         self._folder = SessionFolder(config.directory)
         self._file: SessionFile | None = None
-        self._queue: queue.SimpleQueue[tuple[int, Message] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[_Entry | None] = queue.SimpleQueue()
+        self._missed = 0  # messages that found the queue full since the last one that did not; the service's thread
+        self._hole = 0  # messages dropped since the last one that was written; the recorder's thread
         self._dropping = threading.Lock()
-        self._hole = 0  # messages dropped since the last one that was written
         self._flush_s = self._retry_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -175,14 +184,19 @@ class Recorder:
     def add(self, message: Message) -> None:
         """Take one message; never waits, never raises."""
         if self._queue.qsize() >= MOST_WAITING:
-            self._drop(1)
+            self._missed += 1
+            self._count_dropped(1)
         else:
-            self._queue.put((time.time_ns(), message))
+            self._queue.put(_Entry(time.time_ns(), message, self._missed))
+            self._missed = 0
+
+    def _count_dropped(self, count: int) -> None:
+        with self._dropping:
+            self.counters["record.dropped"] += count
 
     def _drop(self, count: int) -> None:
-        with self._dropping:
-            self._hole += count
-            self.counters["record.dropped"] += count
+        self._hole += count
+        self._count_dropped(count)
 
     def close(self) -> None:
         """Write what is waiting and finish the file; a disk that does not answer is not waited for without end."""
@@ -217,22 +231,21 @@ class Recorder:
             if entry is None:
                 return True
         if entry is not None:
-            self._write(*entry)
+            self._write(entry)
         if self._file is not None and (time.monotonic() >= self._flush_s or self._file.full):
             self._flush(self._file)
         return False
 
-    def _write(self, now_ns: int, message: Message) -> None:
+    def _write(self, entry: _Entry) -> None:
+        self._hole += entry.missed
         if self._file is None:
             self._drop(1)
             return
-        hole = self._hole
-        if hole:
-            self._file.note_dropped(hole)
-            with self._dropping:
-                self._hole -= hole
+        if self._hole:
+            self._file.note_dropped(self._hole)
+            self._hole = 0
         try:
-            self._file.add(now_ns, message)
+            self._file.add(entry.now_ns, entry.message)
         except DecodeError as error:
             self._drop(1)
             _log.warning("a message is not recorded: %s", error)
@@ -260,10 +273,13 @@ class Recorder:
         _log.info("recording into %s", path)
 
     def _mend(self) -> None:
-        for path in self._folder.unfinished():
-            recovered = recover_in_place(path)
-            self.counters["record.recovered"] += recovered.messages
-            _log.warning("%s", recovered)
+        try:
+            for path in self._folder.unfinished():
+                recovered = recover_in_place(path)
+                self.counters["record.recovered"] += recovered.messages
+                _log.warning("%s", recovered)
+        except OSError as error:  # it is tried again with the next file, and must not keep this one from being written
+            _log.warning("a half-written recording could not be made sound: %s", error)
 
     def _make_room(self, current: Path | None) -> None:
         """Delete what is beyond ``total_mb``; ``OSError`` where others need the rest of the disk."""

@@ -17,6 +17,7 @@ from sessions import Live, craft, live, settings, stream, until
 
 from magcal_service import recorder as module
 from magcal_service.recorder import Recorder
+from magcal_service.recordings.mcap import DROPPED, McapReader
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder
 from magcal_service.recordings.session_info import session_info
@@ -193,6 +194,44 @@ def test_adding_never_waits(disk: Callable[[type[io.FileIO]], None], tmp_path: P
     finally:
         StuckDisk.back.set()
         recorder.close()
+
+
+def test_a_hole_is_marked_at_its_place(
+    disk: Callable[[type[io.FileIO]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MOST_WAITING", 10)
+    disk(StuckDisk)
+    StuckDisk.back.clear()
+    recorder = Recorder(settings(tmp_path), [craft()])
+    try:
+        for message in SAMPLES[:30]:
+            recorder.add(message)
+    finally:
+        StuckDisk.back.set()
+    until(recorder._queue.empty)
+    recorder.add(SAMPLES[30])
+    recorder.close()
+    with next(tmp_path.glob("*.mcap")).open("rb") as file:
+        reader = McapReader(file, "file")
+        seen = [(raw.sequence, raw.topic.kind, len(reader.metadata)) for raw in reader.messages()]
+    (hole,) = (content for name, content in reader.metadata if name == DROPPED)
+    kept = len(seen) - 1
+    assert int(hole["messages"]) == 30 - kept == recorder.counters["record.dropped"]
+    assert [entry[2] for entry in seen] == [2] * kept + [3]
+
+
+def test_a_file_that_cannot_be_mended_does_not_keep_the_next_from_being_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(path: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(module, "recover_in_place", broken)
+    (tmp_path / "00000001-20260101T000000Z.mcap").write_bytes(b"half")
+    with Recorder(settings(tmp_path), [craft()]) as recorder:
+        recorder.add(SAMPLES[0])
+    assert recorder.counters["record.written"] == 1
+    assert "could not be made sound" in caplog.text
 
 
 def test_the_end_of_the_service_does_not_wait_for_a_disk_that_hangs(
