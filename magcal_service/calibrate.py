@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.config import Config, CraftConfig, FilterConfig, SensorConfig, SpinConfig, TickConfig
+from magcal_service.checkpoints import MISFITS, Checkpoints
+from magcal_service.config import Config, CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig, TickConfig
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method
@@ -26,7 +28,7 @@ from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import noise_floor, rms
 from magcal_service.service import Service
 from magcal_service.trust import REMEDIES, Reason
-from magcal_service.wire.messages import Estimate, Message, Verdict
+from magcal_service.wire.messages import Command, Estimate, Message, Verdict
 
 CRAFT: Final = "craft"
 
@@ -165,10 +167,12 @@ class Replay:
     ----------
     pipeline: the craft's, as the recording left it.
     estimates: how many were published.
+    remark: what kept the replay from beginning as the session did, empty where nothing did.
     """
 
     pipeline: Pipeline
     estimates: int
+    remark: str = ""
 
 
 def replay(
@@ -177,6 +181,8 @@ def replay(
     speed: float = 0.0,
     csv: EstimateCsv | None = None,
     sink: Callable[[Message], None] | None = None,
+    *,
+    as_recorded: bool = False,
 ) -> Replay:
     """Send a recording through the service, the same way a live link's samples go.
 
@@ -185,6 +191,7 @@ def replay(
     speed: times real time; 0 as fast as it goes.
     csv: where each tick's estimate is written.
     sink: is called with every message that the service publishes.
+    as_recorded: begin with the state that a session began with, where it is replayed under its own configuration.
     """
     estimates = Counter[str]()
 
@@ -194,12 +201,33 @@ def replay(
             sink(message)
 
     address = f"recording:-?speed={speed:g}&craft={craft.name}"
-    with RecordingLink(address, recording=recording, sink=count) as link:
-        service = Service(Config(link.address, (craft,)), link, csv)
+    with RecordingLink(address, recording=recording, sink=count) as link, TemporaryDirectory() as folder:
+        # Checkpoints that a command makes within the session are there for one that goes back to them.
+        checkpoints = Checkpoints(StateConfig(Path(folder)), (craft,)) if _commanded(recording) else None
+        service = Service(Config(link.address, (craft,)), link, csv, checkpoints=checkpoints)
+        remark = _begin_as_recorded(service, recording, craft) if as_recorded else ""
         service.run(threading.Event())
     if service.csv_error is not None:
         raise service.csv_error
-    return Replay(service.pipelines[craft.name], estimates["all"])
+    return Replay(service.pipelines[craft.name], estimates["all"], remark)
+
+
+def _commanded(recording: Recording) -> bool:
+    return any(isinstance(message, Command) for message in recording.stream or ())
+
+
+def _begin_as_recorded(service: Service, recording: Recording, craft: CraftConfig) -> str:
+    """Take over the session's first state; why that could not be, empty where it could or there is none."""
+    if recording.state is None:
+        return ""
+    if craft != recording.craft:
+        return "the session began with a state of its own, which does not go with another configuration"
+    try:
+        service.pipelines[craft.name].restore_state(recording.state)
+    except MISFITS as error:
+        service.pipelines[craft.name] = Pipeline(craft)
+        return f"the state that the session began with does not fit this version: {error}"
+    return ""
 
 
 def calibrate_file(path: Path, method: str = "ukf") -> Calibration:

@@ -18,7 +18,7 @@ from magcal_service.state import Checkpoint, StateError, StateStore, config_dige
 
 log = logging.getLogger("magcal")
 
-_MISFITS: Final = (SnapshotError, StateError, np.linalg.LinAlgError, ValueError)
+MISFITS: Final = (SnapshotError, StateError, np.linalg.LinAlgError, ValueError)
 """What a state that does not fit may raise while it is taken up."""
 
 
@@ -57,7 +57,7 @@ class Checkpoints:
             if isinstance(found, Checkpoint) and not refusal:
                 try:
                     restored = self._taken_up(pipeline.config, found)
-                except _MISFITS as error:
+                except MISFITS as error:
                     refusal = str(error)
                 else:
                     cause = f"checkpoint {name} of {found.samples} samples"
@@ -111,7 +111,7 @@ class Checkpoints:
             if refusal:
                 return f"checkpoint {name!r}: {refusal}"
             pipeline.roll_back(self._taken_up(pipeline.config, checkpoint))
-        except _MISFITS as error:
+        except MISFITS as error:
             return f"checkpoint {name!r}: {error}"
         return ""
 

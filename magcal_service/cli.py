@@ -141,7 +141,7 @@ def _replay(options: argparse.Namespace) -> int:
     craft = configured or craft_of(recording)
     with ExitStack() as stack:
         csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
-        result = replay(recording, craft, options.speed, csv)
+        result = replay(recording, craft, options.speed, csv, as_recorded=True)
     state = result.pipeline.estimator.estimate()
     residuals = residuals_of(recording, state.x, craft)
     print(_counts(recording, result))
@@ -171,7 +171,8 @@ def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
 def _counts(recording: Recording, result: Replay) -> str:
     counters = result.pipeline.ticks.counters + result.pipeline.counters
     kinds = ", ".join(f"{name} {count}" for name, count in sorted(counters.items()) if count)
-    return "\n".join([*recording.report.lines(), f"{result.estimates} estimates; {kinds}"])
+    lines = [*recording.report.lines(), *filter(None, [result.remark])]
+    return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])
 
 
 def _verdict(verdict: str, reasons: Sequence[str], remedy: str) -> str:

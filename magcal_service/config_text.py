@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 from magcal_service.config import CraftConfig, read_config
 from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml import Table
+from magcal_service.typed_toml import parse_toml
 
 
 def craft_as_toml(craft: CraftConfig) -> str:
@@ -35,11 +34,7 @@ def _value(value: Any) -> str:
 
 def craft_from_toml(text: str, file: str) -> CraftConfig:
     """The craft of such a text; raises ``ConfigError``, which names ``file``, where it is none."""
-    try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError([Fault(file, str(error), "a configuration in TOML is accepted")]) from None
-    crafts = read_config(Table(content, file, "", [])).crafts
+    crafts = read_config(parse_toml(text.encode(errors="replace"), file, file, ConfigError)).crafts
     if len(crafts) != 1:
         raise ConfigError([Fault(f"{file}: craft", len(crafts), "one [[craft]] is accepted")])
     return crafts[0]

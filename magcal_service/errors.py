@@ -25,6 +25,20 @@ class MagcalError(Exception):
     exit_code = 2
 
 
+_LONGEST_VALUE = 500
+
+
+def _shown(value: object) -> str:
+    """A value as the user wrote it, cut where it is long; some values of a file have no text at all."""
+    try:
+        text = repr(value)
+    except RecursionError:
+        return "a value nested too deeply"
+    except ValueError:  # an integer of thousands of digits
+        return "a number too large to be shown"
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]} ..."
+
+
 class Fault:
     """One thing wrong with an input: where, what, and what would have been accepted.
 
@@ -41,7 +55,7 @@ class Fault:
         self.where, self.value, self.accepted = where, value, accepted
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.value!r} is refused; {self.accepted}"
+        return f"{self.where}: {_shown(self.value)} is refused; {self.accepted}"
 
     def __repr__(self) -> str:
         return f"Fault({str(self)!r})"

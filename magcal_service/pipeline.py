@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.config import CraftConfig
+from magcal_service.errors import DecodeError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.events import Event
@@ -21,6 +22,7 @@ from magcal_service.model import BIAS, D_ALL, STATE_SIZE, vector_jacobian
 from magcal_service.snapshot import Saved, SnapshotError, restored
 from magcal_service.ticks import Tick, TickAssembler
 from magcal_service.trust import NOT_STARTED, TrustMonitor
+from magcal_service.wire.codec import encode
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import MAX_COUNTERS
 from magcal_service.wire.messages import (
@@ -94,6 +96,17 @@ class Pipeline(Saved):
             self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
         super().restore_state(saved, where, given)
         self._take_over()
+        self._check_publishable(where)
+
+    def _check_publishable(self, where: str) -> None:
+        """Refuse a state whose estimate or status no receiver would accept."""
+        number = self._sequence
+        try:
+            for message in (self._estimate(self.last_time_ns, self._clock), self.status(0.0, Counter())):
+                encode(message)
+        except DecodeError as error:
+            raise SnapshotError(f"{where}: what it would publish is refused: {error}") from None
+        self._sequence = number
 
     def _take_over(self) -> None:
         self._state = self.estimator.estimate()

@@ -66,7 +66,7 @@ def check_session(path: Path, craft: str | None = None) -> Check:
         if isinstance(message, Estimate):
             replayed.append(replace(message, sequence=0))
 
-    replay(recording, craft_of(recording), sink=keep)
+    replay(recording, craft_of(recording), sink=keep, as_recorded=True)
     pairs = list(zip(recorded, replayed, strict=False))
     differing = [number for number, (one, other) in enumerate(pairs) if repr(one) != repr(other)]
     difference = f"tick {pairs[differing[0]][0].tick}: {_told(*pairs[differing[0]])}" if differing else ""

@@ -20,15 +20,16 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Final, NamedTuple, Self
+from typing import Any, BinaryIO, Final, NamedTuple, Self
 
 from magcal_service import __version__
 from magcal_service.config import CraftConfig, RecordConfig
 from magcal_service.config_text import craft_as_toml, digest
 from magcal_service.errors import DecodeError, Fault, InputRefusedError
 from magcal_service.recordings.json_form import schema_name, schema_of, to_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, STATE, McapWriter, RawMessage, Topic
 from magcal_service.recordings.session_files import LIBRARY, SessionFolder, recover_in_place
+from magcal_service.recordings.state_text import state_as_text
 from magcal_service.wire.kinds import KIND_BY_CODE, kind_of
 from magcal_service.wire.messages import SCHEMA_VERSION, Clock, Message
 
@@ -69,11 +70,19 @@ class SessionFile:
     path, file: the file, new and open.
     about: the session's metadata.
     crafts: whose configurations are written before the first message of each.
+    states: of craft that did not begin from nothing, as text; taken out of it with the first message of each.
     """
 
-    def __init__(self, path: Path, file: BinaryIO, about: dict[str, str], crafts: dict[str, CraftConfig]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        file: BinaryIO,
+        about: dict[str, str],
+        crafts: dict[str, CraftConfig],
+        states: dict[str, str] | None = None,
+    ) -> None:
         self.path, self._file = path, file
-        self._crafts = dict(crafts)
+        self._crafts, self._states = dict(crafts), {} if states is None else states
         self._last_ns = 0
         self.taken = 0
         self._saved = 0
@@ -102,6 +111,9 @@ class SessionFile:
         craft = self._crafts.pop(message.craft, None)
         if craft is not None:
             self._writer.add_metadata(CRAFT, {"name": craft.name, "configuration": craft_as_toml(craft)})
+        state = self._states.pop(message.craft, None)
+        if state is not None:
+            self._writer.add_metadata(STATE, {"craft": message.craft, "state": state})
         self._last_ns = max(self._last_ns, now_ns)
         published = message.clock is Clock.UTC and 0 <= message.time_ns <= _LARGEST_TIME
         publish_ns = message.time_ns if published else self._last_ns
@@ -165,6 +177,7 @@ class Recorder:
         names = ("written", "dropped", "files", "deleted", "stopped", "recovered")
         self.counters: Counter[str] = Counter({f"record.{name}": 0 for name in names})
         self._crafts = {craft.name: craft for craft in crafts}
+        self._states: dict[str, str] = {}
         self._about = {
             "session": uuid.uuid4().hex,
             "magcal": __version__,
@@ -181,6 +194,10 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
+    def begin_with(self, craft: str, state: dict[str, Any]) -> None:
+        """Note the state that a craft begins with where it is not nothing; before its first message."""
+        self._states[craft] = state_as_text(state)
+
     def add(self, message: Message) -> None:
         """Take one message; never waits, never raises."""
         if self._queue.qsize() >= MOST_WAITING:
@@ -196,6 +213,7 @@ class Recorder:
 
     def _drop(self, count: int) -> None:
         self._hole += count
+        self._states.clear()  # what is recorded from now on does not begin with it
         self._count_dropped(count)
 
     def close(self) -> None:
@@ -260,7 +278,7 @@ class Recorder:
         path, file = self._folder.create(now_ns)
         about = self._about | {"part": str(self.counters["record.files"] + 1), "started_ns": str(now_ns)}
         try:
-            self._file = SessionFile(path, file, about, self._crafts)
+            self._file = SessionFile(path, file, about, self._crafts, self._states)
         except OSError:
             file.close()
             path.unlink()

@@ -108,7 +108,10 @@ class Service:
             return
         for name, pipeline in self.pipelines.items():
             self.pipelines[name], events = self.checkpoints.restore(pipeline)
-            self._restored |= self.pipelines[name] is not pipeline
+            if self.pipelines[name] is not pipeline:
+                self._restored = True
+                if self.recorder is not None:
+                    self.recorder.begin_with(name, self.pipelines[name].export_state())
             self._tell(events)
 
     def _received(self) -> list[Message]:

@@ -7,6 +7,7 @@ nobody read, naming the nearest one that is known.  The caller raises once, with
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import sys
 import tomllib
@@ -20,6 +21,9 @@ from magcal_service.errors import Fault, InputRefusedError
 E = TypeVar("E", bound=StrEnum)
 
 _MAX_FILE_BYTES = 1 << 20
+_MOST_BITS = 1024  # a little more than a float holds: what is less has its field's own refusal
+_MOST_LEVELS = 32
+_FEW_LEVELS = "valid TOML of a few levels is accepted"
 
 
 def nearest(value: str, known: Iterable[str]) -> str:
@@ -39,13 +43,36 @@ def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
         raise error([Fault(str(path), exc.strerror or str(exc), "give a readable TOML file")]) from None
     if len(raw) > _MAX_FILE_BYTES:
         raise error([Fault(str(path), f"{len(raw)} bytes", f"a file of at most {_MAX_FILE_BYTES} bytes is accepted")])
+    return parse_toml(raw, str(path), path.name, error)
+
+
+def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]) -> Table:
+    """The same of a file's content; ``where`` it is from, and the name of the ``file`` in the faults of its keys."""
     try:
         content = tomllib.loads(raw.decode("utf-8"))
     except RecursionError:
-        raise error([Fault(str(path), "nested too deeply", "valid TOML of a few levels is accepted")]) from None
+        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)]) from None
     except ValueError as exc:  # not TOML, not UTF-8, or an integer too long to be one
-        raise error([Fault(str(path), str(exc), "valid TOML in UTF-8 is accepted")]) from None
-    return Table(content, path.name, "", [])
+        raise error([Fault(where, str(exc), "valid TOML in UTF-8 is accepted")]) from None
+    strange = _strange(content)
+    if strange:
+        raise error([Fault(where, *strange)])
+    return Table(content, file, "", [])
+
+
+def _strange(content: object) -> tuple[str, str] | None:
+    """What no file of ours can mean, and Python itself stumbles over: values without end, and what is accepted."""
+    level, depth = [content], 0
+    while level:
+        if any(isinstance(value, int) and value.bit_length() > _MOST_BITS for value in level):
+            return "an integer of hundreds of digits", "an integer of at most 64 bits is accepted"
+        lists = [
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        ]
+        level, depth = list(itertools.chain.from_iterable(lists)), depth + 1
+        if depth > _MOST_LEVELS:
+            return "nested too deeply", _FEW_LEVELS
+    return None
 
 
 def _is_number(value: object) -> bool:

@@ -48,9 +48,10 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 PROFILE: Final = "magcal"
 
-# Names of metadata records: the session's account of itself, a craft's configuration, a hole.
+# Names of metadata records: the session's account of itself, a craft's configuration, the state it began with, a hole.
 SESSION: Final = "magcal.session"
 CRAFT: Final = "magcal.craft"
+STATE: Final = "magcal.state"
 DROPPED: Final = "magcal.dropped"
 
 MOST_CHANNELS: Final = 65_000

@@ -12,6 +12,7 @@ from magcal_service.recordings.recording import Channel, Position, Recording, Re
 from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import (
     Clock,
+    Command,
     MagnetometerSample,
     Message,
     PositionSample,
@@ -40,11 +41,12 @@ def messages(
     Each kind of message counts its own sequence from 0, so no gap is seen where a row has no reference or a channel
     no value (a channel's sample needs all of its values).  The same recording gives the same messages, always.
 
-    A recorded session gives the messages that its service received, with their own sources and sequences.
+    A recorded session gives the messages that its service received, with their own sources and sequences, but for a
+    command that ended it: a replay goes on to the end of the recording.
     """
     if recording.stream is not None:
         for received in recording.stream:
-            if telemetry or not isinstance(received, TelemetrySample):
+            if (telemetry or not isinstance(received, TelemetrySample)) and not _ends_the_daemon(received):
                 yield received if received.craft == craft else replace(received, craft=craft)
         return
     stamp = _Stamp(craft, source, recording.clock)
@@ -60,6 +62,10 @@ def messages(
             message = make(row, time_ns)
             if message is not None:
                 yield message
+
+
+def _ends_the_daemon(message: Message) -> bool:
+    return isinstance(message, Command) and message.name == "shutdown"
 
 
 def _sequence() -> Iterator[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +61,7 @@ class Recording:
     report: the account of the rows.
     craft: the configuration a session was recorded under; None where the log does not say.
     stream: what a session's service received, in order; None where the log is rows and no session.
+    state: what a session's service began with, for ``Pipeline.restore_state``; None where that was nothing.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Recording:
     report: RowReport
     craft: CraftConfig | None = None
     stream: tuple[Message, ...] | None = None
+    state: dict[str, Any] | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -97,6 +100,7 @@ class Recording:
             position=None if position is None else Position(position.km[rows], position.frame),
             channels={name: Channel(c.spec, c.values[rows]) for name, c in self.channels.items()},
             stream=None,
+            state=None,
         )
 
     def sorted_unique(self) -> Recording:

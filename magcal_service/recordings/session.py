@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from magcal_service.config import CraftConfig
 from magcal_service.config_text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, McapReader
+from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE, McapReader
+from magcal_service.recordings.state_text import state_from_text
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS
 from magcal_service.wire.messages import Message
@@ -39,6 +40,7 @@ class Session:
     refused: records that are no acceptable message, by reason.
     dropped: messages that the recorder had to leave out.
     damage: why the file could not be read to its end, empty where it could.
+    state: what the craft began with, as ``Pipeline.export_state`` gives it; None where that was nothing.
     """
 
     craft: str
@@ -47,6 +49,7 @@ class Session:
     refused: Counter[str]
     dropped: int
     damage: str
+    state: dict[str, Any] | None
 
 
 @dataclass(slots=True)
@@ -55,6 +58,7 @@ class _Found:
 
     messages: dict[str, list[Message]] = field(default_factory=dict)
     refused: dict[str, Counter[str]] = field(default_factory=dict)
+    states: dict[str, dict[str, Any] | None] = field(default_factory=dict)
 
 
 def read_session(path: Path, craft: str | None = None, prefer: str | None = None) -> Session:
@@ -73,6 +77,8 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
             reader = McapReader(file, str(path))
             found = _Found()
             for name, message in decoded(reader, found.refused, _INPUTS):
+                if name not in found.messages:
+                    found.states[name] = _state(reader, name)
                 found.messages.setdefault(name, []).append(message)
     except OSError as error:
         raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
@@ -90,6 +96,7 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
         refused=found.refused.get(name, Counter()),
         dropped=dropped,
         damage=damage,
+        state=found.states[name],
     )
 
 
@@ -140,6 +147,14 @@ def _metadata(reader: McapReader) -> tuple[dict[str, CraftConfig], int]:
         elif name == DROPPED and content.get("messages", "").isdecimal():
             dropped += int(content["messages"][:18])
     return configurations, dropped
+
+
+def _state(reader: McapReader, craft: str) -> dict[str, Any] | None:
+    """The state that stands before the craft's first message; one further on is that of a later session."""
+    for name, content in reader.metadata:
+        if name == STATE and content.get("craft") == craft:
+            return state_from_text(content.get("state", ""))
+    return None
 
 
 def _configuration(content: dict[str, str]) -> CraftConfig | None:

@@ -141,6 +141,7 @@ def session_recording(
         report=RowReport(len(samples), len(used), tuple(rows.entries)),
         craft=_configuration(session, descriptor),
         stream=session.messages,
+        state=session.state,
     )
 
 

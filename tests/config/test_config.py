@@ -270,6 +270,21 @@ def test_an_estimator_that_is_there_is_accepted(tmp_path: Path) -> None:
     assert config.crafts[0].filter.method == "ekf"
 
 
+@pytest.mark.parametrize(
+    "value", ["[" * 400 + "]" * 400, "{a = " * 60 + "1" + "}" * 60, "0x" + "f" * 5000, "[[0x" + "f" * 500 + "]]"]
+)
+@pytest.mark.parametrize("key", ["version", "link", "nosuch", "craft"])
+def test_a_value_without_end_is_refused_in_one_short_line(tmp_path: Path, key: str, value: str) -> None:
+    (line,) = refusals(tmp_path, f"{key} = {value}\n")
+    assert "is refused" in line
+    assert len(line) < 300 + len(str(tmp_path))
+
+
+def test_a_dotted_key_without_end_is_refused(tmp_path: Path) -> None:
+    (line,) = refusals(tmp_path, MINIMAL + "a." * 3000 + "b = 1\n")
+    assert "nested too deeply" in line
+
+
 def test_a_file_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.toml: 'No such file or directory' is refused"):
         load_config(tmp_path / "absent.toml")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
+import struct
 from random import Random
 from typing import Any
 
@@ -11,6 +13,7 @@ import msgpack
 
 from magcal_service.errors import MagcalError
 from magcal_service.recordings.mcap import McapReader, McapWriter, RawMessage
+from magcal_service.state import MAGIC
 from magcal_service.wire.framing import FrameDecoder, ReceivedFrame, pack_frame
 from magcal_service.wire.seal import SEALED, seal
 from tests.fuzz.mutate import mutate
@@ -35,9 +38,39 @@ def _changed(rng: Random, value: Any) -> Any:
     if isinstance(value, list) and value and rng.random() < 0.9:
         at = rng.randrange(len(value))
         return [*value[:at], _changed(rng, value[at]), *value[at + 1 :]]
+    if isinstance(value, bytes) and rng.random() < 0.9:
+        return _changed_array(rng, value)
     if isinstance(value, int | float) and not isinstance(value, bool) and rng.random() < 0.5:
         return value + rng.choice((-1, 1, 1000, 10**9, 6 * 10**10, 10**13)) * rng.choice((1, 1.0))
     return rng.choice(_VALUES)
+
+
+def _changed_array(rng: Random, data: bytes) -> bytes:
+    """The bytes of an array with one number changed, or of another length."""
+    at = 8 * rng.randrange(1 + len(data) // 8)
+    match rng.randrange(4):
+        case 0:
+            return data[:at]
+        case 1:
+            return data + data[:at]
+        case _:
+            number = rng.choice((0.0, -1.0, 1e-300, 1e300, -1e300, float("nan"), float("inf"), rng.gauss(0.0, 1e5)))
+            return (data[:at] + struct.pack("<d", number) + data[at + 8 :])[: len(data)]
+
+
+def checkpoint(rng: Random, data: bytes) -> bytes:
+    """A checkpoint with one value changed, and its checksum right again."""
+    body = data[len(MAGIC) + 32 :]
+    try:
+        content = msgpack.unpackb(body, strict_map_key=False)
+        if isinstance(content, dict) and "state" in content and rng.random() < 0.8:
+            content["state"] = _changed(rng, content["state"])
+        else:
+            content = _changed(rng, content)
+        body = msgpack.packb(content)
+    except (ValueError, TypeError, OverflowError, msgpack.exceptions.UnpackException):
+        return data
+    return MAGIC + hashlib.sha256(body).digest() + body
 
 
 def payload(rng: Random, data: bytes) -> bytes:

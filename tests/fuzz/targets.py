@@ -10,16 +10,19 @@ import gzip
 import io
 import itertools
 import math
+import re
 import tempfile
 import zlib
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, FilterConfig, SpinConfig, load_config
+from magcal_service.checkpoints import MISFITS, Checkpoints
+from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig, load_config
 from magcal_service.config_text import craft_as_toml, craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, LinkAddressError, MagcalError, RecordingError
 from magcal_service.links.address import parse_address
@@ -28,11 +31,12 @@ from magcal_service.pipeline import Pipeline
 from magcal_service.private_files import read_key
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.json_form import from_json, schema_name, to_json
-from magcal_service.recordings.mcap import McapReader, McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import CRAFT, STATE, McapReader, McapWriter, RawMessage, Topic
 from magcal_service.recordings.reader import read_described
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session_arrays import session_recording
 from magcal_service.recordings.session_files import recover
+from magcal_service.recordings.state_text import state_as_text
 from magcal_service.recordings.timestamps import iso8601_to_ns, seconds_to_ns
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder
@@ -46,6 +50,7 @@ from tests.fuzz.mutate import Operation
 
 ROOT = Path(__file__).resolve().parents[2]
 CORPUS = Path(__file__).parent / "corpus"
+_DIGITS = re.compile(r"[0-9]+")
 
 
 @dataclass(frozen=True)
@@ -172,6 +177,51 @@ def run_address(data: bytes) -> Hashable:
     return parse_address(data.decode(errors="replace")).scheme
 
 
+# State
+
+
+CRAFTS = (
+    CraftConfig("a", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig(), filter=FilterConfig(start_s=10.0)),
+    CraftConfig("b", spin=SpinConfig(), filter=FilterConfig(method="spin", start_s=10.0)),
+)
+
+
+@cache
+def _checkpoints() -> tuple[bytes, ...]:
+    """Of two methods, before and after their start."""
+    found = []
+    for craft in CRAFTS:
+        for seconds in (20, 900):
+            pipeline, folder = Pipeline(craft), _folder() / f"made-{craft.name}-{seconds}"
+            for message in _flight(seconds, "paper"):
+                pipeline.handle(replace(message, craft=craft.name))
+            Checkpoints(StateConfig(folder), (craft,)).save([pipeline])
+            found += [path.read_bytes() for path in folder.glob("*/*.state")]
+    return tuple(found)
+
+
+def run_checkpoint(data: bytes) -> Hashable:
+    """A checkpoint is taken up or dropped; with one that is taken up, all that goes out can be sent."""
+    outcomes: list[str] = []
+    for craft in CRAFTS:
+        folder = _folder() / "state"
+        (folder / craft.name).mkdir(parents=True, exist_ok=True)
+        (folder / craft.name / "0000000001.state").write_bytes(data)
+        fresh = Pipeline(craft)
+        pipeline, events = Checkpoints(StateConfig(folder), (craft,)).restore(fresh)
+        outcomes += [_DIGITS.sub("#", event.cause)[:60] for event in events]
+        if pipeline is not fresh:
+            newest_ns = min(pipeline.last_time_ns, (1 << 63) - 10**11)
+            for message in _flight(3, "paper"):
+                later = replace(message, craft=craft.name, time_ns=newest_ns + message.time_ns % 10**10)
+                for answer in pipeline.handle(later):
+                    encode(answer)
+            encode(pipeline.status(1.0, pipeline.ticks.counters))
+            for answer in pipeline.flush():
+                encode(answer)
+    return tuple(outcomes)
+
+
 # Recordings
 
 
@@ -239,6 +289,9 @@ def run_session(data: bytes) -> Hashable:
         assert sum(1 for _ in again.messages()) == count
         assert again.sound
     part = session_recording(path, prefer="a")
+    if part.state is not None and part.craft is not None:
+        with suppress(*MISFITS):
+            Pipeline(part.craft).restore_state(part.state)
     assert part.stream is not None
     assert len(part) <= len(part.stream)
     assert np.isfinite(part.field_body_nt).all()
@@ -314,7 +367,8 @@ def _sessions() -> list[bytes]:
     for messages in (_one_of_each(), _flight(20), (*_flight(5), *(replace(one, craft="b") for one in _flight(5)))):
         file = io.BytesIO()
         writer = McapWriter(file, "fuzz")
-        writer.add_metadata("magcal.craft", {"name": "a", "configuration": craft_as_toml(CraftConfig("a"))})
+        writer.add_metadata(CRAFT, {"name": "a", "configuration": craft_as_toml(CraftConfig("a"))})
+        writer.add_metadata(STATE, {"craft": "a", "state": state_as_text(Pipeline(CraftConfig("a")).export_state())})
         for number, message in enumerate(messages):
             kind = kind_of(message)
             topic = Topic(message.craft, kind.name, schema_name(kind), b"{}")
@@ -360,6 +414,7 @@ TARGETS: tuple[Target, ...] = (
     Target("address", run_address, LinkAddressError, lambda: _ADDRESSES, (b"?", b"&", b"%00", b"=")),
     Target("counter", run_counter, (), lambda: [b"magcal counter 7 %08x\n" % zlib.crc32(b"7")]),
     Target("key", run_key, ConfigError, lambda: [b"0123456789abcdef" * 4 + b"\n"]),
+    Target("checkpoint", run_checkpoint, (), _checkpoints, own=(dress.checkpoint,), share=0.2),
     Target("times", run_times, (), lambda: _TIMES, (b"UTC", b"Z", b"T24:00", b"e999")),
     Target(
         "json",

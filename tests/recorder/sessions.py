@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from magcal_service.config import Config, CraftConfig, RecordConfig, SensorConfig, SpinConfig
+from magcal_service.checkpoints import Checkpoints
+from magcal_service.config import Config, CraftConfig, RecordConfig, SensorConfig, SpinConfig, StateConfig
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.output import EstimateCsv
@@ -37,8 +38,8 @@ def stream(seconds: int = 200, scenario: str = "paper", name: str = "paper", see
     return tuple(replace(message, craft=name) for message in simulation.messages())
 
 
-def command(name: str, sequence: int = 0, craft_name: str = "paper") -> Command:
-    return Command(craft=craft_name, source="operator", sequence=sequence, time_ns=0, name=name)
+def command(name: str, sequence: int = 0, /, **arguments: str | float) -> Command:
+    return Command(craft="paper", source="operator", sequence=sequence, time_ns=0, name=name, arguments=arguments)
 
 
 def settings(folder: Path, **changes: float) -> RecordConfig:
@@ -89,11 +90,19 @@ def until(done: Callable[[], object]) -> None:
         time.sleep(0.005)
 
 
-def live(link: str, crafts: Sequence[CraftConfig], recorder: Recorder, csv: EstimateCsv | None = None) -> Live:
-    """A service on ``loop:LINK``, at work."""
+def live(
+    link: str,
+    crafts: Sequence[CraftConfig],
+    recorder: Recorder,
+    csv: EstimateCsv | None = None,
+    state: Path | None = None,
+) -> Live:
+    """A service on ``loop:LINK``, at work, with its checkpoints in the folder ``state``."""
     names = [one.name for one in crafts]
     end = open_link(f"loop:{link}?queue=100000", Role.SERVICE, crafts=names)
-    service = Service(Config(end.address, tuple(crafts)), end, csv, recorder)
+    checkpoints = None if state is None else Checkpoints(StateConfig(state), crafts)
+    service = Service(Config(end.address, tuple(crafts)), end, csv, recorder, checkpoints)
+    service.restore()
     node = open_link(f"loop:{link}?queue=100000", Role.NODE)
     stop = threading.Event()
 
@@ -111,13 +120,14 @@ def record(
     messages: Sequence[Message],
     crafts: Sequence[CraftConfig] = (),
     csv: Path | None = None,
+    state: Path | None = None,
     **changes: float,
 ) -> list[Path]:
     """Run a session and record it; its files in order."""
     crafts = crafts or (craft(),)
     rows = None if csv is None else EstimateCsv(csv)
     with Recorder(settings(folder, **changes), crafts) as recorder:
-        run = live(folder.name + str(id(recorder)), crafts, recorder, rows)
+        run = live(folder.name + str(id(recorder)), crafts, recorder, rows, state)
         run.send(messages)
         run.close()
     run.node.close()

@@ -31,7 +31,7 @@ def test_the_page_names_every_command() -> None:
 
 
 def test_the_page_names_every_metadata_record() -> None:
-    assert set(re.findall(r"`(magcal\.[a-z]+)`", PAGE)) == {mcap.SESSION, mcap.CRAFT, mcap.DROPPED}
+    assert set(re.findall(r"`(magcal\.[a-z]+)`", PAGE)) == {mcap.SESSION, mcap.CRAFT, mcap.STATE, mcap.DROPPED}
 
 
 def test_the_pages_numbers_are_the_codes() -> None:

@@ -47,6 +47,52 @@ def test_commands_take_effect_where_they_did(tmp_path: Path) -> None:
     assert live != (tmp_path / "plain.csv").read_bytes()
 
 
+def test_a_checkpoint_of_the_session_is_there_for_the_command_that_goes_back_to_it(tmp_path: Path) -> None:
+    samples = stream(600)
+    session: list[Message] = [
+        *samples[:900],
+        command("checkpoint", 0, name="before"),
+        command("process_noise", 1, D=1e-4),
+    ]
+    session += [*samples[900:1100], command("rollback", 2, name="before"), *samples[1100:]]
+    (file,) = record(tmp_path / "rec", session, csv=tmp_path / "live.csv", state=tmp_path / "state")
+    live = (tmp_path / "live.csv").read_bytes()
+    assert replayed(str(file), out=tmp_path / "replay.csv") == live
+    record(tmp_path / "plain", samples, csv=tmp_path / "plain.csv")
+    assert live != (tmp_path / "plain.csv").read_bytes()
+
+
+def test_a_session_that_began_with_a_checkpoint_is_replayed_from_it(tmp_path: Path) -> None:
+    samples = stream(600)
+    record(tmp_path / "first", samples[:800], state=tmp_path / "state")
+    (file,) = record(tmp_path / "second", samples[800:], csv=tmp_path / "live.csv", state=tmp_path / "state")
+    header, *rows = (tmp_path / "live.csv").read_text().splitlines()
+    assert int(rows[0].split(",")[header.split(",").index("tick")]) > 300
+    assert replayed(str(file), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+    assert main(["record", "check", str(file)]) == 0
+
+
+def test_a_state_that_goes_with_another_configuration_is_not_taken_up_and_said_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "first", stream(200)[:300], state=tmp_path / "state")
+    record(tmp_path / "second", stream(200)[300:], state=tmp_path / "state")
+    (file,) = (tmp_path / "second").glob("*.mcap")
+    config = tmp_path / "magcal.toml"
+    config.write_text('version = 1\n[[craft]]\nname = "paper"\n')
+    main(["replay", str(file), "--config", str(config)])
+    assert "which does not go with another configuration" in capsys.readouterr().out
+
+
+def test_a_replay_goes_on_over_the_command_that_ended_the_daemon(tmp_path: Path) -> None:
+    samples = stream(600)
+    parts = record(tmp_path / "one", [*samples[:600], command("shutdown")], state=tmp_path / "state")
+    parts += record(tmp_path / "two", samples[600:], state=tmp_path / "state")
+    assert main(["record", "join", *map(str, parts), "--out", str(tmp_path / "all.mcap")]) == 0
+    rows = replayed(str(tmp_path / "all.mcap"), out=tmp_path / "replay.csv").splitlines()
+    assert len(rows) == 601
+
+
 @pytest.mark.parametrize("scenario", ["lossy-link", "stale-reference"])
 def test_a_bad_link_is_replayed_with_its_faults(scenario: str, tmp_path: Path) -> None:
     (file,) = record(tmp_path / "rec", stream(400, scenario), csv=tmp_path / "live.csv")
