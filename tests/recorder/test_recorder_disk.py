@@ -144,7 +144,9 @@ def test_a_file_that_met_a_full_disk_holds_a_whole_beginning(
     disk(FullDisk)
     FullDisk.room = 20_000
     recorder, service = run(flush_s=0.01, retry_s=0.1)
-    service.send(SAMPLES)
+    service.send(SAMPLES[:10])
+    until(lambda: recorder.counters["record.written"])
+    service.send(SAMPLES[10:])
     until(lambda: recorder.trouble)
     FullDisk.room = 10_000_000
     until(lambda: recorder.counters["record.recovered"])
