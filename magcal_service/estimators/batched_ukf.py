@@ -17,6 +17,7 @@ Source: as ``ukf``.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -196,6 +197,18 @@ class BatchedUkf:
         for column in np.flatnonzero(self.left[self._run[:count]])[::-1].tolist():
             self._active -= 1
             self._swap(column, self._active)
+
+
+class BatchedScalarUkf(BatchedUkf):
+    """``scalar-ukf`` for many runs: whatever spin the configuration states is left aside."""
+
+    def __init__(self, config: CraftConfig, runs: int) -> None:
+        super().__init__(replace(config, spin=None), runs)
+
+    @staticmethod
+    def supports(config: CraftConfig) -> bool:
+        """Whether a configuration can be run in a batch."""
+        return BatchedUkf.supports(replace(config, spin=None))
 
 
 def _longest_window(config: CraftConfig) -> int:

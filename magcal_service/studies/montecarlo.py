@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_service.config import CraftConfig
 from magcal_service.estimators import find_method
 from magcal_service.estimators.batched_spin import BatchedSpin
-from magcal_service.estimators.batched_ukf import BatchedUkf
+from magcal_service.estimators.batched_ukf import BatchedScalarUkf, BatchedUkf
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.executor import Executor
@@ -48,7 +48,11 @@ class Batch(Protocol):
         """Take one tick with the measured vectors (runs, 3) [nT]."""
 
 
-_BATCHES: Final[dict[str, type[BatchedUkf] | type[BatchedSpin]]] = {"ukf": BatchedUkf, "spin": BatchedSpin}
+_BATCHES: Final[dict[str, type[BatchedUkf] | type[BatchedSpin]]] = {
+    "ukf": BatchedUkf,
+    "scalar-ukf": BatchedScalarUkf,
+    "spin": BatchedSpin,
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,13 +106,14 @@ def test_two_processes_give_the_same_numbers_as_one() -> None:
     assert np.array_equal(here.covariance, pool.covariance)
 
 
-def test_the_batched_ukf_equals_the_registry_s_filter_run_alone() -> None:
-    config = SHORT.craft(FilterConfig())
+@pytest.mark.parametrize("method", ["ukf", "scalar-ukf"])
+def test_a_batched_filter_equals_the_registry_s_run_alone(method: str) -> None:
+    config = SHORT.craft(FilterConfig(method=method))
     batched = simulate(SHORT, config, seeds_of(3, 2), InProcess())
     from magcal_service.estimators import find_method
 
     for run, seed in enumerate(seeds_of(3, 2)):
-        alone = find_method("ukf").build(config)
+        alone = find_method(method).build(config)
         for tick in fly(SHORT).ticks(fly(SHORT).measured(seed)):
             alone.handle(tick)
         estimate = alone.estimate()
