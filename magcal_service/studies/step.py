@@ -69,10 +69,13 @@ def run(request: Request) -> Findings:
 
 
 def _followers(plan: FlightPlan, methods: tuple[str, ...]) -> list[Follower]:
-    """``ukf`` without and with process noise and the sliding batch, or the methods that are named, as they are."""
+    """``ukf`` with no, adaptive and fixed process noise, and the sliding batch; or the methods that are named."""
     if methods:
         return [Follower(name, plan.craft(FilterConfig(method=name))) for name in methods]
-    followers = [Follower("ukf, no process noise", plan.craft(FilterConfig()))]
+    followers = [
+        Follower("ukf, no process noise", plan.craft(FilterConfig())),
+        Follower("ukf, adaptive", plan.craft(FilterConfig(adaptive=True))),
+    ]
     for walk in WALKS_NT:
         settings = FilterConfig(process_noise_bias_nt=(walk, walk, walk), process_noise_D=(WALK_D,) * 6)
         followers.append(Follower(f"ukf, {walk:g} nT/sqrt(s)", plan.craft(settings)))
@@ -127,7 +130,8 @@ def _rms(ensemble: Ensemble, axis: int) -> Array:
 _NOTES: Final = (
     f"Back: the error of that axis is inside the limit at a time and stays there for {HOLD_S:g} s. A dash: less than "
     "half of the runs came back before the end. Within 3 own sigma asks for honesty, within a fixed distance for use.",
-    "A filter without process noise has a sigma that only shrinks; what brings it back is a restart, where it notices.",
+    "A filter without process noise has a sigma that only shrinks; what brings it back is a restart, where it notices. "
+    "The adaptive one looks for jumps and gives process noise at the jump alone.",
 )
 
 STUDY = Study("step", "A step of 200 nT: time to be back, with process noise, without, and by sliding batch.", 50, run)
