@@ -208,13 +208,14 @@ def lowest(problem: BatchProblem, found: Sequence[tuple[Array, Array]]) -> Batch
     for other, its_covariance in found[1:]:
         step = x - other
         apart = max(float(step @ np.linalg.solve(each, step)) for each in (covariance, its_covariance))
-        if apart <= _AMBIGUOUS:
-            continue
-        if problem.advantage(x, other) >= _AMBIGUOUS:
-            continue
-        if problem.advantage(other, x) < _AMBIGUOUS:
-            return StartGate.POOR_COVERAGE
-        x, covariance = other, its_covariance
+        if apart <= _AMBIGUOUS:  # two roads to one minimum: the one that came nearer to it
+            better = bool(problem.normal_equations(other)[2] < problem.normal_equations(x)[2])
+        else:
+            better = problem.advantage(other, x) >= _AMBIGUOUS
+            if not better and problem.advantage(x, other) < _AMBIGUOUS:
+                return StartGate.POOR_COVERAGE
+        if better:
+            x, covariance = other, its_covariance
     rms = float(np.sqrt(np.mean(problem.residuals(x) ** 2)))
     return BatchSolution(x, covariance, problem.sigma_nt, min(problem.noise_nt, problem.sigma_nt), rms)
 
