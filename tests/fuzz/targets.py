@@ -435,6 +435,6 @@ TARGETS: tuple[Target, ...] = (
         ConfigError,
         lambda: [path.read_bytes() for path in shipped_scenarios().values()],
         _TOML,
-        share=0.5,
+        share=0.2,
     ),
 )
