@@ -12,7 +12,8 @@ import pytest
 from magcal_service.errors import DecodeError
 from tests.fuzz import engine
 from tests.fuzz.engine import fuzz
-from tests.fuzz.targets import ROOT, TARGETS, Target
+from tests.fuzz.inputs import ROOT
+from tests.fuzz.targets import TARGETS, Target
 
 ANY = Target("any", len, (), lambda: [b"abc", b"12,34"])
 
