@@ -21,7 +21,7 @@ from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE, McapR
 from magcal_service.recordings.state_text import state_from_text
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS
-from magcal_service.wire.messages import Message
+from magcal_service.wire.messages import Command, CommandReply, Message
 
 _KINDS: Final = {kind.name: kind for kind in KINDS}
 _INPUTS: Final = frozenset(kind.name for kind in KINDS if kind.code < 16 or kind.name == "command")
@@ -36,7 +36,7 @@ class Session:
     ----------
     craft: its name.
     configuration: as it was while the session was recorded; None where the file does not say.
-    messages: everything that came in, in the order in which it did.
+    messages: everything that came in, in the order in which it did, but for commands that were refused.
     refused: records that are no acceptable message, by reason.
     dropped: messages that the recorder had to leave out.
     damage: why the file could not be read to its end, empty where it could.
@@ -60,6 +60,23 @@ class _Found:
     refused: dict[str, Counter[str]] = field(default_factory=dict)
     states: dict[str, dict[str, Any] | None] = field(default_factory=dict)
 
+    def take(self, craft: str, message: Message, reader: McapReader) -> None:
+        """Keep what came in, but for commands that were refused: they would not be where checkpoints are other ones."""
+        if isinstance(message, CommandReply):
+            came = self.messages.get(craft, [])
+            if came and _refused(came[-1], message):
+                came.pop()
+            return
+        if craft not in self.messages:
+            self.states[craft] = _state(reader, craft)
+        self.messages.setdefault(craft, []).append(message)
+
+
+def _refused(command: Message, reply: CommandReply) -> bool:
+    """Whether this is the answer to this command, which it follows at once, and says no."""
+    answers = (command.source, command.sequence) == (reply.command_source, reply.command_sequence)
+    return isinstance(command, Command) and answers and not reply.accepted
+
 
 def read_session(path: Path, craft: str | None = None, prefer: str | None = None) -> Session:
     """Read one craft's part of a session file.
@@ -76,10 +93,8 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
         with path.open("rb") as file:
             reader = McapReader(file, str(path))
             found = _Found()
-            for name, message in decoded(reader, found.refused, _INPUTS):
-                if name not in found.messages:
-                    found.states[name] = _state(reader, name)
-                found.messages.setdefault(name, []).append(message)
+            for name, message in decoded(reader, found.refused, _INPUTS | {"reply"}):
+                found.take(name, message, reader)
     except OSError as error:
         raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
     name = _chosen(path, list(found.messages), craft, prefer)

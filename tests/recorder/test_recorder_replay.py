@@ -62,6 +62,14 @@ def test_a_checkpoint_of_the_session_is_there_for_the_command_that_goes_back_to_
     assert live != (tmp_path / "plain.csv").read_bytes()
 
 
+def test_a_command_that_was_refused_is_not_carried_out_again(tmp_path: Path) -> None:
+    samples = stream(600)
+    checkpoint, rollback = command("checkpoint", 0, name="before"), command("rollback", 1, name="before")
+    session: list[Message] = [*samples[:900], checkpoint, *samples[900:1100], rollback, *samples[1100:]]
+    (file,) = record(tmp_path / "rec", session, csv=tmp_path / "live.csv")  # no [state]: both are refused
+    assert replayed(str(file), out=tmp_path / "replay.csv") == (tmp_path / "live.csv").read_bytes()
+
+
 def test_a_session_that_began_with_a_checkpoint_is_replayed_from_it(tmp_path: Path) -> None:
     samples = stream(600)
     record(tmp_path / "first", samples[:800], state=tmp_path / "state")
