@@ -76,10 +76,14 @@ class SensorConfig:
     ----------
     noise_nt: white noise, 1 sigma per axis [nT]; None: estimated from the samples.
     stuck_samples: from this many identical vectors in a row on, they are refused until they change [samples].
+    range_nt: full scale of each axis [nT]; a component that reaches it is refused as saturated; None: not known.
+    axis_stuck_s: an axis may keep one value for so long while the others move [s]; then samples are refused.
     """
 
     noise_nt: float | None = field(default=None, metadata=_within(0.01, 100_000.0))
     stuck_samples: int = field(default=10, metadata=_within(3, 100_000))
+    range_nt: float | None = field(default=None, metadata=_within(1000.0, 1e6))
+    axis_stuck_s: float = field(default=60.0, metadata=_within(5.0, 86_400.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,17 +5,15 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from typing import Any, Final
+from typing import Any
 
 from magcal_service import __version__
 from magcal_service.health import BOUNDS_S, Flow, Process, TickLateness, troubles
 from magcal_service.links.base import Link
 from magcal_service.metrics import Labels, Metrics
 from magcal_service.pipeline import Pipeline
+from magcal_service.ticks import REFUSALS
 from magcal_service.wire.messages import Verdict
-
-REFUSALS: Final = ("late", "doubled", "stuck", "time_behind", "time_ahead", "clock_changed", "zero", "crowded")
-"""Counters of the tick stage that count refused samples."""
 
 
 class Health:

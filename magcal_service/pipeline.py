@@ -13,15 +13,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
+from magcal_service.config import CraftConfig, FilterConfig
 from magcal_service.errors import DecodeError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.events import Event
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, vector_jacobian
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
 from magcal_service.snapshot import Saved, SnapshotError, restored
 from magcal_service.ticks import Tick, TickAssembler
-from magcal_service.trust import NOT_STARTED, TrustMonitor
+from magcal_service.trust import NOT_STARTED, Reason, TrustMonitor
 from magcal_service.wire.codec import encode
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import MAX_COUNTERS
@@ -40,6 +40,16 @@ from magcal_service.wire.messages import (
 )
 
 SOURCE: Final = "magcal"
+FAULTS: Final = {
+    "stuck": (Reason.STUCK, 1),
+    "axis_stuck": (Reason.AXIS_STUCK, 1),
+    "saturated": (Reason.SATURATED, 60),
+}
+"""Refusals that tell of a fault of the sensor: the reason, and how many accepted samples in a row end it.
+
+A turning craft dips into saturation once a turn: its sensor is sound only when it has not for a while.
+"""
+
 COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
 ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "shutdown")
 """Those of ``commands`` included."""
@@ -68,7 +78,9 @@ class Pipeline(Saved):
     last_time_ns: int
     _clock: Clock
     first_time_ns: int
-    _stuck: bool
+    _fault: str
+    _fault_left: int
+    _learned_s: float | None
     _thawed: bool
     _process_noise: tuple[float, float] | None
 
@@ -84,7 +96,10 @@ class Pipeline(Saved):
         self._state: StateEstimate = self.estimator.estimate()
         self.first_time_ns = self.last_time_ns = 0
         self._clock = Clock.ELAPSED
-        self._stuck = False
+        self._fault = ""  # what the newest refused sample says of the sensor
+        self._fault_left = 0  # accepted samples until that is over
+        self._learned_s = None  # elapsed time of the newest sample learned from
+        self._walk = _walk_of(config.filter)
         self._thawed = False  # ticks have passed unused since the estimator's last one
         self._process_noise = None  # of bias [nT/sqrt(s)] and D [1/sqrt(s)], where a command has set it
         self._events: list[Event] = []
@@ -118,7 +133,8 @@ class Pipeline(Saved):
     def roll_back(self, to: Pipeline) -> None:
         """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
         self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
-        self._thawed, self._stuck = True, False
+        self._thawed, self._fault = True, ""
+        self._learned_s, self._walk = to._learned_s, to._walk
         self._take_over()
 
     def _set_process_noise(self, bias_nt: float, d: float) -> None:
@@ -126,7 +142,7 @@ class Pipeline(Saved):
         settings = replace(self.config.filter, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
         estimator = find_method(settings.method).build(replace(self.config, filter=settings))
         estimator.restore_state(self.estimator.export_state())
-        self.estimator, self._process_noise = estimator, (bias_nt, d)
+        self.estimator, self._process_noise, self._walk = estimator, (bias_nt, d), _walk_of(settings)
 
     def event(self, what: str, cause: str, source: str = SOURCE) -> Event:
         """An event of this craft, now."""
@@ -178,27 +194,50 @@ class Pipeline(Saved):
         refused = self.ticks.add(sample)
         if refused:
             return self._refused(sample, refused)
-        if self._stuck:
-            self._stuck = False
-            self.monitor.observe_stuck(False)
+        self._recover()
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
         return [self._calibrated(sample)]
 
     def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
-        """Only a sensor that has just got stuck is worth an estimate of its own: its verdict has changed."""
-        if reason != "stuck" or self._stuck:
+        """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
+        if reason not in FAULTS:
             return []
-        self._stuck = True
-        self.monitor.observe_stuck(True)
+        fault, self._fault_left = FAULTS[reason]
+        if reason == self._fault:
+            return []
+        self._fault = reason
+        self.monitor.observe_fault(fault)
         self.trust = self.monitor.judge(self._state)
+        self.tell("sensor_fault", f"{fault}: {self.trust.verdict}")
         return [self._estimate(sample.time_ns, sample.clock)]
+
+    def _recover(self) -> None:
+        """A sample was accepted: a fault ends with it, or after some more; without learning, an estimate grows old."""
+        if self._fault:
+            self._fault_left -= 1
+            if self._fault_left <= 0:
+                self.tell("sensor_recovered", self._fault)
+                self._fault = ""
+                self.monitor.observe_fault(None)
+        if self._state.phase is Phase.RUNNING and self.monitor.observe_unchecked(self._age_s()):
+            self.trust = self.monitor.judge(self._state)
+
+    def _age_s(self) -> float:
+        """How much newer the newest sample is than the newest one learned from [s]."""
+        return 0.0 if self._learned_s is None else max(0.0, self.ticks.newest_s - self._learned_s)
+
+    def _covariance(self) -> Array:
+        """The estimate's, with the random walk since the newest sample that it learned from (9, 9)."""
+        if self._walk is None or self._state.phase is not Phase.RUNNING:
+            return self._state.covariance
+        return self._state.covariance + self._walk * self._age_s()
 
     def _calibrated(self, sample: MagnetometerSample) -> CalibratedVector:
         """The sample's vector by the estimate at hand; its covariance is of noise and estimate together."""
         b1, b2, b3 = sample.field_body_nt
         jacobian = vector_jacobian(b1, b2, b3)
-        covariance = jacobian @ self._state.covariance @ jacobian.T + self._state.noise_nt**2 * _IDENTITY_3
+        covariance = jacobian @ self._covariance() @ jacobian.T + self._state.noise_nt**2 * _IDENTITY_3
         dx, dy, dz = (jacobian @ self._state.x).tolist()  # w = B + J(B) x
         xx, xy, xz, yy, yz, zz = covariance[_UPPER_3].tolist()
         return CalibratedVector(
@@ -239,7 +278,7 @@ class Pipeline(Saved):
             self.tell("estimator_failed", f"{error}; it starts anew")
             return
         self._tell_phase(self._state, state)
-        self._state = state
+        self._state, self._learned_s = state, float(tick.times_s[-1])
         self.monitor.observe(tick, outcome, state)
         self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
 
@@ -253,7 +292,7 @@ class Pipeline(Saved):
         self.estimator.reset()
         self.monitor.reset()
         self._state, self.trust = self.estimator.estimate(), NOT_STARTED
-        self._stuck = False
+        self._fault, self._learned_s = "", None
 
     def _count(self, rejected: int, window: bool, window_rejected: bool) -> None:
         self.counters["rejected"] += rejected
@@ -274,7 +313,7 @@ class Pipeline(Saved):
             tick=self.ticks.counters["ticks"],
             bias_nt=(bx, by, bz),
             D=(d11, d22, d33, d12, d13, d23),
-            covariance=tuple(state.covariance[_UPPER].tolist()),
+            covariance=tuple(self._covariance()[_UPPER].tolist()),
             verdict=self.trust.verdict,
             reasons=tuple(str(reason) for reason in self.trust.reasons),
             remedy=self.trust.remedy,
@@ -358,6 +397,12 @@ class Pipeline(Saved):
             counters=dict(capped(self.ticks.counters + self.counters + own + counters)),
             text=self.summary(),
         )
+
+
+def _walk_of(settings: FilterConfig) -> Array | None:
+    """Covariance that the random walk adds per second (9, 9); None where there is none, or the method has none."""
+    walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
+    return np.diag(walk**2) if walk.any() and settings.method not in _WITHOUT_PROCESS_NOISE else None
 
 
 def capped(counters: Counter[str]) -> Counter[str]:

@@ -16,6 +16,8 @@ What happens to a sample that is not simply next (each outcome is counted under 
 ``time_ahead``     more than ``step_confirm_s`` ahead: refused; the third in a row that agree is believed.
 ``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
 ``clock_changed``  other clock (UTC or elapsed) than the samples before: refused; the third is a ``clock_step``.
+``saturated``      a component reaches ``range_nt``: refused.
+``axis_stuck``     one component stands still while noise or the others should move it: refused until it changes.
 ``zero``           all three components are 0, as of a sensor that has not measured yet: refused.
 ``crowded``        its second holds ``_MOST_IN_TICK`` samples already: refused.
 ``no_reference``   no reference at its time when its tick closes: it was answered, but takes no part in the estimate.
@@ -34,6 +36,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.axis_watch import AxisWatch
 from magcal_service.config import SensorConfig, TickConfig
 from magcal_service.model import Array
 from magcal_service.rate_track import RateTrack
@@ -42,6 +45,20 @@ from magcal_service.snapshot import Saved
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample, Vector
 
 SECOND_NS: Final = 1_000_000_000
+
+REFUSALS: Final = (
+    "late",
+    "doubled",
+    "stuck",
+    "axis_stuck",
+    "saturated",
+    "time_behind",
+    "time_ahead",
+    "clock_changed",
+    "zero",
+    "crowded",
+)
+"""The outcomes above that refuse a sample."""
 
 _AGREEING: Final = 3
 """Samples in a row that have to agree on a new time before it is believed."""
@@ -105,6 +122,7 @@ class TickAssembler(Saved):
     _votes: list[tuple[str, int]]
     _same: int
     _last_field: Vector | None
+    _axes: AxisWatch
     _done: list[Tick]
 
     def __init__(self, config: TickConfig, sensor: SensorConfig) -> None:
@@ -128,12 +146,18 @@ class TickAssembler(Saved):
         self._votes = []
         self._same = 0
         self._last_field = None
+        self._axes = AxisWatch(round(sensor.axis_stuck_s * SECOND_NS), sensor.stuck_samples, sensor.noise_nt)
         self._done = []
 
     @property
     def closed(self) -> int:
         """Ticks closed so far, with and without a reference."""
         return self.counters["ticks"] + self.counters["ticks_skipped"]
+
+    @property
+    def newest_s(self) -> float:
+        """Elapsed time of the newest accepted sample [s]."""
+        return self._newest_ns * 1e-9
 
     def add_reference(self, sample: ReferenceSample) -> None:
         """Take a reference sample; what is wrong with it is counted."""
@@ -183,7 +207,11 @@ class TickAssembler(Saved):
             return "late"
         if self._is_crowded(elapsed_ns):
             return "crowded"
-        return "stuck" if self._is_stuck(sample) else ""
+        if self._is_stuck(sample):
+            return "stuck"
+        if self.sensor.range_nt is not None and max(map(abs, sample.field_body_nt)) >= self.sensor.range_nt:
+            return "saturated"
+        return "axis_stuck" if self._axes.stands_still(elapsed_ns, sample.field_body_nt) else ""
 
     def _is_crowded(self, elapsed_ns: int) -> bool:
         begin = bisect_left(self._open, _edge_after(elapsed_ns) - SECOND_NS, key=_elapsed)

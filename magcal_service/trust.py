@@ -23,6 +23,7 @@ from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Saved
 from magcal_service.ticks import Tick
+from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
 
 
@@ -45,6 +46,10 @@ class Reason(StrEnum):
     CONSTANT_REFERENCE = "constant_reference"
     NO_REFERENCE = "no_reference"
     STUCK = "stuck"
+    AXIS_STUCK = "axis_stuck"
+    SATURATED = "saturated"
+    FROZEN = "frozen"
+    STALE = "stale"
 
 
 REMEDIES: Final = {
@@ -70,6 +75,10 @@ REMEDIES: Final = {
     Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: move through a changing "
     "field, or give attitude",
     Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock",
+    Reason.AXIS_STUCK: "one axis repeats one value while the others move: power-cycle the sensor",
+    Reason.SATURATED: "the field exceeds the sensor's full scale (range_nt): find what magnetises it",
+    Reason.FROZEN: "nothing is learned since the command freeze: resume",
+    Reason.STALE: "the estimate has met no sample for more than an orbit: resume, or look after sensor and reference",
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
 }
 
@@ -93,6 +102,9 @@ class _Levels:
     spectrum_samples: Final = 512
     spectrum_every: Final = 64
     rejected_share: Final = 0.15
+    sudden_samples: Final = 10  # samples over which a sudden fault shows, and the rejected share that says so
+    sudden_share: Final = 0.5
+    stale_s: Final = 6000.0  # an orbit
     eigenvalues: Final = (0.5, 2.0)  # of I + D
     aliasing_turn: Final = 0.04  # of a turn, distance of the phase step from 0 or a half
     noise_share: Final = 0.05  # noise over |H|; the covariance is found short beyond it
@@ -152,7 +164,10 @@ class TrustMonitor(Saved):
     _last_sample_s: float | None
     _aliased: float
     _unpaired_s: float
-    _stuck: bool
+    _fault: Reason | None
+    _sudden_share: float
+    _frozen: bool
+    _unchecked_s: float
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -175,7 +190,10 @@ class TrustMonitor(Saved):
         self._last_sample_s = None
         self._aliased = 0.0
         self._unpaired_s = 0.0
-        self._stuck = False
+        self._fault = None
+        self._sudden_share = 0.0
+        self._frozen = False
+        self._unchecked_s = 0.0
 
     @property
     def residual_rms_nt(self) -> float:
@@ -205,7 +223,8 @@ class TrustMonitor(Saved):
             self._blocks.clear()
             self._residuals.clear()
         self._ticks += 1
-        self._unpaired_s = 0.0
+        self._unpaired_s = self._unchecked_s = 0.0
+        self._frozen = False
         self._magnitude.add(tick.reference_magnitude_nt)
         self._observe_sampling(tick)
         if outcome.phase is not Phase.RUNNING or not outcome.used + outcome.rejected:
@@ -214,6 +233,8 @@ class TrustMonitor(Saved):
         memory = 1.0 / min(self._since_start, _Levels.memory_ticks)
         total = outcome.used + outcome.rejected
         self._rejected_share += memory * (outcome.rejected / total - self._rejected_share)
+        weight = min(1.0, total / _Levels.sudden_samples)
+        self._sudden_share += weight * (outcome.rejected / total - self._sudden_share)
         if outcome.degrees:
             self._innovation += memory * (outcome.squared_innovation / outcome.degrees - self._innovation)
         gate_nt = self.config.filter.gate_sigma * max(estimate.noise_nt, 1e-9)
@@ -252,10 +273,20 @@ class TrustMonitor(Saved):
     def observe_frozen(self) -> None:
         """A tick had its reference, but nothing was to be learned from it."""
         self._unpaired_s = 0.0
+        self._frozen = True
 
-    def observe_stuck(self, stuck: bool) -> None:
-        """The sensor has begun to repeat itself, or to change again."""
-        self._stuck = stuck
+    def observe_fault(self, fault: Reason | None) -> None:
+        """What is wrong with the sensor from now on; None: nothing any more."""
+        self._fault = fault
+
+    def observe_unchecked(self, seconds: float) -> bool:
+        """The newest sample is so much newer than those learned from [s]; whether staleness came or went."""
+        before = self._is_stale()
+        self._unchecked_s = seconds
+        return self._is_stale() != before
+
+    def _is_stale(self) -> bool:
+        return self._unchecked_s > _Levels.stale_s
 
     def judge(self, estimate: StateEstimate) -> Trust:
         """The verdict on an estimate as it stands."""
@@ -263,7 +294,7 @@ class TrustMonitor(Saved):
             return self._before_start(estimate)
         reasons = tuple(self._doubts(estimate))
         waiting = tuple(self._unfinished(estimate))
-        everything = reasons + waiting
+        everything = (reasons + waiting)[:MAX_REASONS]
         if set(reasons) - self._information():
             verdict = Verdict.DOUBTFUL
         elif waiting:
@@ -282,11 +313,12 @@ class TrustMonitor(Saved):
     def _information(self) -> set[Reason]:
         """Reasons that are worth saying but do not make the estimate doubtful by themselves."""
         short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
-        return {Reason.SPIN_CONTRADICTED} | short
+        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN} | short
 
     def _silence(self) -> list[Reason]:
         silent = [Reason.NO_REFERENCE] if self._unpaired_s > 0.0 else []
-        return [*silent, Reason.STUCK] if self._stuck else silent
+        frozen = [Reason.FROZEN] if self._frozen else []
+        return [*silent, *([] if self._fault is None else [self._fault]), *frozen]
 
     def _is_aliased(self) -> bool:
         return self._aliased > 0.5 and self._ticks >= 30
@@ -304,7 +336,11 @@ class TrustMonitor(Saved):
                 settled and self.residual_rms_nt > self.config.trust.residual_ratio * floor_nt,
             ),
             (Reason.DRIFTING_RESIDUAL, len(self._blocks) >= 10 and self._block_ratio > levels.block_ratio),
-            (Reason.MANY_REJECTED, settled and self._rejected_share > levels.rejected_share),
+            (
+                Reason.MANY_REJECTED,
+                (settled and self._rejected_share > levels.rejected_share) or self._sudden_share > levels.sudden_share,
+            ),
+            (Reason.STALE, self._is_stale()),
             (Reason.SPIN_ALIASING, self._is_aliased()),
             (Reason.SPIN_CONTRADICTED, estimate.spin_given_up),
             (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self._magnitude.mean),

@@ -16,6 +16,7 @@ Source: as ``ukf``.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 from typing import Final
@@ -72,7 +73,10 @@ class BatchedUkf:
         self.running: Flags = np.zeros(runs, dtype=bool)
         self.left: Flags = np.zeros(runs, dtype=bool)
         self._start = BatchedStart(config)
-        self._windows = SpinWindows(spin) if spin is not None and spin.window is not SpinWindow.OFF else None
+        usable = spin is not None and spin.window is not SpinWindow.OFF
+        self._windows = (
+            SpinWindows(spin, math.inf) if usable and spin is not None else None
+        )  # vectors are the runs' own
         self._recent: deque[Array] = deque(maxlen=_longest_window(config))
         # by column: run number, and what ``ukf`` keeps of each run
         self._run = np.arange(runs)

@@ -54,7 +54,7 @@ class Plkf(Saved):
     def reset(self) -> None:
         """Back to the prior, before any sample."""
         self._state = BiasState(self.config)
-        self._windows = SpinWindows(self._spin)
+        self._windows = SpinWindows(self._spin, self.config.sensor.noise_nt)
         self._time_s = None
 
     def estimate(self) -> StateEstimate:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.config import SpinConfig, SpinWindow
 from magcal_service.model import Array
@@ -27,6 +28,14 @@ LEO_FIELD_RATE_RAD_S: Final = 2.3e-3
 
 _SECOND_ORDER_LEAK: Final = 3.0
 """rms of the harmonic constant for a field turning at W under a spin w is below this times |H| (W/w)^2."""
+
+_UNSOUND: Final = 6.5
+_UNSOUND_BY_MEDIAN: Final = 8.0
+_MOST_UNSOUND: Final = 0.25
+"""A vector's residual to the fit, in noise sigmas or medians, that noise does not have, and the share that may have it.
+
+The length of three components of noise exceeds 6.5 sigma once in 10^9, the median is 1.5 sigma.
+"""
 
 _SHORTEST_SPAN: Final = 0.9
 """A window closed early by a gap is used when it spans at least this share of its turns."""
@@ -61,13 +70,19 @@ def across_axis(axis: Array) -> Array:
     return np.stack([first, np.cross(axis, first)])
 
 
-def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
-    """Weights (k,) of the constant in a fit of {1, cos, sin, t cos, t sin} at the spin rate; None where undefined."""
+def _design(times_s: Array, rate_rad_s: float) -> Array:
+    """Columns {1, cos, sin, t cos, t sin} (k, 5), each of length 1."""
     t = times_s - times_s.mean()
     phase = rate_rad_s * t
     cos, sin = np.cos(phase), np.sin(phase)
-    design = np.stack([np.ones_like(t), cos, sin, t * cos, t * sin], axis=1)
+    design: Array = np.stack([np.ones_like(t), cos, sin, t * cos, t * sin], axis=1)
     design /= np.linalg.norm(design, axis=0)
+    return design
+
+
+def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
+    """Weights (k,) of the constant in a fit of {1, cos, sin, t cos, t sin} at the spin rate; None where undefined."""
+    design = _design(times_s, rate_rad_s)
     normal = design.T @ design
     if np.linalg.eigvalsh(normal)[0] < 1e-4:  # the constant can't be told from the spin: aliased or too short
         return None
@@ -76,20 +91,57 @@ def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
     return weights
 
 
+def sound_samples(times_s: Array, field_nt: Array, rate_rad_s: float, noise_nt: float | None) -> NDArray[np.bool_]:
+    """Which vectors (k, 3) [nT] of a window agree with its harmonic fit (k,); all, where too many would have to go.
+
+    A corrupted vector may keep its length, so that no scalar measurement shows it, and would spoil the whole window.
+    The worst go one by one until what is left is a fit that they could not spoil, and each is judged by that.  Their
+    residuals are compared with ``noise_nt`` [nT] where that is given, and else with the median; physics that no
+    harmonic fits spoils more than a quarter, and nothing is left out.
+    """
+    design, keep = _design(times_s, rate_rad_s), np.ones(len(times_s), dtype=bool)
+    everything = keep.copy()
+    for _ in range(int(_MOST_UNSOUND * len(keep))):
+        scaled, limit_nt = _against_fit(design, field_nt, keep, noise_nt)
+        worst = int(np.argmax(np.where(keep, scaled, 0.0)))
+        if scaled[worst] <= (limit_nt if noise_nt else 0.5 * limit_nt):
+            break
+        keep[worst] = False
+    if keep.all():
+        return everything
+    scaled, limit_nt = _against_fit(design, field_nt, keep, noise_nt)
+    sound: NDArray[np.bool_] = scaled <= limit_nt
+    return sound if sound[keep].all() else everything
+
+
+def _against_fit(
+    design: Array, field_nt: Array, keep: NDArray[np.bool_], noise_nt: float | None
+) -> tuple[Array, float]:
+    """Residuals (k,) of all vectors to the fit of those kept, scaled to the noise's length, and their limit [nT]."""
+    q, triangle = np.linalg.qr(design[keep])
+    residual = field_nt - design @ np.linalg.solve(triangle, q.T @ field_nt[keep])
+    leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
+    free = np.where(keep, np.maximum(1.0 - leverage, 0.1), 1.0 + leverage)
+    scaled = np.sqrt((residual * residual).sum(axis=1) / free)
+    return scaled, _UNSOUND * noise_nt if noise_nt else _UNSOUND_BY_MEDIAN * float(np.median(scaled[keep]))
+
+
 class SpinWindows(Saved):
     """Collects ticks into windows of spin.
 
     Parameters
     ----------
     spin: the configured spin.
+    noise_nt: the sensor's noise, 1 sigma per axis [nT]; None: not known.
     """
 
     _ticks: deque[Tick]
     _first_s: float
     _samples: int
 
-    def __init__(self, spin: SpinConfig) -> None:
+    def __init__(self, spin: SpinConfig, noise_nt: float | None = None) -> None:
         self.spin = spin
+        self._noise_nt = noise_nt
         self._across = across_axis(np.array(spin.axis))
         self._rate_rad_s = abs(spin.rate_rpm) * 2.0 * math.pi / 60.0
         self._span_s = spin.window_turns * 60.0 / abs(spin.rate_rpm)
@@ -136,6 +188,9 @@ class SpinWindows(Saved):
         times, fields, magnitudes = self._joined()
         if len(times) < 6:
             return None
+        sound = sound_samples(times, fields, self._rate_rad_s, self._noise_nt)
+        if not sound.all():
+            times, fields, magnitudes = times[sound], fields[sound], magnitudes[sound]
         weights = harmonic_weights(times, self._rate_rad_s)
         if weights is None:
             return None

@@ -145,7 +145,7 @@ class Ukf(Saved):
         """Start collecting; the estimate stays what it was until the new start is accepted."""
         spin = self.config.spin
         usable = spin is not None and spin.window is not SpinWindow.OFF and not self._spin_given_up
-        self._windows = SpinWindows(spin) if usable and spin is not None else None
+        self._windows = SpinWindows(spin, self.config.sensor.noise_nt) if usable and spin is not None else None
         self._start = StartCollector(self.config)
         self._phase = Phase.STARTING
         self._noise_variance = self._white_variance = (self.config.sensor.noise_nt or 0.0) ** 2

@@ -41,6 +41,8 @@ name = "demo"
 [craft.sensor]
 noise_nt = 300.0
 stuck_samples = 12
+range_nt = 80000.0
+axis_stuck_s = 90.0
 [craft.spin]
 axis = [0.0, -3.0, 4.0]
 rate_rpm = -7.5
@@ -130,7 +132,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         crafts=(
             CraftConfig(
                 name="demo",
-                sensor=SensorConfig(300.0, 12),
+                sensor=SensorConfig(300.0, 12, 80000.0, 90.0),
                 spin=SpinConfig((0.0, -0.6, 0.8), -7.5, SpinWindow.MEAN, 3, 9, True),
                 filter=FilterConfig(
                     "two-step", 5000.0, 0.1, (0.1, 0.2, 0.3), (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6),
@@ -251,7 +253,7 @@ def test_a_mistyped_key_gets_the_nearest_one(tmp_path: Path) -> None:
     lines = refusals(tmp_path, MINIMAL + "[craft.sensor]\nnoise = 300.0\n")
     assert lines == [
         "daemon.toml: craft[0].sensor.noise: 300.0 is refused; "
-        "unknown key; did you mean 'noise_nt'? known: noise_nt, stuck_samples"
+        "unknown key; did you mean 'noise_nt'? known: axis_stuck_s, noise_nt, range_nt, stuck_samples"
     ]
 
 

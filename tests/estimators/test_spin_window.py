@@ -8,7 +8,7 @@ import pytest
 from estimator_ticks import Craft, tilted_dipole_eci
 
 from magcal_service.config import SpinConfig, SpinWindow
-from magcal_service.estimators.spin_window import SpinWindows, Window, across_axis, harmonic_weights
+from magcal_service.estimators.spin_window import SpinWindows, Window, across_axis, harmonic_weights, sound_samples
 from magcal_service.model import calibrate
 
 CLEAN = np.zeros(9)
@@ -95,3 +95,33 @@ def test_the_test_field_turns_as_in_a_low_orbit() -> None:
     assert 20_000.0 < magnitude.min() < 27_000.0
     assert 40_000.0 < magnitude.max() < 50_000.0
     assert 40.0 < rate.mean() < 100.0
+
+
+def window_of_vectors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    """Times, vectors of 40 uT that turn about z in 8 s, with 300 nT of noise, and the rate."""
+    times, rate = np.arange(count, dtype=float), 2.0 * np.pi / 8.0
+    field = 40_000.0 * np.stack([np.cos(rate * times), np.sin(rate * times), np.ones(count)], axis=1)
+    return times, field + rng.normal(0.0, 300.0, (count, 3)), rate
+
+
+@pytest.mark.parametrize("noise_nt", [300.0, None])
+@pytest.mark.parametrize("seed", range(8))
+def test_corrupted_vectors_in_a_window_are_left_out_whatever_their_length(noise_nt: float | None, seed: int) -> None:
+    """Two of 16, turned into another direction: exactly these two."""
+    rng = np.random.default_rng([31, seed])
+    times, field, rate = window_of_vectors(16, rng)
+    hit = rng.choice(16, 2, replace=False)
+    field[hit] = field[hit][:, [1, 2, 0]] * [-1.0, 1.0, 1.0]
+    np.testing.assert_array_equal(np.flatnonzero(~sound_samples(times, field, rate, noise_nt)), np.sort(hit))
+
+
+@pytest.mark.parametrize("noise_nt", [300.0, None])
+def test_sound_windows_are_left_as_they_are(noise_nt: float | None) -> None:
+    rng = np.random.default_rng(32)
+    assert all(sound_samples(*window_of_vectors(16, rng), noise_nt).all() for _ in range(300))
+
+
+def test_a_window_that_is_spoilt_throughout_is_left_to_the_filter() -> None:
+    rng = np.random.default_rng(33)
+    times, field, rate = window_of_vectors(16, rng)
+    assert sound_samples(times, field + rng.normal(0.0, 9000.0, (16, 3)), rate, 300.0).all()

@@ -7,9 +7,10 @@ from collections import Counter
 from pathlib import Path
 
 from magcal_service.config import CraftConfig
-from magcal_service.health_report import REFUSALS, Health
+from magcal_service.health_report import Health
 from magcal_service.links import Role, open_link
 from magcal_service.pipeline import Pipeline
+from magcal_service.ticks import REFUSALS
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs/health.md").read_text(encoding="utf-8")
 PLAIN = {"magcal_build_info", "magcal_uptime_seconds"}

@@ -14,13 +14,13 @@ import pytest
 from service_processes import CutCable, Node, daemon, free_port, kill, stream, wait_for, write_config
 
 from magcal_service.output import COLUMNS
+from magcal_service.ticks import REFUSALS
 
 ROUTER = Path(__file__).resolve().parents[2] / "deploy" / "router.py"
-REFUSED = ("late", "doubled", "stuck", "time_behind", "time_ahead", "clock_changed", "zero", "crowded")
 
 
 def refused(counters: dict[str, int]) -> int:
-    return sum(counters.get(kind, 0) for kind in REFUSED)
+    return sum(counters.get(kind, 0) for kind in REFUSALS)
 
 
 def test_samples_sent_while_the_daemon_is_dead_are_kept_for_it(tmp_path: Path) -> None:

@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from tick_streams import Sample, Stream, assembler, good, in_order, ns, offer, play, reference, same_ticks, sample
 
 from magcal_service.config import SensorConfig, TickConfig
-from magcal_service.ticks import SECOND_NS
+from magcal_service.ticks import REFUSALS, SECOND_NS
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample
-
-REFUSALS = ("late", "doubled", "stuck", "time_behind", "time_ahead", "clock_changed", "zero", "crowded")
 
 
 @st.composite

@@ -24,7 +24,12 @@ def ns(seconds: float) -> int:
 def sample(seconds: float, clock: Clock = Clock.UTC) -> MagnetometerSample:
     """A sample whose vector follows from its time, so that no two are alike."""
     return MagnetometerSample(
-        craft="c", source="mag", sequence=0, time_ns=ns(seconds), clock=clock, field_body_nt=(seconds, 1.0, -2.0)
+        craft="c",
+        source="mag",
+        sequence=0,
+        time_ns=ns(seconds),
+        clock=clock,
+        field_body_nt=(seconds, 1.0 + 0.01 * seconds, -2.0 - 0.01 * seconds),
     )
 
 
