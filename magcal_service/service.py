@@ -24,8 +24,7 @@ from magcal_service.metrics import MetricsServer
 from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.fields import fitting
-from magcal_service.wire.kinds import FIRST_RESULT, kind_of
-from magcal_service.wire.messages import Command, Estimate, MagnetometerSample, Message
+from magcal_service.wire.messages import Command, Estimate, Message
 
 if TYPE_CHECKING:
     from magcal_service.recorder import Recorder
@@ -39,10 +38,6 @@ WAIT_S: Final = 0.5
 
 WATCHDOG_S: Final = 10.0
 """How often ``systemctl status`` gets a new line where no watchdog asks for more."""
-
-
-HISTORY_S: Final = 3.0
-"""Longest time for which a restored daemon gathers what its nodes send again before it works through it."""
 
 
 class Timer:
@@ -92,7 +87,7 @@ class Service:
         self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
         self._commander = Commander(checkpoints, self.shut_down)
-        self._ending = self._restored = False
+        self._ending = False
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
         self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
@@ -108,23 +103,16 @@ class Service:
             return
         for name, pipeline in self.pipelines.items():
             self.pipelines[name], events = self.checkpoints.restore(pipeline)
-            if self.pipelines[name] is not pipeline:
-                self._restored = True
-                if self.recorder is not None:
-                    self.recorder.begin_with(name, self.pipelines[name].export_state())
+            if self.pipelines[name] is not pipeline and self.recorder is not None:
+                self.recorder.begin_with(name, self.pipelines[name].export_state())
             self._tell(events)
 
     def _received(self) -> list[Message]:
-        """What has come; after a restart what nodes send again, kind by kind, is taken at once and by time."""
+        """What has come; how long it was waited for is noted."""
         began_s = time.monotonic()
         messages = self.link.receive(WAIT_S)
         self.health.lateness.looked(began_s)
-        if not (messages and self._restored):
-            return messages
-        self._restored, deadline_s = False, time.monotonic() + HISTORY_S
-        while time.monotonic() < deadline_s and (more := self.link.receive(WAIT_S)):
-            messages += more
-        return sorted(messages, key=_by_time)
+        return messages
 
     def _tell(self, events: Iterable[Event]) -> None:
         """Log each event, and send a status at once that names it."""
@@ -260,12 +248,6 @@ class Service:
             text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
             notify.notify(notify.WATCHDOG, notify.status(text))
         self._fed = (accepted, closed)
-
-
-def _by_time(message: Message) -> tuple[bool, int, bool]:
-    """Samples by their time, references first; then whatever is no sample, as it came."""
-    sample = kind_of(message).code < FIRST_RESULT
-    return (not sample, message.time_ns if sample else 0, isinstance(message, MagnetometerSample))
 
 
 def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:

@@ -39,20 +39,25 @@ class PresenceBoard:
         self._present: set[Presence] = set()
         self._lock = threading.Lock()
 
-    def change(self, key: str, alive: bool) -> None:
-        """Take one token's coming or going in; keys of other forms are not ours and are passed over."""
+    def change(self, key: str, alive: bool) -> Presence | None:
+        """Take one token's coming or going in; who has come with it, if anybody.
+
+        Keys of other forms are not ours and are passed over.
+        """
         match = _TOKEN.fullmatch(key)
         if match is None:
-            return
+            return None
         presence = Presence(match[1], Role(match[2]), match[3])
         with self._lock:
             known = presence in self._present
             if alive and not known and len(self._present) < MAX_PRESENT:
                 self._present.add(presence)
                 self._count("joined")
-            elif not alive and known:
+                return presence
+            if not alive and known:
                 self._present.remove(presence)
                 self._count("left")
+        return None
 
     def clear(self) -> None:
         """Nobody can be seen any more: the session is gone."""

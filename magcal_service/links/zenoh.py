@@ -20,6 +20,7 @@ from magcal_service.errors import LinkError
 from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
+from magcal_service.links.joining import Joining
 from magcal_service.links.presence import Presence, PresenceBoard
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.links.zenoh_log import DENIALS, watch
@@ -27,7 +28,7 @@ from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_ru
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.keys import ROOT, encoding_of, group_of, key_of
 from magcal_service.wire.kinds import Kind, kind_of
-from magcal_service.wire.messages import Message
+from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links.zenoh")
 
@@ -69,6 +70,7 @@ class ZenohLink(Link):
         )
         self._rate = RateLimit(self._settings.rate, float(self._settings.queue))
         self._board = PresenceBoard(self._count)
+        self._joining = Joining(TURN)
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._session: zenoh.Session | None = None
@@ -93,8 +95,11 @@ class ZenohLink(Link):
         return bool(self._transports)
 
     def _poll(self, wait_s: float) -> list[Message]:
-        decoded = (self._taken(sample) for sample in self._inbox.drain(wait_s))
-        return [message for message in decoded if message is not None]
+        arrived = self._inbox.drain(self._joining.wait_s(time.monotonic(), wait_s))
+        now_s = time.monotonic()
+        messages = [message for message in map(self._taken, arrived) if message is not None]
+        passed = [one for one in messages if isinstance(one, Command) or not self._joining.keeps(one, now_s)]
+        return [*self._joining.due(now_s), *passed]
 
     def send(self, message: Message) -> None:
         """Put one message; never waits for the other end and never raises.
@@ -200,7 +205,9 @@ class ZenohLink(Link):
                 self._count("up" if up else "down")
 
     def _presence(self, sample: zenoh.Sample) -> None:
-        self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+        come = self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+        if self.role is Role.SERVICE and come is not None and come.role is Role.NODE:
+            self._joining.begin(come.craft, time.monotonic())
 
     # The session
 
@@ -246,6 +253,9 @@ class ZenohLink(Link):
 
     def _declare(self, session: zenoh.Session) -> None:
         self._held.append(session.info.declare_transport_events_listener(_direct(self._transport), history=True))
+        if self.role is Role.SERVICE:  # whoever is there already sends again what was missed
+            for craft in self.crafts:
+                self._joining.begin(craft, time.monotonic())
         names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
         if not names or self._settings.listen:  # at a listening end, what is addressed to nobody is counted as well
             names = [f"{ROOT}/*"]
