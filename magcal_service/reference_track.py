@@ -26,7 +26,7 @@ from magcal_service.wire.messages import Clock, Frame, ReferenceSample, Vector
 _MOST: Final = 8192
 """Reference samples kept at most; the oldest go first."""
 
-_REMEMBERED: Final = 128
+REMEMBERED: Final = 128
 """Used references that are kept to know them again when a node sends its history: 100 by default."""
 
 SMALLEST_NT: Final = 1.0
@@ -152,8 +152,8 @@ class ReferenceTrack(Saved):
 
     def forget_before(self, time_ns: int) -> None:
         """Drop what no later sample can need, but for the last ones, once there are many."""
-        keep = bisect_left(self._times, time_ns) - 1 - _REMEMBERED
-        if keep > _REMEMBERED:
+        keep = bisect_left(self._times, time_ns) - 1 - REMEMBERED
+        if keep > REMEMBERED:
             del self._times[:keep], self._found[:keep]
 
 

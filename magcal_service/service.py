@@ -16,13 +16,15 @@ from magcal_service import notify
 from magcal_service.checkpoints import Checkpoints
 from magcal_service.commands import Commander
 from magcal_service.config import Config
-from magcal_service.errors import InputRefusedError
+from magcal_service.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.events import Event
 from magcal_service.health_report import Health
 from magcal_service.links import Link, Role, open_link
 from magcal_service.metrics import MetricsServer
 from magcal_service.output import EstimateCsv
 from magcal_service.pipeline import Pipeline
+from magcal_service.private_files import check_state_directory
+from magcal_service.reference_track import REMEMBERED
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Command, Estimate, Message
 
@@ -263,16 +265,32 @@ def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
     return stack.enter_context(open_recorder(config.record, config.crafts))
 
 
+def _check_directories(config: Config) -> None:
+    """Refuse folders that everybody could write before anything is read from them."""
+    for part in (config.state, config.record):
+        if part is not None and part.directory.exists():
+            check_state_directory(part.directory)
+
+
+def _check_history(config: Config, link: Link) -> None:
+    """Refuse a longer history than the samples that a state remembers: what lies before would be taken twice."""
+    if config.state is not None and link.history > REMEMBERED:
+        accepted = f"with [state], history=0 to history={REMEMBERED} is accepted"
+        raise ConfigError([Fault("link", f"history={link.history}", accepted)])
+
+
 def run_daemon(config: Config, stop: threading.Event) -> None:
     """Open what the configuration names and serve until ``stop`` is set.
 
     Raises ``LinkAddressError``, ``LinkError`` or ``InputRefusedError`` where something cannot be opened at all.
     """
     crafts = [craft.name for craft in config.crafts]
+    _check_directories(config)
     with ExitStack() as stack:
         csv, recorder = _csv(config, stack), _recorder(config, stack)
         checkpoints = None if config.state is None else Checkpoints(config.state, config.crafts)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
+        _check_history(config, link)
         metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
         service = Service(config, link, csv, recorder, checkpoints, metrics)
         service.restore()

@@ -45,10 +45,12 @@ class Link(abc.ABC):
     address: the address as the user wrote it.
     crafts: names of the craft whose messages are received; of all craft where empty.
 
-    ``warnings`` says what this link leaves open to other machines, a line each.
+    ``warnings`` says what this link leaves open to other machines, a line each; ``history`` is how many samples of each
+    kind and source a node may send again.
     """
 
     warnings: tuple[str, ...] = ()
+    history: int = 0
 
     def __init__(self, address: str, crafts: Sequence[str] = ()) -> None:
         self.address = address

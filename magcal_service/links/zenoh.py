@@ -61,7 +61,7 @@ class ZenohLink(Link):
         self._settings = ZenohSettings.read(address, role)
         self._config = self._settings.session_config(address)
         self._settings.check_files(self._config)
-        self.warnings = exposures(self._config)
+        self.warnings, self.history = exposures(self._config), self._settings.history
         if role is Role.SERVICE:
             self.counters.update(dict.fromkeys((f"denied.{name}" for name in DENIALS), 0))
             watch(self._count, address.text, has_rules(self._config))

@@ -11,7 +11,15 @@ from pathlib import Path
 from magcal_service.recordings.session_info import session_info
 from tests.faults.bench import RECORD_FLUSH_S, Daemons, Feeder, Witness, with_recording
 from tests.faults.faults import Fault, Outcome
-from tests.faults.runs_process import same_as_uninterrupted, uninterrupted, with_state
+from tests.faults.runs_process import (
+    HISTORY,
+    SETTLED_S,
+    fly,
+    newest_number,
+    same_as_uninterrupted,
+    uninterrupted,
+    with_state,
+)
 from tests.service.service_processes import free_port, stream, write_config
 
 RATE_HZ = 300.0
@@ -87,19 +95,23 @@ def half_recording(folder: Path, quick: bool) -> Outcome:
 
 
 def half_checkpoint(folder: Path, quick: bool) -> Outcome:
-    """SIGKILL, then the newest state is cut short, and another time a bit of it is altered."""
+    """SIGKILL, then the newest state is cut short, and another time a bit of it is altered.
+
+    At 3 samples a second, what is sent within two checkpoints and a start is within the history that is asked for.
+    """
     outcome = Outcome(Fault.HALF_CHECKPOINT, "zenoh")
-    rate_hz, state = 80.0, folder / "state"
+    state = folder / "state"
     address = f"zenoh:tcp/127.0.0.1:{free_port()}"
-    config = with_state(write_config(folder, f"{address}?history=1000"), state)
-    messages = stream(seconds=1200 if quick else 2400)
+    config = with_state(write_config(folder, f"{address}?history={HISTORY}"), state)
+    messages = stream(seconds=SETTLED_S + (200 if quick else 300))
     chance = random.Random(11)
     dropped = 0
     with Daemons(config) as daemons, Witness(address) as node:
         node.until_heard()
-        with Feeder(node, messages, rate_hz) as feeder:
+        fly(node, messages[: 2 * SETTLED_S], state)
+        with Feeder(node, messages[2 * SETTLED_S :], 6.0) as feeder:
             for spoil in (_cut, _alter):
-                wanted = _newest_number(state) + 2  # one to be spoilt, and one before it that is not
+                wanted = newest_number(state) + 2  # one to be spoilt, and one before it that is not
                 feeder.until(partial(_has_reached, state, wanted), "no second checkpoint")
                 node.mark()
                 daemons.kill()
@@ -119,13 +131,8 @@ def half_checkpoint(folder: Path, quick: bool) -> Outcome:
     return outcome
 
 
-def _newest_number(state: Path) -> int:
-    """The number of the newest checkpoint, 0 where there is none."""
-    return max((int(path.stem) for path in state.rglob("*.state")), default=0)
-
-
 def _has_reached(state: Path, number: int) -> bool:
-    return _newest_number(state) >= number
+    return newest_number(state) >= number
 
 
 def _cut(content: bytes, chance: random.Random) -> bytes:

@@ -102,6 +102,21 @@ def test_a_configuration_that_everybody_can_write_is_refused(tmp_path: Path) -> 
     check_unaltered(config)
 
 
+@pytest.mark.parametrize("table", ["state", "record"])
+def test_a_daemon_takes_up_no_state_that_everybody_could_have_written(table: str, tmp_path: Path) -> None:
+    """A folder for checkpoints or recordings with mode 0777 stops the daemon before it reads from it."""
+    folder = tmp_path / "kept"
+    folder.mkdir()
+    folder.chmod(0o777)
+    config = tmp_path / "magcal.toml"
+    text = f'version = 1\nlink = "loop:x"\n[[craft]]\nname = "demo"\n[{table}]\ndirectory = "{folder}"\n'
+    config.write_text(text)
+    command = [sys.executable, "-m", "magcal_service.cli", "run", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, list(folder.iterdir())) == (2, [])
+    assert f"{folder}: 'mode 0777' is refused" in done.stderr
+
+
 @pytest.mark.parametrize(
     "content",
     [

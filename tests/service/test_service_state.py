@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 from service_processes import CRAFT, PATIENCE_S, Node, daemon, free_port, kill, stream
 
 from magcal_service.config import StateConfig, load_config
+from magcal_service.errors import ConfigError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.pipeline import Pipeline
+from magcal_service.service import run_daemon
 from magcal_service.state import Checkpoint, StateStore
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status
 from sim_sensor.pty_pair import PtyPair
@@ -138,3 +141,10 @@ def test_commands_change_the_state_and_the_status_says_what_and_who(kind: str, t
         "reset",
         "shutdown",
     ]
+
+
+def test_a_history_that_the_state_cannot_know_again_is_refused(tmp_path: Path) -> None:
+    """What a state does not remember would be taken twice, so the two together are refused by name."""
+    config = load_config(write_config(tmp_path, f"zenoh:tcp/127.0.0.1:{free_port()}?history=129"))
+    with pytest.raises(ConfigError, match=r"link: 'history=129' is refused; .*history=128 is accepted"):
+        run_daemon(config, threading.Event())
