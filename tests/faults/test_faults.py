@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,8 @@ import pytest
 from tests.faults.faults import Fault, Outcome, table
 from tests.faults.runs import RUNS
 
-QUICK = (Fault.KILL_DAEMON, Fault.CORRUPT_FRAMES, Fault.WRAP, Fault.ROGUE)
+ROOT = Path(__file__).resolve().parents[2]
+QUICK = (Fault.KILL_DAEMON, Fault.CORRUPT_FRAMES, Fault.WRAP)
 
 
 @pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.label)
@@ -19,6 +22,14 @@ def test_a_fault_costs_what_is_promised_and_no_more(fault: Fault, tmp_path: Path
     assert outcome.broken == []
     assert outcome.fed > 100
     assert outcome.lost == outcome.in_flight
+
+
+def test_two_hours_of_ticks_leave_memory_files_and_threads_as_they_were() -> None:
+    """The soak, shortly: less than 1 MB more after the first hour's worth, and not one file or thread."""
+    command = [sys.executable, "-m", "tests.faults.soak", "--days", "0.083"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 files, 0 threads" in done.stdout
 
 
 def test_every_fault_has_its_run() -> None:
