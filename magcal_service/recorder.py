@@ -38,8 +38,8 @@ _log = logging.getLogger("magcal.recorder")
 MOST_WAITING: Final = 8192
 """Messages in the queue at most: half an hour of one craft at 1 Hz, and 20 MB where all are estimates."""
 
-PATIENCE_S: Final = 20.0
-"""How long the end of the service waits for the disk to take what is in the queue."""
+PATIENCE_S: Final = 5.0
+"""How long the end of the service waits for the disk to take what is in the queue: half of what systemd waits."""
 
 _TO_BEGIN: Final = 1.1
 """To begin, ``min_free_mb`` times this has to be free, so that a disk at its limit is not filled with short files."""

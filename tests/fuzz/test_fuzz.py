@@ -6,10 +6,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from magcal_service.errors import DecodeError
+from tests.fuzz import __main__ as command
 from tests.fuzz import engine
 from tests.fuzz.engine import fuzz
 from tests.fuzz.inputs import ROOT
@@ -108,3 +110,26 @@ def test_the_command_prints_totals_and_ends_with_zero() -> None:
     assert done.returncode == 0, done.stderr
     assert "| payload | 48 |" in done.stdout
     assert "60 inputs, seed 1, 0 crashes" in done.stdout
+
+
+def test_the_command_keeps_what_crashes_and_ends_with_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "TARGETS", (replace(ANY, run=broken_promise),))
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--inputs", "3000", "--keep", str(tmp_path)])
+    assert command.main() == 1
+    assert "1 crashes" in capsys.readouterr().out
+    (kept,) = (tmp_path / "any").iterdir()
+    with pytest.raises(AssertionError):
+        broken_promise(kept.read_bytes())
+
+
+def test_the_command_grows_the_corpus_by_inputs_that_end_at_places_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "TARGETS", (replace(ANY, run=lambda data: len(data) % 5),))
+    monkeypatch.setattr(command, "CORPUS", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--inputs", "500", "--grow", "4"])
+    assert command.main() == 0
+    kept = [path.read_bytes() for path in (tmp_path / "any").iterdir()]
+    assert len({len(data) % 5 for data in kept}) == len(kept) == 4

@@ -10,11 +10,12 @@ from pathlib import Path
 from sessions import craft, settings
 
 from magcal_service.record_cli import add_commands
-from magcal_service.recorder import MOST_WAITING, Recorder
+from magcal_service.recorder import MOST_WAITING, PATIENCE_S, Recorder
 from magcal_service.recordings import mcap
 from magcal_service.recordings.session_arrays import WIDEST_PERIODS
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recorder.md").read_text(encoding="utf-8")
+PAGE_FOLDER = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (PAGE_FOLDER / "recorder.md").read_text(encoding="utf-8")
 
 
 def test_the_page_names_every_counter_and_no_other(tmp_path: Path) -> None:
@@ -43,3 +44,9 @@ def test_the_pages_numbers_are_the_codes() -> None:
 def test_the_pages_example_is_toml() -> None:
     (example,) = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
     assert set(tomllib.loads(example)) == {"record"}
+
+
+def test_the_recorder_ends_before_the_service_manager_loses_its_patience() -> None:
+    unit = (PAGE_FOLDER.parent / "deploy" / "magcal.service").read_text(encoding="utf-8")
+    (limit_s,) = re.findall(r"^TimeoutStopSec=(\d+)$", unit, flags=re.MULTILINE)
+    assert PATIENCE_S <= 0.5 * int(limit_s)
