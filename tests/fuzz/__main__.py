@@ -37,7 +37,7 @@ def main() -> int:
     for target in targets:
         totals = fuzz(target, -int(-options.inputs * target.share // shares), options.seed)
         results.append(totals)
-        for data in sorted(totals.found.values(), key=len)[: options.grow]:
+        for data in sorted(totals.found, key=len)[: options.grow]:
             _write(data, CORPUS / target.name)
         print(_row(totals), flush=True)
     inputs, crashes = sum(one.inputs for one in results), [crash for one in results for crash in one.crashes]
@@ -51,7 +51,7 @@ def main() -> int:
 def _row(totals: Totals) -> str:
     speed = totals.inputs / max(totals.seconds, 1e-9)
     return (
-        f"| {totals.target} | {totals.inputs} | {totals.accepted} | {totals.refused} | {totals.places} "
+        f"| {totals.target} | {totals.inputs} | {totals.accepted} | {totals.refused} | {len(totals.places)} "
         f"| {totals.slowest_s * 1e3:.0f} | {speed:.0f} | {len(totals.crashes)} |"
     )
 

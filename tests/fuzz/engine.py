@@ -24,7 +24,7 @@ from tests.fuzz.limits import HANG_S, MOST_MB
 from tests.fuzz.mutate import mutate
 from tests.fuzz.targets import Target
 
-_MOST_IN_POOL = 2000
+_MOST_KEPT = 2000  # inputs of at most 64 KB each: a quarter of what ``MOST_MB`` allows
 _DIGITS = re.compile(r"\d+")
 
 
@@ -49,11 +49,11 @@ class Totals:
     inputs: int = 0
     accepted: int = 0
     refused: int = 0
-    places: int = 0
+    places: set[int] = field(default_factory=set)
     slowest_s: float = 0.0
     seconds: float = 0.0
     crashes: list[Crash] = field(default_factory=list)
-    found: dict[tuple[object, ...], bytes] = field(default_factory=dict)
+    found: list[bytes] = field(default_factory=list)
 
 
 def fuzz(target: Target, inputs: int, seed: int, most_crashes: int = 10) -> Totals:
@@ -76,13 +76,13 @@ def fuzz(target: Target, inputs: int, seed: int, most_crashes: int = 10) -> Tota
             before = time.process_time()
             place = _try(target, data, totals)
             totals.slowest_s = max(totals.slowest_s, time.process_time() - before)
-            if place not in totals.found:
-                totals.found[place] = data
-                if len(pool) < _MOST_IN_POOL:
+            if hash(place) not in totals.places:
+                totals.places.add(hash(place))
+                if len(totals.found) < _MOST_KEPT:
+                    totals.found.append(data)
                     pool.append(data)
             if len(totals.crashes) >= most_crashes:
                 break
-    totals.places = len(totals.found)
     totals.seconds = time.monotonic() - begin
     return totals
 
@@ -104,7 +104,7 @@ def _try(target: Target, data: bytes, totals: Totals) -> tuple[object, ...]:
     except (Exception, HangError, RecursionError) as error:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         path = (type(error).__name__, *_path(error))
-        if path not in totals.found:
+        if hash(path) not in totals.places:
             totals.crashes.append(Crash(target.name, data, "".join(traceback.format_exception(error)[-12:])))
         return path
     finally:
@@ -114,11 +114,13 @@ def _try(target: Target, data: bytes, totals: Totals) -> tuple[object, ...]:
 
 
 def _path(error: BaseException) -> Iterator[int]:
-    """The lines through which an error came."""
+    """The lines through which an error came, each once: how deep it was nested is no new place."""
+    lines = dict[int, None]()
     entry = error.__traceback__
     while entry is not None:
-        yield entry.tb_lineno
+        lines[entry.tb_lineno] = None
         entry = entry.tb_next
+    yield from lines
 
 
 def _faults(error: BaseException) -> Iterator[str]:
