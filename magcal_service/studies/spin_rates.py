@@ -33,9 +33,8 @@ def run(request: Request) -> Findings:
         verdicts = [_trust(each.variant, request.seed) for each in measured]
         rows = tuple(_row(each, trust) for each, trust in zip(measured, verdicts, strict=True))
         tables.append(Table(f"{name}: final estimate", ("spin [rpm]", *COLUMNS, "verdict", "reasons"), rows))
-        figures[f"{name}: rates whose covariance is not honest [rpm]"] = ", ".join(
-            f"{each.variant.plan.rate_rpm:g}" for each in measured if not each.honest
-        )
+        dishonest = [f"{each.variant.plan.rate_rpm:g}" for each in measured if not each.honest]
+        figures[f"{name}: rates whose covariance is not honest [rpm]"] = ", ".join(dishonest) or "none"
         panels.append(_panel(name, measured))
     settings: dict[str, Cell] = {"duration [s]": duration_s, "noise [nT]": FlightPlan().noise_nt, "samples [Hz]": 1}
     return Findings(tuple(tables), figures, settings, _NOTES, tuple(panels))
