@@ -37,6 +37,10 @@ _MOST_UNSOUND: Final = 0.25
 The length of three components of noise exceeds 6.5 sigma once in 10^9, the median is 1.5 sigma.
 """
 
+_FEWEST_JUDGED: Final = 8
+_FEWEST_FOR_SQUARE: Final = 40
+"""Samples from which on six columns, and nine, leave enough of them to be judged."""
+
 _SHORTEST_SPAN: Final = 0.9
 """A window closed early by a gap is used when it spans at least this share of its turns."""
 
@@ -91,6 +95,19 @@ def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
     return weights
 
 
+def _smooth_design(times_s: Array, rate_rad_s: float) -> Array:
+    """Columns for all three components of a field that turns meanwhile: {1, t}, and the same times cos and sin.
+
+    With t^2, too, where there are samples for it: (k, 6) or (k, 9), each column of length 1.
+    """
+    t = times_s - times_s.mean()
+    phase, t = rate_rad_s * t, t / max(float(np.abs(t).max()), 1e-9)
+    slow = [np.ones_like(t), t, t * t - 1.0 / 3.0] if len(t) > _FEWEST_FOR_SQUARE else [np.ones_like(t), t]
+    design: Array = np.stack([term * turn for turn in (1.0, np.cos(phase), np.sin(phase)) for term in slow], axis=1)
+    design /= np.linalg.norm(design, axis=0)
+    return design
+
+
 def sound_samples(times_s: Array, field_nt: Array, rate_rad_s: float, noise_nt: float | None) -> NDArray[np.bool_]:
     """Which vectors (k, 3) [nT] of a window agree with its harmonic fit (k,); all, where too many would have to go.
 
@@ -98,8 +115,13 @@ def sound_samples(times_s: Array, field_nt: Array, rate_rad_s: float, noise_nt: 
     The worst go one by one until what is left is a fit that they could not spoil, and each is judged by that.  Their
     residuals are compared with ``noise_nt`` [nT] where that is given, and else with the median; physics that no
     harmonic fits spoils more than a quarter, and nothing is left out.
+
+    The fit has terms in t of every component: along the spin axis the field goes by 80 nT/s in a low orbit, more than
+    the noise of a good sensor within a window.
     """
-    design, keep = _design(times_s, rate_rad_s), np.ones(len(times_s), dtype=bool)
+    if len(times_s) < _FEWEST_JUDGED:
+        return np.ones(len(times_s), dtype=bool)
+    design, keep = _smooth_design(times_s, rate_rad_s), np.ones(len(times_s), dtype=bool)
     everything = keep.copy()
     for _ in range(int(_MOST_UNSOUND * len(keep))):
         scaled, limit_nt = _against_fit(design, field_nt, keep, noise_nt)

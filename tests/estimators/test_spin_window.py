@@ -121,6 +121,14 @@ def test_sound_windows_are_left_as_they_are(noise_nt: float | None) -> None:
     assert all(sound_samples(*window_of_vectors(16, rng), noise_nt).all() for _ in range(300))
 
 
+@pytest.mark.parametrize("rate_rpm", [0.5, 1.0, 7.5, 20.0])
+def test_the_field_s_own_motion_spoils_no_window_of_a_quiet_sensor(rate_rpm: float) -> None:
+    times, field, _ = Craft(1, noise_nt=20.0, rate_rpm=rate_rpm).arrays(3000)
+    count, rate = max(6, round(120.0 / rate_rpm)), rate_rpm * 2.0 * np.pi / 60.0
+    parts = [slice(first, first + count) for first in range(0, 3000 - count, count)]
+    assert all(sound_samples(times[part], field[part], rate, 20.0).all() for part in parts)
+
+
 def test_a_window_that_is_spoilt_throughout_is_left_to_the_filter() -> None:
     rng = np.random.default_rng(33)
     times, field, rate = window_of_vectors(16, rng)
