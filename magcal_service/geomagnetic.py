@@ -128,13 +128,14 @@ def _ned_from_ecef(latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     return np.stack(rows, axis=-1).reshape(*sin_lat.shape, 3, 3)
 
 
-def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats) -> Floats:
+def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats, max_degree: int = 13) -> Floats:
     """IGRF-14 main field in ECEF.
 
     Parameters
     ----------
     times_utc_ns: (n,) UTC [ns since 1970], from 1900-01-01 to 2030-01-01.
     position_ecef_km: (n, 3) ECEF [km], 6300 to 60000 km from the Earth's centre.
+    max_degree: terms above this degree are left out, 1 to 13.
 
     Returns (n, 3) [nT], ECEF.  The main field alone: crust (20 nT rms at 400 km) and currents above (20-400 nT) are
     not in it.  Raises InputRefusedError outside the domain, ExtraMissingError without ppigrf.
@@ -152,7 +153,7 @@ def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats) -> Floats:
     for year in np.unique(intervals):
         rows = np.flatnonzero(intervals == year)
         for part in np.array_split(rows, max(1, math.ceil(len(rows) / _ROWS))):
-            field[part] = _within_interval(int(year), times[part], position[part])
+            field[part] = _within_interval(int(year), times[part], position[part], max_degree)
     return field
 
 
@@ -173,7 +174,7 @@ def _refuse_outside_domain(times: Times, position: Floats) -> None:
         raise InputRefusedError(faults)
 
 
-def _within_interval(year: int, times: Times, position: Floats) -> Floats:
+def _within_interval(year: int, times: Times, position: Floats, max_degree: int) -> Floats:
     """Field of positions whose times lie in one five-year interval.
 
     The coefficients are linear in time between epochs, so the field at fixed place is too: two epochs (one outer
@@ -184,7 +185,7 @@ def _within_interval(year: int, times: Times, position: Floats) -> Floats:
     colatitude = np.clip(np.degrees(np.arctan2(np.hypot(x, y), z)), _POLE_DEG, 180.0 - _POLE_DEG)
     longitude = np.arctan2(y, x)
     dates = [datetime(year, 1, 1), datetime(year + 5, 1, 1)]
-    parts = _ppigrf().igrf_gc(radius, colatitude, np.degrees(longitude), dates)
+    parts = _ppigrf().igrf_gc(radius, colatitude, np.degrees(longitude), dates, max_degree=max_degree)
     weight = (times - _epoch_ns(year)) / float(_epoch_ns(year + 5) - _epoch_ns(year))
     up, south, east = (part[0] + weight * (part[1] - part[0]) for part in parts)
     theta = np.radians(colatitude)

@@ -1,0 +1,123 @@
+"""One linear-algebra pass over rival explanations: projections, evidence, and blocks that took no part in a fit.
+
+Evidence is that of a linear Gaussian model whose amplitudes have one common prior spread s, chosen by the data (empirical
+Bayes, type II likelihood).  For amplitudes c with projected normal matrix G = V diag(l) V' and right side V'r:
+
+    2 ln E(s) = sum_i (V'r)_i^2 / sigma^2 / (l_i + sigma^2 / s^2) - ln(1 + l_i s^2 / sigma^2)
+
+so a form with more amplitudes pays for each by what the data could have told about it, whatever the sample's size.
+Source: MacKay 1992, Bayesian interpolation, Neural Computation 4, equations 4.9 and 4.13.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+
+FOLDS: Final = 5
+BLOCKS: Final = 50
+"""Held-out data are contiguous blocks, a fiftieth of the recording each, dealt out to five folds in turn."""
+
+_SPREADS: Final = np.geomspace(1e-6, 1e6, 61)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gain:
+    """What a set of columns explains.
+
+    Parameters
+    ----------
+    nats: evidence over the model without them.
+    squares: drop of the sum of squares [nT^2].
+    amplitudes: least-squares amplitudes (k,), with the prior as a tie, in units of the columns.
+    """
+
+    nats: float
+    squares: float
+    amplitudes: Array
+
+
+class Workspace:
+    """A residual with the model's columns projected out.
+
+    Parameters
+    ----------
+    residual: (m,) [nT].
+    model: (m, p) columns that are fitted in any case.
+    """
+
+    def __init__(self, residual: Array, model: Array) -> None:
+        scale = np.linalg.norm(model, axis=0)
+        q, r = np.linalg.qr(model / np.where(scale > 0.0, scale, 1.0))
+        keep = np.abs(np.diagonal(r)) > 1e-9
+        self._basis = np.ascontiguousarray(q[:, keep])
+        self.residual: Array = residual - self._basis @ (self._basis.T @ residual)
+        self.count = len(residual)
+        self.squares = float(self.residual @ self.residual)
+
+    def projected(self, columns: Array) -> Array:
+        """Columns (m, k) less their part in the model's."""
+        result: Array = columns - self._basis @ (self._basis.T @ columns)
+        return result
+
+    def gain(self, columns: Array, sigma_nt: float) -> Gain:
+        """Evidence for columns (m, k) at a noise of ``sigma_nt``."""
+        scale = np.sqrt(np.einsum("mk,mk->k", columns, columns) / len(columns))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        # Q'Z is small: G = Z'Z - (Q'Z)'(Q'Z), and Z'r needs no projection because r is projected
+        inside = self._basis.T @ columns
+        normal = (columns.T @ columns - inside.T @ inside) / np.outer(scale, scale)
+        return evidence(normal, columns.T @ self.residual / scale, scale, sigma_nt)
+
+
+def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float) -> Gain:
+    """``Gain`` from a normal matrix (k, k), a right side (k,), both of columns divided by ``scale`` (k,)."""
+    values, vectors = np.linalg.eigh(normal)
+    values = np.maximum(values, 0.0)
+    turned = vectors.T @ right
+    variance = sigma_nt**2
+    useful = values > 1e-10 * max(float(values[-1]), 1e-300)
+    ratio = _SPREADS * float((turned[useful] ** 2 / np.maximum(values[useful], 1e-300) ** 2).sum() + 1e-12) / len(right)
+    added = variance / ratio[:, None]
+    terms = turned**2 / variance / (values + added) - np.log1p(values / added)
+    total = 0.5 * terms.sum(axis=1)
+    best = int(np.argmax(total))
+    solution = vectors @ (turned / (values + added[best]))
+    squares = float(2.0 * solution @ right - solution @ normal @ solution)
+    return Gain(float(total[best]), squares, solution / scale)
+
+
+def folds(time_s: Array) -> NDArray[np.intp]:
+    """Fold number (n,) of each sample: contiguous blocks of time dealt out in turn."""
+    rank = np.arange(len(time_s)) * BLOCKS // max(len(time_s), 1)
+    return (rank % FOLDS).astype(np.intp)
+
+
+def held_out(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array | None = None) -> Array:
+    """(m,) residual of every row under the fit to the other folds.
+
+    Parameters
+    ----------
+    residual: (m,) at the point where the columns were taken.
+    columns: (m, p) derivatives of the model.
+    fold: (m,) fold numbers.
+    tie: (p,) weak diagonal added to the normal matrix.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    scaled = columns / scale
+    parts = [scaled[fold == number] for number in range(FOLDS)]
+    normals = np.stack([part.T @ part for part in parts])
+    rights = np.stack([part.T @ residual[fold == number] for number, part in enumerate(parts)])
+    weak = np.eye(len(scale)) * 1e-9 if tie is None else np.diag(tie / scale**2)
+    left = np.array(residual)
+    for number in range(FOLDS):
+        normal = normals.sum(axis=0) - normals[number] + weak
+        solution = np.linalg.lstsq(normal, rights.sum(axis=0) - rights[number], rcond=1e-12)[0]
+        left[fold == number] -= parts[number] @ solution
+    return left

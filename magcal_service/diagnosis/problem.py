@@ -1,0 +1,304 @@
+"""Simulation and recording side by side: nine errors, effects, and the residual that is left, with its derivatives.
+
+Two forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was recorded
+and the reference has one magnitude only (a room): r = w - A H0, three rows a sample, with H0 three unknowns more, because
+on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects' (``physics.interface``).
+
+Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
+residual's own noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.linear import folds, held_out
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
+from magcal_service.physics.interface import Columns, Hypothesis
+from magcal_service.physics.scene import Scene
+
+PRIOR_BIAS_NT: Final = 2e5
+PRIOR_D: Final = 0.5
+"""1 sigma of the nine errors: only keeps what the recording says nothing of from running away."""
+
+_ITERATIONS: Final = 12
+_CONVERGED: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """A hypothesis with its nonlinear numbers (m,) and amplitudes (k,)."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    amplitudes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Samples, and how their residual is formed.
+
+    Parameters
+    ----------
+    scene: the samples.
+    noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is taken off the scalar residual.
+    room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: the scalar form.
+    """
+
+    scene: Scene
+    noise_nt: float
+    room_from_body: Array | None = None
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether rows are components, three a sample."""
+        return self.room_from_body is not None
+
+    @property
+    def size(self) -> int:
+        """Unknowns before any effect: nine, and the field of the room."""
+        return STATE_SIZE + 3 * self.is_vector
+
+    @cached_property
+    def fold(self) -> np.ndarray:  # type: ignore[type-arg]
+        """Fold number of each row."""
+        numbers = folds(self.scene.time_s)
+        return np.repeat(numbers, 3) if self.is_vector else numbers
+
+    @cached_property
+    def row_time_s(self) -> Array:
+        """Time of each row."""
+        return np.repeat(self.scene.time_s, 3) if self.is_vector else self.scene.time_s
+
+    def rows(self, columns: Columns, unit: Array) -> Array | None:
+        """Columns as rows of the residual (m, k), or None where they say nothing in this form."""
+        if not self.is_vector:
+            return columns.along(unit)
+        if columns.body is None:
+            return None
+        return np.ascontiguousarray(columns.body.reshape(columns.body.shape[0], -1).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solution of a problem.
+
+    Parameters
+    ----------
+    problem: what was solved.
+    x: (9,) or with the room's field (12,).
+    terms: effects.
+    residual: (m,) [nT].
+    columns: (m, p) derivatives of the residual: -d residual / d (unknowns, amplitudes, nonlinear numbers).
+    unit: (n, 3) direction of the calibrated field in the body.
+    calibrated_nt: (n, 3) w.
+    """
+
+    problem: Problem
+    x: Array
+    terms: tuple[Term, ...]
+    residual: Array
+    columns: Array
+    unit: Array
+    calibrated_nt: Array
+
+    @property
+    def rms_nt(self) -> float:
+        """rms of the residual [nT]."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def linear_size(self) -> int:
+        """Unknowns and amplitudes, without the nonlinear numbers."""
+        return self.problem.size + sum(term.hypothesis.size for term in self.terms)
+
+    @cached_property
+    def tie(self) -> Array:
+        """(p,) inverse prior variances, times the noise's."""
+        return _tie(self.problem, self.columns.shape[1])
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(p, p) of unknowns, amplitudes and nonlinear numbers, robust to a coloured residual.
+
+        Block sums of the score stand for its variance (Liang & Zeger 1986); never smaller than for white noise.
+        """
+        sigma2 = max(float(self.residual @ self.residual) / len(self.residual), 1e-12)
+        scale = np.linalg.norm(self.columns, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = self.columns / scale
+        inverse = np.linalg.pinv(scaled.T @ scaled + np.diag(sigma2 * self.tie / scale**2), rcond=1e-12)
+        white = sigma2 * inverse
+        score = scaled * self.residual[:, None]
+        count = max(30, len(score) // 400)
+        sums = np.add.reduceat(score, np.arange(0, len(score), max(1, len(score) // count)))
+        robust = inverse @ (sums.T @ sums) @ inverse
+        grow = np.sqrt(np.maximum(np.diagonal(robust) / np.maximum(np.diagonal(white), 1e-300), 1.0))
+        grow = np.where(grow > 1.5, grow, 1.0)  # block sums themselves scatter by 1 / sqrt(2 blocks)
+        return np.asarray(white * np.outer(grow, grow) / np.outer(scale, scale))
+
+    @cached_property
+    def held_out_residual(self) -> Array:
+        """(m,) residual of each row under the fit to the other folds."""
+        return held_out(self.residual, self.columns, self.problem.fold, self.tie * self.rms_nt**2)
+
+    @cached_property
+    def held_out_rms_nt(self) -> float:
+        """rms of that [nT]."""
+        return float(np.sqrt(np.mean(self.held_out_residual**2)))
+
+
+def _tie(problem: Problem, size: int) -> Array:
+    tie = np.zeros(size)
+    tie[BIAS], tie[D_ALL] = PRIOR_BIAS_NT**-2, PRIOR_D**-2
+    return tie
+
+
+def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
+    """Additive body field d (n, 3) and growth of the magnitude m (n,) of all terms [nT]."""
+    body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
+    for term in terms:
+        columns = term.hypothesis.columns(term.theta)
+        if columns.body is not None:
+            body += np.einsum("k,kni->ni", term.amplitudes, columns.body)
+        elif columns.magnitude is not None:
+            magnitude += term.amplitudes @ columns.magnitude
+    return body, magnitude
+
+
+def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool = True) -> Fit:
+    """Residual and derivatives at given unknowns."""
+    scene = problem.scene
+    body, magnitude = disturbances(terms, scene)
+    w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
+    length = np.linalg.norm(w, axis=1)
+    if problem.room_from_body is not None:
+        target = np.einsum("nji,j->ni", problem.room_from_body, x[STATE_SIZE:])
+        residual = (w - target).reshape(-1)
+        clean = target
+    else:
+        target_length = scene.magnitude_nt + magnitude
+        residual = length - target_length - problem.noise_nt**2 / scene.magnitude_nt
+        clean = w
+    if not derivatives:
+        return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w)
+    if problem.room_from_body is None:
+        share = min(1.0, problem.noise_nt**2 / max(float(residual @ residual) / len(residual), 1e-9))
+        clean = w * (1.0 - share * residual / length)[:, None]
+    inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
+    jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
+    unit = clean / np.linalg.norm(clean, axis=1)[:, None]
+    parts = [-_model_rows(problem, jacobian, unit)]
+    slopes = []
+    for term in terms:
+        parts.append(_required(problem.rows(term.hypothesis.columns(term.theta), unit)))
+        slopes += _slopes(problem, term, unit)
+    columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
+    return Fit(problem, x, tuple(terms), residual, columns, unit, w)
+
+
+def _required(rows: Array | None) -> Array:
+    assert rows is not None, "a term that says nothing in this form was fitted"
+    return rows
+
+
+def _model_rows(problem: Problem, jacobian: Array, unit: Array) -> Array:
+    """d residual / d unknowns (m, 9 or 12)."""
+    if problem.room_from_body is None:
+        return np.asarray(np.einsum("ni,nij->nj", unit, jacobian))
+    body_from_room = np.transpose(problem.room_from_body, (0, 2, 1))
+    return np.concatenate([jacobian, -body_from_room], axis=2).reshape(-1, STATE_SIZE + 3)
+
+
+def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
+    """Columns for the nonlinear numbers, by central differences; an instant has none that means anything."""
+    slopes = []
+    for index, number in enumerate(term.hypothesis.nonlinear):
+        if number.role == "instant":
+            continue
+        size = max(abs(float(term.theta[index])), 1e-3)
+        step = size * 1e-4 if number.role in ("frequency", "period") else size * 1e-2
+        if number.role == "frequency":
+            step = 0.02 / max(float(np.ptp(problem.scene.time_s)), 1.0)
+        if number.role == "period":
+            step = 0.02 * float(term.theta[index]) ** 2 / max(float(np.ptp(problem.scene.time_s)), 1.0)
+        moved = []
+        for sign in (1.0, -1.0):
+            theta = np.array(term.theta)
+            theta[index] += sign * step
+            moved.append(_required(problem.rows(term.hypothesis.columns(theta), unit)) @ term.amplitudes)
+        slopes.append((moved[0] - moved[1]) / (2.0 * step))
+    return slopes
+
+
+def free_numbers(term: Term) -> list[int]:
+    """Indices of the nonlinear numbers that a refit moves."""
+    return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role != "instant"]
+
+
+def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
+    """All unknowns jointly by damped Gauss-Newton from ``start``.
+
+    The nonlinear numbers move along, inside their searched range; a step that does not lower the sum of squares is
+    shortened.
+    """
+    fit = evaluate(problem, start, terms)
+    for _ in range(_ITERATIONS):
+        sigma2 = max(float(fit.residual @ fit.residual) / len(fit.residual), 1e-12)
+        scale = np.linalg.norm(fit.columns, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = fit.columns / scale
+        tie = fit.tie * sigma2
+        values = np.zeros(len(scale))
+        values[:STATE_SIZE] = fit.x[:STATE_SIZE]
+        normal = scaled.T @ scaled + np.diag(tie / scale**2)
+        right = scaled.T @ fit.residual - tie * values / scale
+        step = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
+        if float(step @ normal @ step) < _CONVERGED * sigma2:
+            break
+        better = _line_search(fit, step / scale)
+        if better is None:
+            break
+        fit = better
+    return fit
+
+
+def _line_search(fit: Fit, step: Array) -> Fit | None:
+    cost = float(fit.residual @ fit.residual)
+    for share in (1.0, 0.5, 0.2, 0.05):
+        x, terms = _moved(fit, share * step)
+        if np.abs(x[D_ALL]).max() > 3.0:
+            continue
+        trial = evaluate(fit.problem, x, terms, derivatives=False)
+        if float(trial.residual @ trial.residual) <= cost * (1.0 + 1e-9):
+            return evaluate(fit.problem, x, terms)
+    return None
+
+
+def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
+    size = fit.problem.size
+    x = fit.x + step[:size]
+    terms, at, free = [], size, fit.linear_size
+    for term in fit.terms:
+        count = term.hypothesis.size
+        theta = np.array(term.theta)
+        for index in free_numbers(term):
+            theta[index] = _inside(term.hypothesis, index, float(theta[index] + step[free]))
+            free += 1
+        terms.append(replace(term, amplitudes=term.amplitudes + step[at : at + count], theta=theta))
+        at += count
+    return x, tuple(terms)
+
+
+def _inside(hypothesis: Hypothesis, index: int, value: float) -> float:
+    """The value kept within the range that the grid spans, a step wider; lines are free."""
+    number = hypothesis.nonlinear[index]
+    if number.role or len(number.grid) < 2:
+        return value
+    low, high = float(number.grid.min()), float(number.grid.max())
+    return float(np.clip(value, low if low == 0.0 else 0.5 * low, 1.5 * high))

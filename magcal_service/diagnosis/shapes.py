@@ -1,0 +1,117 @@
+"""Structure without a name: families of columns that no physics was asked for.
+
+They answer one question, whether anything is left in a residual, and where: over time, at a frequency, along the field in
+the body, with the spin's phase, with the Sun, with a channel.  What they explain and the catalogue does not is unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.problem import Problem
+from magcal_service.model import Array
+from magcal_service.physics.interface import Columns, axes_by_signals
+
+_BINS: Final = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """A family: name, what it would mean, and its columns as a function of the field's direction (n, 3)."""
+
+    name: str
+    says: str
+    columns: Callable[[Array], Array]
+    terms: tuple[str, ...] = ()
+
+
+def shapes(problem: Problem, phase: Array | None) -> Iterator[Shape]:
+    """Every family that this recording has the means for."""
+    scene = problem.scene
+    elapsed = scene.time_s - scene.time_s[0]
+    share = elapsed / max(float(elapsed[-1]), 1.0)
+    for count in (12, 40):
+        yield _body(problem, f"slow {count}", "a body-fixed field that changes over time", _cosines(share, count))
+    if not problem.is_vector:
+        for count in (24, 160):
+            yield _plain(f"time {count}", "the field's magnitude, in stretches of time", _windows(share, count))
+    yield _body(problem, "field", "a body-fixed field that follows the field itself", *_products(scene.field_nt))
+    if phase is not None:
+        turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
+        yield _body(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
+    if scene.sun_body is not None and scene.lit is not None:
+        sun = np.concatenate([scene.sun_body, np.maximum(scene.sun_body, 0.0), np.ones((len(scene), 1))], axis=1)
+        yield _body(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
+    if scene.position_ecef_km is not None and not problem.is_vector:
+        yield _plain("place", "the field's magnitude, by place on the Earth", _places(scene.position_ecef_km))
+    for channel in scene.channels.values():
+        for index, values in enumerate(channel.values.T):
+            bins = _quantiles(values)
+            if bins is not None:
+                name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
+                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", bins)
+
+
+def _body(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
+    def columns(unit: Array) -> Array:
+        if problem.is_vector:
+            rows = problem.rows(Columns(body=axes_by_signals(signals)), unit)
+            assert rows is not None
+            return rows
+        return (signals[:, :, None] * unit[:, None, :]).reshape(len(signals), -1)
+
+    return Shape(name, says, columns, terms)
+
+
+def _plain(name: str, says: str, signals: Array) -> Shape:
+    return Shape(name, says, lambda _: signals)
+
+
+def _cosines(share: Array, count: int) -> Array:
+    """(n, count) smooth courses over the recording."""
+    return np.cos(np.pi * share[:, None] * np.arange(1, count + 1))
+
+
+def _windows(share: Array, count: int) -> Array:
+    """(n, used) indicators of even windows."""
+    number = np.minimum((share * count).astype(np.intp), count - 1)
+    used = np.unique(number)
+    return (number[:, None] == used).astype(np.float64)
+
+
+def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:
+    """Second- and third-degree products of the field's components, each of unit rms, with their names."""
+    scaled = field_nt / max(float(np.sqrt(np.mean(field_nt**2))), 1.0)
+    found, names = [], []
+    for i in range(3):
+        for j in range(i, 3):
+            found.append(scaled[:, i] * scaled[:, j])
+            names.append("B" + "xyz"[i] + " B" + "xyz"[j])
+            for k in range(j, 3):
+                found.append(scaled[:, i] * scaled[:, j] * scaled[:, k])
+                names.append(f"{names[-1 - (k - j)]} B{'xyz'[k]}")
+    signals = np.stack(found, axis=1)
+    return signals - signals.mean(axis=0), tuple(names)
+
+
+def _quantiles(values: Array) -> Array | None:
+    """(n, used) indicators of ten ranges that hold equally many samples; None for a constant channel."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+    number = np.searchsorted(edges, values, side="right")
+    used = np.unique(number)
+    return None if len(used) < 2 else (number[:, None] == used[:-1]).astype(np.float64)
+
+
+def _places(position_ecef_km: Array) -> Array:
+    """(n, used) indicators of the squares of about 15 degrees that were visited."""
+    x, y, z = position_ecef_km.T
+    latitude = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    longitude = np.degrees(np.arctan2(y, x))
+    number = np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)
+    used, counts = np.unique(number, return_counts=True)
+    kept = used[counts >= 20][:200]
+    return (number[:, None] == kept).astype(np.float64)

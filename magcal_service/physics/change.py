@@ -1,0 +1,50 @@
+"""Courses that errors take in time: a step at an instant, and smooth drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear
+from magcal_service.physics.scene import Scene
+from magcal_service.physics.temperature import Act
+
+_INSTANTS: Final = 96
+_RELAXATION_SHARES: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
+
+
+def instants(scene: Scene) -> Nonlinear:
+    """The change times that are tried first: even in samples, and the start of every stretch after a gap."""
+    rows = np.linspace(0, len(scene) - 1, _INSTANTS + 2)[1:-1].astype(np.intp)
+    middle = 0.5 * (scene.time_s[rows] + scene.time_s[np.maximum(rows - 1, 0)])
+    pauses = scene.time_s[scene.pauses[1:]] - 0.5 * scene.period_s
+    return Nonlinear("at_s", "s", np.unique(np.concatenate([middle, pauses[:64]])), role="instant")
+
+
+def step(scene: Scene, effect: str, act: Act, block: Block, variant: str = "") -> Hypothesis:
+    """Nothing before an instant, a constant from then on."""
+
+    def columns(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
+        return Columns(body=act((scene.time_s >= float(theta[0])).astype(np.float64)))
+
+    return Hypothesis(effect, "none", columns, (block,), variant, (instants(scene),))
+
+
+def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+    """Linear, quadratic, and relaxing towards an end value, all zero at the first sample."""
+    elapsed = scene.time_s - scene.time_s[0]
+    span = max(float(elapsed[-1]), 1.0)
+    linear = act(elapsed)
+    yield Hypothesis(effect, "none", lambda _: Columns(body=linear), (block,))
+    curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape)
+    both = np.concatenate([linear, act(elapsed**2)])
+    yield Hypothesis(effect, "none", lambda _: Columns(body=both), (block, curve), "quadratic")
+    tau = Nonlinear("time_constant_s", "s", span * np.array(_RELAXATION_SHARES), logarithmic=True)
+    end = Block(f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape)
+
+    def relaxing(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
+        return Columns(body=act(-np.expm1(-elapsed / float(theta[0]))))
+
+    yield Hypothesis(effect, "none", relaxing, (end,), "relaxing", (tau,))

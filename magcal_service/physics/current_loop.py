@@ -1,0 +1,82 @@
+"""Currents in the harness and the solar arrays: each circuit adds a field in a fixed direction of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, axes_by_signals
+from magcal_service.physics.scene import Scene
+
+_LEAST_SWING = 1e-3  # of the channel's largest value
+
+
+def _fixed(signals: Array) -> Callable[[Array], Columns]:
+    return lambda _: Columns(body=axes_by_signals(signals))
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    for channel in scene.of_quantity("current"):
+        moving = np.std(channel.values, axis=0) > _LEAST_SWING * np.abs(channel.values).max(axis=0)
+        circuits = np.flatnonzero(moving)
+        if len(circuits) == 0:
+            continue
+        shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
+        block = Block("nt_per_a", "nT/A", shape)
+        yield Hypothesis(
+            "current_loop",
+            f"channel:{channel.name}",
+            _fixed(channel.values[:, circuits]),
+            (block,),
+            constants={f"column_{index}": float(column) for index, column in enumerate(circuits)},
+        )
+        for column in circuits if len(circuits) > 1 else ():
+            one = Block("nt_per_a", "nT/A")
+            signal, name = channel.values[:, [column]], f"channel:{channel.name}"
+            yield Hypothesis(
+                "current_loop", name, _fixed(signal), (one,), f"circuit {column + 1}", constants={"column_0": float(column)}
+            )
+    yield from _inferred(scene)
+
+
+def _inferred(scene: Scene) -> Iterator[Hypothesis]:
+    """Array currents from light and, where the attitude is known, from the Sun's angle on panels along the body axes."""
+    if scene.lit is None:
+        return
+    block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
+    if scene.eclipses:
+        yield Hypothesis("current_loop", driver, _fixed(scene.lit[:, None]), (block,), "lit or not")
+    if scene.sun_body is None:
+        return
+    faces = np.concatenate([np.maximum(scene.sun_body, 0.0), np.maximum(-scene.sun_body, 0.0)], axis=1)
+    faces = faces * scene.lit[:, None]
+    names = ("+x", "+y", "+z", "-x", "-y", "-z")
+    used = [i for i in range(6) if float(np.std(faces[:, i])) > 0.02]
+    for i in used:
+        yield Hypothesis("current_loop", driver, _fixed(faces[:, [i]]), (block,), f"panel {names[i]}")
+    sides = (("x", (0, 3)), ("y", (1, 4)), ("z", (2, 5)))
+    for name, pair in sides:
+        if all(i in used for i in pair):
+            both = Block("nt_full_sun", "nT", (2, 3))
+            yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
+    if len(used) >= 3:
+        total = faces[:, used].sum(axis=1, keepdims=True)
+        yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels")
+        every = Block("nt_full_sun", "nT", (len(used), 3))
+        yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), "every panel its own circuit")
+
+
+EFFECT = Effect(
+    name="current_loop",
+    title="currents in the harness or the solar arrays",
+    equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
+    units={"nt_per_a": "nT/A", "nt_full_sun": "nT"},
+    prior=(1.0, 2000.0),
+    valid="the sensor is at rest against the wires; quasi-static",
+    confused_with=("thermal_bias", "sun_disturbance", "torquer"),
+    separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
+    source="Biot-Savart: 1 A in 10 cm2 at 10 cm gives 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

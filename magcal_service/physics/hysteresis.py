@@ -1,0 +1,59 @@
+"""Permeable parts remember: play operators of the field that acts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear
+from magcal_service.physics.scene import Scene
+
+_WIDTHS: Final = np.array([0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
+
+
+def play(values: Array, half_width: float) -> Array:
+    """The play operator (n, 3) of each axis: it follows the input once the slack of +-half_width is used up.
+
+    Source: Visintin 1994, Differential Models of Hysteresis, chapter III.
+    """
+    answer = np.empty_like(values)
+    low, high = values - half_width, values + half_width
+    state = np.clip(np.zeros(3), low[0], high[0])
+    answer[0] = state
+    for row in range(1, len(values)):
+        state = np.minimum(np.maximum(state, low[row]), high[row])
+        answer[row] = state
+    return answer
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    field = scene.calibrated_nt
+    scale = float(np.percentile(np.abs(field), 99))
+
+    def columns(theta: Array) -> Columns:
+        lagging = play(field, float(theta[0]) * scale) - field
+        body = np.zeros((3, len(field), 3))
+        for axis in range(3):
+            body[axis, :, axis] = lagging[:, axis]
+        return Columns(body=body)
+
+    width = Nonlinear("half_width", "1", _WIDTHS)
+    constants = {"scale_nt": scale}
+    yield Hypothesis("hysteresis", "none", columns, (Block("share", "1"),), nonlinear=(width,), constants=constants)
+
+
+EFFECT = Effect(
+    name="hysteresis",
+    title="permeable parts remember the field",
+    equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
+    units={"share": "1", "half_width": "1"},
+    prior=(10.0, 2000.0),
+    valid="one play operator stands for the part's spread of them; sampled several times a turn",
+    confused_with=("cubic_response", "response_lag", "axis_skew"),
+    separated_by="the two branches: the same field approached from both sides",
+    source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,168 @@
+"""What an effect of the catalogue is: a named piece of physics with drivers, columns, parameters and rivals.
+
+Every effect is linear in its amplitudes once its few nonlinear numbers (a lag, a change time, a frequency) are held:
+
+    B = (I + D)^-1 (A H + b + d + eps),   d = sum_k c_k g_k(t; theta)        additive body field, corrected frame
+    |A H| = |H_ref| + sum_k c_k m_k(t; theta)                                a wrong reference
+
+so a hypothesis hands out columns g_k (body field [nT per unit of c_k]) or m_k (magnitude [nT per unit]), and these
+columns are the derivatives of the residual: by a body field u'g, by a magnitude m (u: direction of the field in the body).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magcal_service.model import Array
+
+if TYPE_CHECKING:
+    from magcal_service.physics.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What one unit of each amplitude adds, for n samples and k amplitudes.
+
+    Parameters
+    ----------
+    body: (k, n, 3) additive field in the corrected body frame [nT per unit], or None.
+    magnitude: (k, n) growth of the field's magnitude at the sensor over the reference's [nT per unit], or None.
+    """
+
+    body: Array | None = None
+    magnitude: Array | None = None
+
+    def along(self, unit: Array) -> Array:
+        """Columns of the scalar residual (n, k) for field directions ``unit`` (n, 3) in the body."""
+        if self.body is not None:
+            return np.ascontiguousarray(np.einsum("kni,ni->nk", self.body, unit))
+        assert self.magnitude is not None
+        return np.ascontiguousarray(self.magnitude.T)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A named parameter made of consecutive amplitudes: name, unit and shape as the results give it."""
+
+    name: str
+    unit: str
+    shape: tuple[int, ...] = (3,)
+
+    @property
+    def size(self) -> int:
+        """How many amplitudes it takes."""
+        return int(np.prod(self.shape)) if self.shape else 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nonlinear:
+    """A number the columns depend on.
+
+    Parameters
+    ----------
+    grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
+    logarithmic: steps between values are ratios.
+    role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, or ``""``.
+    """
+
+    name: str
+    unit: str
+    grid: Array
+    logarithmic: bool = False
+    role: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One way an effect may act on one recording: a driver, a form, and its columns.
+
+    Parameters
+    ----------
+    effect: name in the catalogue.
+    driver: ``channel:NAME``, ``inferred:NAME`` or ``none``.
+    variant: which of the effect's forms; "" for the plain one.
+    columns: from the nonlinear numbers (m,) to the columns.
+    blocks: the amplitudes by name, in the order of the columns.
+    nonlinear: what ``columns`` takes; none for most.
+    constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
+    odds: natural logarithm of the prior odds against the plain form.
+    """
+
+    effect: str
+    driver: str
+    columns: Callable[[Array], Columns]
+    blocks: tuple[Block, ...]
+    variant: str = ""
+    nonlinear: tuple[Nonlinear, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
+    odds: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """Effect, form and driver in one text, unique in a recording."""
+        form = f"{self.effect}[{self.variant}]" if self.variant else self.effect
+        return form if self.driver == "none" else f"{form} by {self.driver}"
+
+    @property
+    def size(self) -> int:
+        """Number of amplitudes."""
+        return sum(block.size for block in self.blocks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """An entry of the catalogue.
+
+    Parameters
+    ----------
+    name: as in every result.
+    title: what it is, in a few words.
+    equation: what acts on the field, in the letters of ``interface``.
+    units: unit of each parameter it may report, by name.
+    prior: usual size of the disturbance [nT], from and to.
+    valid: where the form holds.
+    confused_with: effects that look alike.
+    separated_by: the observation that tells them apart.
+    source: where the form comes from.
+    hypotheses: every way it may act on a scene; empty where the recording lacks what it needs.
+    absorbed: what of it the nine errors take up unseen; empty where nothing.
+    """
+
+    name: str
+    title: str
+    equation: str
+    units: Mapping[str, str]
+    prior: tuple[float, float]
+    valid: str
+    confused_with: tuple[str, ...]
+    separated_by: str
+    source: str
+    hypotheses: Callable[[Scene], Sequence[Hypothesis]]
+    absorbed: str = ""
+
+
+def axes_times(signal: Array) -> Array:
+    """Columns (3, n, 3): a signal (n,) along each body axis."""
+    columns = np.zeros((3, len(signal), 3))
+    for axis in range(3):
+        columns[axis, :, axis] = signal
+    return columns
+
+
+def axes_by_signals(signals: Array) -> Array:
+    """Columns (3 k, n, 3): every signal of (n, k) along each body axis, the axes of one signal together."""
+    return np.concatenate([axes_times(signal) for signal in signals.T])
+
+
+def gain_columns(field_nt: Array, signal: Array, common: bool = False) -> Array:
+    """Columns for D + diag(a) s(t): d = -a_i B_i s along axis i, (3, n, 3), or their sum (1, n, 3) where ``common``.
+
+    With the gain left out, w = (I + D) B - b = A H + eps - diag(a) s B, so the disturbance is minus the gain's work.
+    """
+    columns = axes_times(-signal)
+    columns = columns * field_nt[None, :, :]
+    return columns.sum(axis=0, keepdims=True) if common else columns

@@ -1,0 +1,90 @@
+"""The reference was computed at the wrong place: stale orbit elements, a wrong altitude."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service import geomagnetic
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.scene import Scene
+
+_STEP_KM = 10.0
+
+
+def gradients(scene: Scene) -> dict[str, Array]:
+    """d|H| [nT per km], (n,), for a craft further out, along its track, and to the left of it, by central differences."""
+    rows = scene.knots
+    assert scene.position_ecef_km is not None
+    position = scene.position_ecef_km[rows]
+    inertial = geomagnetic.eci_from_ecef(scene.time_ns[rows], position)
+    time_s = scene.time_s[rows]
+    velocity = np.gradient(inertial, time_s, axis=0) if len(rows) > 2 else np.zeros_like(inertial)
+    up = inertial / np.linalg.norm(inertial, axis=1)[:, None]
+    normal = np.cross(up, velocity)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    found = {}
+    for name, direction in (("radial", up), ("along", np.cross(normal, up)), ("cross", normal)):
+        step = geomagnetic.ecef_from_eci(scene.time_ns[rows], _STEP_KM * direction)
+        change = scene.model_magnitude(position + step) - scene.model_magnitude(position - step)
+        found[name] = scene.from_knots(change / (2.0 * _STEP_KM))
+    return found
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    if not scene.has_model:
+        if scene.position_ecef_km is not None:
+            radius = np.linalg.norm(scene.position_ecef_km, axis=1)
+            column = (-3.0 * scene.magnitude_nt / radius)[None]
+            block = Block("radial_km", "km", ())
+            yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
+        return
+    gradient = gradients(scene)
+    hours = scene.time_s / 3600.0
+
+    def of(*columns: Array) -> Columns:
+        return Columns(magnitude=np.stack(columns))
+
+    radial, along, cross = gradient["radial"], gradient["along"], gradient["cross"]
+    forms = {
+        "radial": ((radial,), ("radial_km",)),
+        "along": ((along,), ("along_km",)),
+        "cross": ((cross,), ("cross_km",)),
+        "radial and along": ((radial, along), ("radial_km", "along_km")),
+        "three axes": ((radial, along, cross), ("radial_km", "along_km", "cross_km")),
+        "along, growing": ((along, along * hours), ("along_km", "along_km_per_h")),
+        "along, growing faster": (
+            (along, along * hours, along * hours**2),
+            ("along_km", "along_km_per_h", "along_km_per_h2"),
+        ),
+        "three axes, growing along": (
+            (radial, along, cross, along * hours),
+            ("radial_km", "along_km", "cross_km", "along_km_per_h"),
+        ),
+    }
+    for variant, (columns, names) in forms.items():
+        made = of(*columns)
+        blocks = tuple(Block(name, name.partition("_")[2].replace("_per_", "/"), ()) for name in names)
+        yield Hypothesis("position_offset", "none", lambda _, made=made: made, blocks, variant)  # type: ignore[misc]
+
+
+EFFECT = Effect(
+    name="position_offset",
+    title="the reference was computed at the wrong place",
+    equation="H_ref at r + dr: |A H| = |H_ref| + grad|H| . dr, dr in the radial, along-track and cross-track directions",
+    units={
+        "radial_km": "km",
+        "along_km": "km",
+        "cross_km": "km",
+        "along_km_per_h": "km/h",
+        "along_km_per_h2": "km/h2",
+    },
+    prior=(10.0, 3000.0),
+    valid="to first order: below about 100 km",
+    confused_with=("time_offset", "reference_epoch", "external_field"),
+    separated_by="newer orbit elements or a GNSS fix: along the track, a wrong place and a wrong clock are one to first order",
+    source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

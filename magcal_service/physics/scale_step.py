@@ -1,0 +1,29 @@
+"""The gain changes at one instant: a range switch, a bridge reset, an upset register."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from magcal_service.physics.change import step
+from magcal_service.physics.interface import Block, Effect, Hypothesis, gain_columns
+from magcal_service.physics.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield step(scene, "scale_step", lambda s: gain_columns(scene.field_nt, s), Block("step", "1"))
+    common = Block("step_common", "1", ())
+    yield step(scene, "scale_step", lambda s: gain_columns(scene.field_nt, s, common=True), common, "one gain")
+
+
+EFFECT = Effect(
+    name="scale_step",
+    title="the gain changes at one instant",
+    equation="D + diag(step) from t >= at, so d = -diag(step) B",
+    units={"step": "1", "step_common": "1", "at_s": "s"},
+    prior=(10.0, 5000.0),
+    valid="one instant; the change is over within a sample",
+    confused_with=("bias_step", "scale_drift"),
+    separated_by="a field of another size after the change",
+    source="range switches and set/reset straps of AMR bridges: 0.1-100 %",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,86 @@
+"""The Sun as a driver: its direction, the Earth's shadow, and first-order answers to light.
+
+Kept apart from the simulator's own Sun on purpose: what proves the diagnosis shares no code with what it explains with.
+Source: Meeus 1998, Astronomical Algorithms, chapter 25 (low accuracy, 0.01 deg); Vallado 2013, section 5.3 (shadow).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+
+_DAY_S = 86400.0
+_J2000_S = 946_728_000.0
+_EARTH_KM = 6371.0
+_POLAR_SHRINK = 1.0 / (1.0 - 1.0 / 298.257)
+_PENUMBRA_RAD = 0.00465
+
+
+def sun_eci(utc_s: Array) -> Array:
+    """Unit vectors (n, 3) from the Earth to the Sun, ECI of date, at UTC seconds since 1970 (n,)."""
+    centuries = (utc_s - _J2000_S) / (36525.0 * _DAY_S)
+    mean_longitude = np.radians(280.46646 + 36000.76983 * centuries)
+    anomaly = np.radians(357.52911 + 35999.05029 * centuries)
+    centre = np.radians(
+        (1.914602 - 0.004817 * centuries) * np.sin(anomaly)
+        + (0.019993 - 0.000101 * centuries) * np.sin(2.0 * anomaly)
+        + 0.000289 * np.sin(3.0 * anomaly)
+    )
+    longitude = mean_longitude + centre
+    obliquity = np.radians(23.439291 - 0.0130042 * centuries)
+    y = np.sin(longitude)
+    return np.stack([np.cos(longitude), y * np.cos(obliquity), y * np.sin(obliquity)], axis=-1)
+
+
+def sunlit(position_eci_km: Array, sun: Array) -> Array:
+    """Share of sunlight (n,), 1 in light, 0 in shadow, linear through the penumbra.
+
+    The Earth's flattening is taken by stretching z; the edge is then right to about a second in low orbit.
+    """
+    stretched = position_eci_km * np.array([1.0, 1.0, _POLAR_SHRINK])
+    along = np.einsum("ni,ni->n", stretched, sun)
+    across = np.sqrt(np.maximum((stretched**2).sum(axis=1) - along**2, 0.0))
+    radius = 6378.137
+    width = np.maximum(np.abs(along), 1.0) * _PENUMBRA_RAD
+    share = np.clip((across - radius) / (2.0 * width) + 0.5, 0.0, 1.0)
+    return np.where(along > 0.0, 1.0, share)
+
+
+def first_order(time_s: Array, drive: Array, tau_s: float, start: Array | float | None = None) -> Array:
+    """Answer y (n, ...) of dy/dt = (drive - y) / tau at rising times (n,), the drive taken linear between samples.
+
+    ``start`` is y at the first sample; None: the drive's own first value.  Exact for a drive that is linear in between.
+    """
+    steps = np.diff(time_s)
+    kept = np.exp(-steps / tau_s)
+    # y1 = kept y0 + a u0 + c u1 with the ramp's exact weights
+    ramp = np.where(steps > 1e-9 * tau_s, (1.0 - kept) * tau_s / np.maximum(steps, 1e-12), 1.0)
+    late, early = 1.0 - ramp, ramp - kept
+    answer = np.empty_like(drive, dtype=np.float64)
+    value = np.array(drive[0] if start is None else start, dtype=np.float64)
+    answer[0] = value
+    shape = (-1,) + (1,) * (drive.ndim - 1)
+    pushed = early.reshape(shape) * drive[:-1] + late.reshape(shape) * drive[1:]
+    if drive.ndim == 1:
+        level, values = float(value), []
+        for k, p in zip(kept.tolist(), pushed.tolist(), strict=True):
+            level = k * level + p
+            values.append(level)
+        answer[1:] = values
+        return answer
+    for index in range(len(steps)):
+        value = kept[index] * value + pushed[index]
+        answer[index + 1] = value
+    return answer
+
+
+def hold_over_nan(values: Array) -> Array:
+    """The values (n, k) with NaN filled by linear interpolation over the row number, ends held; all-NaN becomes 0."""
+    filled = np.array(values, dtype=np.float64)
+    rows = np.arange(len(filled))
+    for column in filled.T:
+        good: NDArray[np.bool_] = np.isfinite(column)
+        column[~good] = np.interp(rows[~good], rows[good], column[good]) if good.any() else 0.0
+    return filled

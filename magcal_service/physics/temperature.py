@@ -1,0 +1,70 @@
+"""Temperature as a driver: recorded, or inferred as a first-order answer to sunlight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear
+from magcal_service.physics.scene import Scene
+from magcal_service.physics.sunlight import first_order
+
+TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 15)
+"""2 minutes (a bare board) to 4 hours (the middle of a craft)."""
+
+_LEAST_SWING_K: Final = 0.05
+
+Act = Callable[[Array], Array]
+"""From a signal (n,) to columns (k, n, 3)."""
+
+
+def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+    """One hypothesis for each recorded temperature, T - T0 with T0 the recording's mean."""
+    for channel in scene.of_quantity("temperature"):
+        several = channel.values.shape[1] > 1
+        for index, values in enumerate(channel.values.T):
+            if float(np.std(values)) < _LEAST_SWING_K:
+                continue
+            zero = round(float(values.mean()), 1)
+            yield Hypothesis(
+                effect,
+                f"channel:{channel.name}",
+                _fixed(act, values - zero),
+                (block,),
+                variant=f"column {index + 1}" if several else "",
+                constants={"zero_degc": zero, "column": float(index)},
+            )
+
+
+def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
+    return lambda _: Columns(body=act(signal))
+
+
+def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+    """Temperature as dT/dt = (T_eq(lit) - T) / tau, in units of the swing between light and shadow.
+
+    The temperature at the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
+    """
+    if scene.lit is None or not scene.eclipses:
+        return
+    lit, time_s = scene.lit, scene.time_s
+    mean = float(lit.mean())
+
+    def columns(theta: Array) -> Columns:
+        tau_s = float(theta[0])
+        answer = first_order(time_s, lit - mean, tau_s, 0.0)
+        decay = np.exp(-(time_s - time_s[0]) / tau_s)
+        return Columns(body=np.concatenate([act(answer), act(decay)]))
+
+    yield Hypothesis(
+        effect,
+        "inferred:temperature",
+        columns,
+        (block, Block(f"start_{block.name}", block.unit, block.shape)),
+        variant="first-order answer to light",
+        nonlinear=(Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),),
+        constants={"mean_light": mean},
+    )

@@ -1,0 +1,38 @@
+"""A gain that follows the sensor's temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Effect, Hypothesis, gain_columns
+from magcal_service.physics.scene import Scene
+from magcal_service.physics.temperature import inferred, recorded
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    def each(signal: Array) -> Array:
+        return gain_columns(scene.field_nt, signal)
+
+    def common(signal: Array) -> Array:
+        return gain_columns(scene.field_nt, signal, common=True)
+
+    yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K"))
+    for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):
+        yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
+    yield from inferred(scene, "thermal_scale", each, Block("swing", "1"))
+
+
+EFFECT = Effect(
+    name="thermal_scale",
+    title="a gain that follows the sensor's temperature",
+    equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B",
+    units={"per_k": "1/K", "per_k_common": "1/K", "swing": "1", "start_swing": "1", "time_constant_s": "s"},
+    prior=(5.0, 5000.0),
+    valid="linear in T over tens of kelvin; T0 is the mean of the recording",
+    confused_with=("thermal_bias", "current_loop", "scale_drift"),
+    separated_by="a field of another size at the same temperature: half an orbit of another phase, or another spin axis",
+    source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,36 @@
+"""Sensor and reference are tagged by clocks that disagree, or drift apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    slope = scene.magnitude_slope
+    if float(np.std(slope)) <= 1e-3:
+        return
+    offset, growing = slope[None], (slope * scene.time_s * 1e-6)[None]
+    block = Block("offset_s", "s", ())
+    yield Hypothesis("time_offset", "none", lambda _: Columns(magnitude=offset), (block,))
+    blocks = (block, Block("drift_ppm", "1e-6", ()))
+    both = np.concatenate([offset, growing])
+    yield Hypothesis("time_offset", "none", lambda _: Columns(magnitude=both), blocks, "with drift")
+
+
+EFFECT = Effect(
+    name="time_offset",
+    title="time tags of sensor and reference disagree",
+    equation="the field at the sensor at its tag t is H_ref(t + offset + drift t)",
+    units={"offset_s": "s", "drift_ppm": "1e-6"},
+    prior=(10.0, 5000.0),
+    valid="to first order in the offset: below about a minute in low orbit",
+    confused_with=("position_offset", "thermal_bias", "reference_epoch"),
+    separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
+    source="73 nT per second at 7.6 km/s through IGRF (largest d|H|/dt); pulsar timing treats clocks the same way (PINT)",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

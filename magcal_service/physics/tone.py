@@ -1,0 +1,38 @@
+"""A line at a fixed frequency: a converter, a wheel, a heater's pulse width, seen directly or aliased."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, axes_by_signals
+from magcal_service.physics.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    if len(scene) < 64:
+        return
+
+    def columns(theta: Array) -> Columns:
+        angle = 2.0 * np.pi * float(theta[0]) * scene.time_s
+        return Columns(body=axes_by_signals(np.stack([np.cos(angle), np.sin(angle)], axis=1)))
+
+    blocks = (Block("cosine_nt", "nT"), Block("sine_nt", "nT"))
+    frequency = Nonlinear("frequency_hz", "Hz", np.empty(0), role="frequency")
+    yield Hypothesis("tone", "none", columns, blocks, nonlinear=(frequency,))
+
+
+EFFECT = Effect(
+    name="tone",
+    title="a line at a fixed frequency, fixed in the body",
+    equation="d = p cos(2 pi f t) + q sin(2 pi f t), f as sampled: |f_true - n f_s|",
+    units={"cosine_nt": "nT", "sine_nt": "nT", "frequency_hz": "Hz"},
+    prior=(1.0, 1000.0),
+    valid="constant amplitude, frequency and phase over the recording",
+    confused_with=("torquer", "sun_disturbance"),
+    separated_by="another sampling rate moves an alias and leaves a true line; switching the suspect off",
+    source="spectra of platform magnetometers: converters, wheels and heaters, 1-500 nT",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,110 @@
+"""Magnetic torquers: field of the driven coil, its decay, and what the core remembers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, axes_by_signals
+from magcal_service.physics.scene import Scene
+
+DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
+"""L/R of the coil, 0: faster than a sample."""
+
+
+def _decayed(scene: Scene, moment: Array, decay_s: float) -> Array:
+    """The current's answer (n, k) to a held command: a first-order lag from each sample's command to the next."""
+    if decay_s <= 0.0:
+        return moment
+    kept = np.exp(-np.diff(scene.time_s) / decay_s)
+    answer = np.array(moment, dtype=np.float64)
+    for row in range(1, len(moment)):
+        answer[row] = moment[row] + kept[row - 1] * (answer[row - 1] - moment[row])
+    return answer
+
+
+def remembered(moment: Array) -> Array:
+    """Sign of the last command that was not zero (n, k), 0 before the first."""
+    signs = np.sign(np.where(np.abs(moment) > 0.02 * np.abs(moment).max(), moment, 0.0))
+    rows = np.where(signs != 0.0, np.arange(len(signs))[:, None], -1)
+    last = np.maximum.accumulate(rows, axis=0)
+    return np.where(last >= 0, np.take_along_axis(signs, np.maximum(last, 0), axis=0), 0.0)
+
+
+def _driven(scene: Scene, moment: Array, remanence: bool) -> Callable[[Array], Columns]:
+    def columns(theta: Array) -> Columns:
+        signals = _decayed(scene, moment, float(theta[0]))
+        if remanence:
+            signals = np.concatenate([signals, remembered(moment)], axis=1)
+        return Columns(body=axes_by_signals(signals))
+
+    return columns
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    decay = Nonlinear("decay_s", "s", DECAYS_S)
+    for channel in scene.of_quantity("magnetic moment"):
+        used = np.flatnonzero(np.std(channel.values, axis=0) > 0.0)
+        if len(used) == 0:
+            continue
+        moment, count = channel.values[:, used], len(used)
+        matrix = Block("nt_per_am2", "nT/(A m2)", (count, 3))
+        constants = {f"column_{index}": float(column) for index, column in enumerate(used)}
+        driver = f"channel:{channel.name}"
+        yield Hypothesis(
+            "torquer", driver, _driven(scene, moment, False), (matrix,), nonlinear=(decay,), constants=constants
+        )
+        blocks = (matrix, Block("remanence_nt", "nT", (count, 3)))
+        yield Hypothesis(
+            "torquer", driver, _driven(scene, moment, True), blocks, "with remanence", (decay,), constants
+        )
+    yield from _inferred(scene)
+
+
+def _inferred(scene: Scene) -> Iterator[Hypothesis]:
+    """A regular duty pattern, and detumbling by the sign of dB/dt."""
+    if scene.period_s > 20.0 or len(scene) < 200:
+        return
+    duty = (
+        Nonlinear("period_s", "s", np.empty(0), True, "period"),
+        Nonlinear("on_share", "1", np.array([0.2, 0.35, 0.5, 0.65, 0.8])),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False)),
+    )
+
+    def columns(theta: Array) -> Columns:
+        period_s, share, phase = (float(value) for value in theta)
+        on = np.mod(scene.time_s / period_s - phase, 1.0) < share
+        return Columns(body=axes_by_signals(on[:, None].astype(np.float64)))
+
+    yield Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
+    signs = -np.sign(scene.field_slope)
+    block = Block("detumbling_nt", "nT", (3, 3))
+    yield Hypothesis(
+        "torquer", "inferred:detumbling", lambda _: Columns(body=axes_by_signals(signs)), (block,), "sign of dB/dt"
+    )
+
+
+EFFECT = Effect(
+    name="torquer",
+    title="magnetic torquers",
+    equation="d = M m(t), m with the coil's decay L/R, and a remanence that keeps the sign of the last command",
+    units={
+        "nt_per_am2": "nT/(A m2)",
+        "remanence_nt": "nT",
+        "on_nt": "nT",
+        "detumbling_nt": "nT",
+        "decay_s": "s",
+        "period_s": "s",
+        "on_share": "1",
+        "phase": "1",
+    },
+    prior=(10.0, 50000.0),
+    valid="commands held between samples; no saturation of the core",
+    confused_with=("tone", "bias_step", "current_loop"),
+    separated_by="a torquer test: one coil switched by hand while nothing else changes",
+    source="0.2 A m2 at 10 cm gives 20-40 uT (dipole field); Olsen et al. 2020 (CryoSat-2 torquers)",
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)
