@@ -23,6 +23,9 @@ FOLDS: Final = 5
 BLOCKS: Final = 50
 """Held-out data are contiguous blocks, a fiftieth of the recording each, dealt out to five folds in turn."""
 
+_ROUNDING: Final = 1e-9
+"""Share of a column's own square below which what a projection leaves of it is rounding."""
+
 _SPREADS: Final = np.geomspace(1e-6, 1e6, 61)
 
 
@@ -34,11 +37,13 @@ class Gain:
     ----------
     nats: evidence over the model without them.
     squares: drop of the sum of squares [nT^2].
+    effective: how many amplitudes the data really set, at most k.
     amplitudes: least-squares amplitudes (k,), with the prior as a tie, in units of the columns.
     """
 
     nats: float
     squares: float
+    effective: float
     amplitudes: Array
 
 
@@ -72,24 +77,28 @@ class Workspace:
         # Q'Z is small: G = Z'Z - (Q'Z)'(Q'Z), and Z'r needs no projection because r is projected
         inside = self._basis.T @ columns
         normal = (columns.T @ columns - inside.T @ inside) / np.outer(scale, scale)
-        return evidence(normal, columns.T @ self.residual / scale, scale, sigma_nt)
+        return evidence(normal, columns.T @ self.residual / scale, scale, sigma_nt, _ROUNDING * len(columns))
 
 
-def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float) -> Gain:
-    """``Gain`` from a normal matrix (k, k), a right side (k,), both of columns divided by ``scale`` (k,)."""
+def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float, smallest: float = 0.0) -> Gain:
+    """``Gain`` from a normal matrix (k, k), a right side (k,), both of columns divided by ``scale`` (k,).
+
+    Directions with an eigenvalue below ``smallest`` lie in the model's own columns up to rounding and say nothing.
+    """
     values, vectors = np.linalg.eigh(normal)
-    values = np.maximum(values, 0.0)
-    turned = vectors.T @ right
+    useful = values > max(smallest, 1e-10 * float(values[-1]))
+    values = np.where(useful, values, 0.0)
+    turned = np.where(useful, vectors.T @ right, 0.0)
     variance = sigma_nt**2
-    useful = values > 1e-10 * max(float(values[-1]), 1e-300)
-    ratio = _SPREADS * float((turned[useful] ** 2 / np.maximum(values[useful], 1e-300) ** 2).sum() + 1e-12) / len(right)
+    ratio = _SPREADS * float((turned[useful] ** 2 / values[useful] ** 2).sum() + 1e-12) / len(right)
     added = variance / ratio[:, None]
     terms = turned**2 / variance / (values + added) - np.log1p(values / added)
     total = 0.5 * terms.sum(axis=1)
     best = int(np.argmax(total))
     solution = vectors @ (turned / (values + added[best]))
     squares = float(2.0 * solution @ right - solution @ normal @ solution)
-    return Gain(float(total[best]), squares, solution / scale)
+    effective = float((values / (values + added[best])).sum())
+    return Gain(float(total[best]), squares, effective, solution / scale)
 
 
 def folds(time_s: Array) -> NDArray[np.intp]:

@@ -153,6 +153,12 @@ class Fit:
         return float(np.sqrt(np.mean(self.held_out_residual**2)))
 
 
+def is_collapsed(x: Array) -> bool:
+    """Whether nine errors (9 or more,) are no sensor's: an eigenvalue of I + D outside 0.5 to 2."""
+    values = np.linalg.eigvalsh(np.eye(3) + d_matrix(x[:STATE_SIZE]))
+    return bool(values[0] < 0.5 or values[-1] > 2.0)
+
+
 def _tie(problem: Problem, size: int) -> Array:
     tie = np.zeros(size)
     tie[BIAS], tie[D_ALL] = PRIOR_BIAS_NT**-2, PRIOR_D**-2
@@ -187,9 +193,8 @@ def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: boo
         clean = w
     if not derivatives:
         return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w)
-    if problem.room_from_body is None:
-        share = min(1.0, problem.noise_nt**2 / max(float(residual @ residual) / len(residual), 1e-9))
-        clean = w * (1.0 - share * residual / length)[:, None]
+    if problem.room_from_body is None:  # all of it, for the columns of effects are made of such vectors too
+        clean = w * (target_length / length)[:, None]
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
     jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
     unit = clean / np.linalg.norm(clean, axis=1)[:, None]
@@ -219,7 +224,7 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
     """Columns for the nonlinear numbers, by central differences; an instant has none that means anything."""
     slopes = []
     for index, number in enumerate(term.hypothesis.nonlinear):
-        if number.role == "instant":
+        if number.role in ("instant", "held"):
             continue
         size = max(abs(float(term.theta[index])), 1e-3)
         step = size * 1e-4 if number.role in ("frequency", "period") else size * 1e-2
@@ -238,7 +243,7 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
 
 def free_numbers(term: Term) -> list[int]:
     """Indices of the nonlinear numbers that a refit moves."""
-    return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role != "instant"]
+    return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role not in ("instant", "held")]
 
 
 def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
@@ -272,7 +277,7 @@ def _line_search(fit: Fit, step: Array) -> Fit | None:
     cost = float(fit.residual @ fit.residual)
     for share in (1.0, 0.5, 0.2, 0.05):
         x, terms = _moved(fit, share * step)
-        if np.abs(x[D_ALL]).max() > 3.0:
+        if is_collapsed(x) and not is_collapsed(fit.x):
             continue
         trial = evaluate(fit.problem, x, terms, derivatives=False)
         if float(trial.residual @ trial.residual) <= cost * (1.0 + 1e-9):
@@ -296,9 +301,9 @@ def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
 
 
 def _inside(hypothesis: Hypothesis, index: int, value: float) -> float:
-    """The value kept within the range that the grid spans, a step wider; lines are free."""
+    """The value kept within the range that the grid spans; lines are free."""
     number = hypothesis.nonlinear[index]
     if number.role or len(number.grid) < 2:
         return value
     low, high = float(number.grid.min()), float(number.grid.max())
-    return float(np.clip(value, low if low == 0.0 else 0.5 * low, 1.5 * high))
+    return float(np.clip(value, low, high))

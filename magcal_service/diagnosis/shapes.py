@@ -39,7 +39,7 @@ def shapes(problem: Problem, phase: Array | None) -> Iterator[Shape]:
     if not problem.is_vector:
         for count in (24, 160):
             yield _plain(f"time {count}", "the field's magnitude, in stretches of time", _windows(share, count))
-    yield _body(problem, "field", "a body-fixed field that follows the field itself", *_products(scene.field_nt))
+    yield _body(problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt))
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
         yield _body(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)

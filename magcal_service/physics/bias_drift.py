@@ -15,5 +15,10 @@ EFFECT = Effect(
     confused_with=("thermal_bias", "external_field", "bias_step", "scale_drift"),
     separated_by="a longer recording: temperature comes back every orbit, a drift does not",
     source="nT to uT per month (Olsen et al. 2020, monthly drift of platform magnetometers)",
+    says=(
+        "The bias drifts by {nt_per_s} nT/s at first, bending by {nt_per_s2} nT/s2.",
+        "The bias drifts by {nt_per_s} nT/s.",
+        "The bias relaxes by {nt_end} nT with a time constant of {time_constant_s} s.",
+    ),
     hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", axes_times, Block("nt_per_s", "nT/s"))),
 )

@@ -12,7 +12,7 @@ from magcal_service.physics.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    field = scene.field_nt
+    field = scene.clean_field_nt
     own = np.zeros((3, len(field), 3))
     across = np.zeros((6, len(field), 3))
     index = 0
@@ -43,5 +43,9 @@ EFFECT = Effect(
     confused_with=("saturation", "hysteresis"),
     separated_by="a larger field on one axis: a knee is flat below its start, a cube is not",
     source="Brauer et al. 1997 (transverse field effect); data sheets of AMR sensors (linearity 0.1-1 %)",
+    says=(
+        "The answer bends with the cube of the field, by {per_nt2} per nT2.",
+        "The answer bends with the field's size, by {common_per_nt2} per nT2.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

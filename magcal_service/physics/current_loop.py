@@ -78,5 +78,9 @@ EFFECT = Effect(
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm gives 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
+    says=(
+        "Currents add {nt_per_a} nT per ampere, with {driver}.",
+        "Currents add {nt_full_sun} nT in full sun, with {driver}.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

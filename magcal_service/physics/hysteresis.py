@@ -20,12 +20,13 @@ def play(values: Array, half_width: float) -> Array:
     Source: Visintin 1994, Differential Models of Hysteresis, chapter III.
     """
     answer = np.empty_like(values)
-    low, high = values - half_width, values + half_width
-    state = np.clip(np.zeros(3), low[0], high[0])
-    answer[0] = state
-    for row in range(1, len(values)):
-        state = np.minimum(np.maximum(state, low[row]), high[row])
-        answer[row] = state
+    for axis in range(values.shape[1]):
+        state, found = 0.0, []
+        for value in values[:, axis].tolist():
+            low, high = value - half_width, value + half_width
+            state = low if state < low else high if state > high else state
+            found.append(state)
+        answer[:, axis] = found
     return answer
 
 
@@ -55,5 +56,8 @@ EFFECT = Effect(
     confused_with=("cubic_response", "response_lag", "axis_skew"),
     separated_by="the two branches: the same field approached from both sides",
     source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
+    says=(
+        "Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

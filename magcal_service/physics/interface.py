@@ -11,16 +11,19 @@ columns are the derivatives of the residual: by a body field u'g, by a magnitude
 
 from __future__ import annotations
 
+import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
     from magcal_service.physics.scene import Scene
+    from magcal_service.physics.view import View
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +69,8 @@ class Nonlinear:
     ----------
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
     logarithmic: steps between values are ratios.
-    role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, or ``""``.
+    role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"held"`` once
+        it has been searched (the columns jump with it), or ``""``.
     """
 
     name: str
@@ -114,6 +118,43 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Value:
+    """A parameter as found: value and 1 sigma of one shape (sigma NaN where none is claimed), and unit."""
+
+    value: Array
+    sigma: Array
+    unit: str
+
+
+def value_of(value: float | Sequence[float] | Array, sigma: float | Sequence[float] | Array, unit: str) -> Value:
+    """A ``Value`` from plain numbers."""
+    return Value(np.asarray(value, dtype=np.float64), np.asarray(sigma, dtype=np.float64), unit)
+
+
+Values = Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """An effect that shows in the samples, the attitude or the noise, rather than as a field.
+
+    Parameters
+    ----------
+    parameters: what was found.
+    nats: evidence for it over its absence.
+    share: of the mismatch in the residual that it touches, 0 to 1.
+    spoiled: (n,) rows that no fit should use, or None.
+    time_s: from and to, where it acts for a part of the recording only.
+    """
+
+    parameters: Values
+    nats: float
+    share: float
+    spoiled: NDArray[np.bool_] | None = None
+    time_s: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Effect:
     """An entry of the catalogue.
 
@@ -128,7 +169,10 @@ class Effect:
     confused_with: effects that look alike.
     separated_by: the observation that tells them apart.
     source: where the form comes from.
-    hypotheses: every way it may act on a scene; empty where the recording lacks what it needs.
+    says: sentences with parameters and ``{driver}`` in braces; the first whose parameters are all there is used.
+    hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
+    find: looks for it in samples, attitude or noise; None for an effect that acts as a field only.
+    derived: further parameters worked out from those that were fitted.
     absorbed: what of it the nine errors take up unseen; empty where nothing.
     """
 
@@ -141,8 +185,40 @@ class Effect:
     confused_with: tuple[str, ...]
     separated_by: str
     source: str
-    hypotheses: Callable[[Scene], Sequence[Hypothesis]]
+    says: tuple[str, ...]
+    hypotheses: Callable[[Scene], Sequence[Hypothesis]] = lambda _: ()
+    find: Callable[[View], Finding | None] | None = None
+    derived: Callable[[Values], Values] = lambda _: {}
     absorbed: str = ""
+
+    def sentence(self, parameters: Values, driver: str) -> str:
+        """What was found, in one sentence with its numbers."""
+        kind, _, name = driver.partition(":")
+        words = {"driver": f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"}
+        words |= {name: in_words(value) for name, value in parameters.items()}
+        for text in self.says:
+            if all(field in words for _, field, _, _ in string.Formatter().parse(text) if field):
+                return text.format_map(words)
+        return f"{self.title[0].upper()}{self.title[1:]}."
+
+
+def in_words(value: Value) -> str:
+    """A number or a vector as text, with as many digits as its sigma deserves."""
+    numbers = np.atleast_1d(value.value)
+    sigma = np.atleast_1d(value.sigma)
+    digits = [_digits(float(n), float(s)) for n, s in zip(numbers.ravel(), sigma.ravel(), strict=True)]
+    text = ", ".join(digits)
+    return text if value.value.ndim == 0 else f"({text})"
+
+
+def _digits(number: float, sigma: float) -> str:
+    if not np.isfinite(sigma) or sigma <= 0.0:
+        return f"{number:.5g}"
+    places = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 12))
+    if abs(number) < 1e-3 or places > 6:
+        significant = int(np.clip(np.floor(np.log10(max(abs(number), sigma) / sigma)) + 2, 2, 8))
+        return f"{number:.{significant - 1}e}"
+    return f"{number:.{places}f}"
 
 
 def axes_times(signal: Array) -> Array:

@@ -86,5 +86,15 @@ EFFECT = Effect(
     confused_with=("time_offset", "reference_epoch", "external_field"),
     separated_by="newer orbit elements or a GNSS fix: along the track, a wrong place and a wrong clock are one to first order",
     source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
+    says=(
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out, {along_km} km ahead, "
+        "{cross_km} km to the left.",
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out and {along_km} km ahead.",
+        "The reference was computed at the wrong place: the craft is {along_km} km ahead at the start, growing by "
+        "{along_km_per_h} km/h.",
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out.",
+        "The reference was computed at the wrong place: the craft is {along_km} km ahead.",
+        "The reference was computed at the wrong place: the craft is {cross_km} km to the left of it.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

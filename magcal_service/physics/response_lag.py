@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene import Scene
 
 
@@ -22,6 +22,15 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield Hypothesis("response_lag", "none", lambda _: Columns(body=body), blocks)
 
 
+def _derived(parameters: Values) -> Values:
+    """The time constant, from the loss across the field (tau^2), which a lag of one sign cannot imitate."""
+    loss = parameters["loss_s2"]
+    tau = float(np.sqrt(max(float(loss.value), 0.0)))
+    if tau <= 0.0:
+        return {}
+    return {"tau_s": value_of(tau, float(loss.sigma) / (2.0 * tau), "s")}
+
+
 EFFECT = Effect(
     name="response_lag",
     title="the sensor answers late",
@@ -32,6 +41,11 @@ EFFECT = Effect(
     confused_with=("axis_skew", "scale_drift", "spin_rate"),
     separated_by="another spin rate: at a steady rate it is a gain and an angle, and the nine errors absorb it",
     source="first-order response; Wertz 1978, section 17 (eddy currents)",
+    says=(
+        "The sensor answers late, with a time constant of {tau_s} s.",
+        "The sensor answers late, by {lag_s} s.",
+    ),
+    derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     absorbed="at a constant spin rate the nine errors take up gain and angle of the lag whole",
 )

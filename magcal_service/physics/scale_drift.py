@@ -15,7 +15,12 @@ EFFECT = Effect(
     confused_with=("thermal_scale", "bias_drift"),
     separated_by="a longer recording: temperature comes back every orbit, a drift does not",
     source="Swarm: -79 ppm per year (Toeffner-Clausen et al. 2016)",
+    says=(
+        "The gain drifts by {per_s} per second at first, bending by {per_s2} per s2.",
+        "The gain drifts by {per_s} per second.",
+        "The gain relaxes by {end} with a time constant of {time_constant_s} s.",
+    ),
     hypotheses=lambda scene: tuple(
-        drifts(scene, "scale_drift", lambda s: gain_columns(scene.field_nt, s), Block("per_s", "1/s"))
+        drifts(scene, "scale_drift", lambda s: gain_columns(scene.clean_field_nt, s), Block("per_s", "1/s"))
     ),
 )

@@ -10,9 +10,9 @@ from magcal_service.physics.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield step(scene, "scale_step", lambda s: gain_columns(scene.field_nt, s), Block("step", "1"))
+    yield step(scene, "scale_step", lambda s: gain_columns(scene.clean_field_nt, s), Block("step", "1"))
     common = Block("step_common", "1", ())
-    yield step(scene, "scale_step", lambda s: gain_columns(scene.field_nt, s, common=True), common, "one gain")
+    yield step(scene, "scale_step", lambda s: gain_columns(scene.clean_field_nt, s, common=True), common, "one gain")
 
 
 EFFECT = Effect(
@@ -25,5 +25,9 @@ EFFECT = Effect(
     confused_with=("bias_step", "scale_drift"),
     separated_by="a field of another size after the change",
     source="range switches and set/reset straps of AMR bridges: 0.1-100 %",
+    says=(
+        "The gain jumps by {step} at {at_s} s.",
+        "The gain of all axes jumps by {step_common} at {at_s} s.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

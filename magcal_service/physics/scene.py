@@ -41,6 +41,8 @@ class Scene:
     utc: whether the source time is UTC.
     field_nt: (n, 3) measured vector B, sensor axes [nT].
     calibrated_nt: (n, 3) w = (I + D) B - b - d by what is known so far, radial noise taken off [nT].
+    clean_field_nt: (n, 3) the measured vector that would give ``calibrated_nt``: what columns are made of, because the
+        residual is the radial noise, and a column that holds it too would explain it.
     magnitude_nt: (n,) |H_ref| [nT].
     reference_eci_nt: (n, 3) H_ref, ECI [nT], or None where only its magnitude is known.
     position_ecef_km: (n, 3) or None.
@@ -53,6 +55,7 @@ class Scene:
     utc: bool
     field_nt: Array
     calibrated_nt: Array
+    clean_field_nt: Array
     magnitude_nt: Array
     reference_eci_nt: Array | None = None
     position_ecef_km: Array | None = None

@@ -61,5 +61,8 @@ EFFECT = Effect(
     confused_with=("current_loop", "thermal_bias"),
     separated_by="array currents beside it, or a craft that turns its panels: a panel gives half waves, heat a full one",
     source="Toeffner-Clausen et al. 2016 and Lesur et al. 2016 (Swarm, Sun-driven disturbance, 1-5 nT)",
+    says=(
+        "A field of {nt} nT per unit of the Sun's direction in the body turns with {driver} and is gone in shadow.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -24,5 +24,10 @@ EFFECT = Effect(
     confused_with=("current_loop", "thermal_scale", "bias_drift", "sun_disturbance"),
     separated_by="eclipse edges sampled every second: a temperature rounds them, a current does not; a heater test",
     source="Belsten et al. 2023 (AERO-VISTA): 5-50 nT/K for AMR; Primdahl 1979: 0.1-1 nT/K for fluxgates",
+    says=(
+        "A bias of {nt_per_k} nT per kelvin follows {driver}.",
+        "A bias that swings by {nt_swing} nT between light and shadow follows {driver}, with a time constant of "
+        "{time_constant_s} s.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

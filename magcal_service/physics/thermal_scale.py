@@ -13,10 +13,10 @@ from magcal_service.physics.temperature import inferred, recorded
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     def each(signal: Array) -> Array:
-        return gain_columns(scene.field_nt, signal)
+        return gain_columns(scene.clean_field_nt, signal)
 
     def common(signal: Array) -> Array:
-        return gain_columns(scene.field_nt, signal, common=True)
+        return gain_columns(scene.clean_field_nt, signal, common=True)
 
     yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K"))
     for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):
@@ -34,5 +34,11 @@ EFFECT = Effect(
     confused_with=("thermal_bias", "current_loop", "scale_drift"),
     separated_by="a field of another size at the same temperature: half an orbit of another phase, or another spin axis",
     source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
+    says=(
+        "A gain of {per_k} per kelvin and axis follows {driver}.",
+        "One gain of {per_k_common} per kelvin for all axes follows {driver}.",
+        "A gain that swings by {swing} between light and shadow follows {driver}, with a time constant of "
+        "{time_constant_s} s.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

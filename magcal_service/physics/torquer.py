@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, axes_by_signals
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, axes_by_signals, value_of
 from magcal_service.physics.scene import Scene
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
@@ -70,8 +70,8 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),
-        Nonlinear("on_share", "1", np.array([0.2, 0.35, 0.5, 0.65, 0.8])),
-        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False)),
+        Nonlinear("on_share", "1", np.array([0.15, 0.3, 0.5, 0.7, 0.85]), role="held"),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False), role="held"),
     )
 
     def columns(theta: Array) -> Columns:
@@ -85,6 +85,12 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     yield Hypothesis(
         "torquer", "inferred:detumbling", lambda _: Columns(body=axes_by_signals(signs)), (block,), "sign of dB/dt"
     )
+
+
+def _derived(parameters: Values) -> Values:
+    """M with the field's axis as the row and the coil as the column, d = M m; fitted the other way round."""
+    found = parameters.get("nt_per_am2")
+    return {} if found is None else {"nt_per_am2": value_of(found.value.T, found.sigma.T, found.unit)}
 
 
 EFFECT = Effect(
@@ -106,5 +112,11 @@ EFFECT = Effect(
     confused_with=("tone", "bias_step", "current_loop"),
     separated_by="a torquer test: one coil switched by hand while nothing else changes",
     source="0.2 A m2 at 10 cm gives 20-40 uT (dipole field); Olsen et al. 2020 (CryoSat-2 torquers)",
+    says=(
+        "The torquers add {nt_per_am2} nT per A m2, with {driver}.",
+        "Torquers on a regular duty of {period_s} s add {on_nt} nT while on.",
+        "Torquers that detumble by the sign of dB/dt add {detumbling_nt} nT.",
+    ),
+    derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

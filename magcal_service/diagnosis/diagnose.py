@@ -1,0 +1,219 @@
+"""The pipeline: prepare -> explain -> what is left -> attitude and noise -> verdict.  Each step takes the one before."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, hypotheses_of
+from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
+from magcal_service.diagnosis.problem import Fit, evaluate, is_collapsed, solve
+from magcal_service.model import STATE_SIZE, Array
+from magcal_service.physics import catalogue
+from magcal_service.physics.coloured_noise import autoregression
+from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from magcal_service.recordings.recording import Recording
+
+Progress = Callable[[str], None]
+
+UNKNOWN_SHARE: Final = 0.2
+"""Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
+
+
+class Verdict(StrEnum):
+    """What a diagnosis comes to."""
+
+    NONE = "none"
+    NAMED = "named"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """Everything that was found.
+
+    Parameters
+    ----------
+    prepared: recording, problem and the nine errors alone.
+    explained: with effects.
+    findings: effects seen in samples, attitude or noise, by name.
+    left: structures that are left, best first.
+    unexplained: share of the mismatch that no effect explains, 0 where nothing significant is left.
+    verdict, trusted, reasons: what it comes to, and what speaks against believing it.
+    spin: the turn of the craft after the fit.
+    simulation_rms_nt: rms of the residual under the simulation's own nine errors [nT].
+    simulation_x: those errors (9,).
+    whitening: autoregressive coefficients of the noise, empty where it is white.
+    seconds: what it took.
+    """
+
+    prepared: Prepared
+    explained: Explained
+    search: Search
+    findings: Mapping[str, Finding]
+    left: tuple[Structure, ...]
+    unexplained: float
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    spin: SpinSolution | None
+    simulation_x: Array
+    simulation_residual_nt: Array
+    whitening: Array
+    effects: tuple[Effect, ...]
+    seconds: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the result may be acted on."""
+        return not self.reasons
+
+    @property
+    def fit(self) -> Fit:
+        """Nine errors and effects."""
+        return self.explained.fit
+
+
+def diagnose(
+    recording: Recording,
+    simulation_x: Array | None = None,
+    effects: tuple[Effect, ...] | None = None,
+    progress: Progress = lambda _: None,
+) -> Diagnosis:
+    """Compare a recording with its simulation and find what was left out.
+
+    Parameters
+    ----------
+    recording: any recording.
+    simulation_x: nine errors (9,) of the simulation to compare with; None: the forward model as calibrated on the
+        first half of the recording.
+    effects: the catalogue; a test may pass its own.
+    progress: told what is being done.
+    """
+    began = time.monotonic()
+    effects = catalogue() if effects is None else effects
+    progress("simulating the recording with nine errors")
+    prepared = prepare(recording, effects)
+    problem, baseline = prepared.problem, prepared.baseline
+    spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
+    progress(f"screening {len(effects)} effects")
+    search = Search(problem, hypotheses_of(effects, problem), spin_hz=spin_hz)
+    floor = 0.3 * problem.noise_nt
+    explained = search.run(baseline, floor)
+    phase = None if prepared.spin is None else prepared.spin.phase_rad
+    progress("looking for what is left")
+    left = structures(search, explained.fit, phase, floor)
+    coefficients, nats = autoregression(explained.fit.residual, None if problem.is_vector else problem.scene.pauses)
+    if nats > ACCEPTED_NATS and nats > left[0].nats:
+        progress("the noise has a memory: once more with it taken off")
+        search = Search(problem, search.hypotheses, coefficients, spin_hz)
+        explained = search.run(baseline, 0.3 * floor)
+        left = structures(search, explained.fit, phase, 0.3 * floor)
+    else:
+        coefficients = np.zeros(0)
+    progress("looking at attitude and noise")
+    findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
+    unexplained = _unexplained(prepared, explained.fit, left)
+    verdict = _verdict(explained, findings, unexplained)
+    simulated = _simulation(prepared, simulation_x)
+    return Diagnosis(
+        prepared=prepared,
+        explained=explained,
+        search=search,
+        findings=findings,
+        left=tuple(left),
+        unexplained=unexplained,
+        verdict=verdict,
+        reasons=_reasons(prepared, explained.fit, verdict),
+        spin=spin,
+        simulation_x=simulated[0],
+        simulation_residual_nt=simulated[1],
+        whitening=coefficients,
+        effects=effects,
+        seconds=time.monotonic() - began,
+    )
+
+
+def _other_findings(
+    prepared: Prepared, fit: Fit, effects: tuple[Effect, ...], coloured: bool
+) -> tuple[dict[str, Finding], SpinSolution | None]:
+    """Effects in attitude and noise, with the field's effects taken off; those in the samples are there already."""
+    findings = dict(prepared.findings)
+    view, scene = prepared.view, prepared.problem.scene
+    spin = prepared.spin
+    if spin is not None and fit.terms:
+        length = np.linalg.norm(fit.calibrated_nt, axis=1)
+        clean = fit.calibrated_nt * (scene.magnitude_nt / np.maximum(length, 1.0))[:, None]
+        spin = solve_spin(replace(scene, calibrated_nt=clean), view.nominal_axis, view.nominal_rate_rad_s) or spin
+        scene = replace(scene, calibrated_nt=clean)
+    if not prepared.problem.is_vector:
+        view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
+        for effect in effects:
+            wanted = IN_ATTITUDE + (IN_NOISE if coloured or "quantisation" not in findings else ())
+            if effect.find is None or effect.name not in wanted:
+                continue
+            finding = effect.find(view)
+            if finding is not None and (effect.name not in IN_NOISE or coloured or not fit.terms):
+                findings[effect.name] = finding
+    return findings, spin
+
+
+def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure]) -> float:
+    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise."""
+    if not left or not significant(left[0]):
+        return 0.0
+    before, after = prepared.baseline.residual, fit.residual
+    explained = max(float(before @ before) - float(after @ after), 0.0)
+    return left[0].squares / max(left[0].squares + explained, 1e-12)
+
+
+def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
+    if unexplained > UNKNOWN_SHARE:
+        return Verdict.UNKNOWN
+    return Verdict.NAMED if explained.fit.terms or findings else Verdict.NONE
+
+
+def _reasons(prepared: Prepared, fit: Fit, verdict: Verdict) -> tuple[str, ...]:
+    """What speaks against acting on the result."""
+    reasons = []
+    if is_collapsed(fit.x):
+        reasons.append("collapsed")
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
+    if float(sigma[:3].max()) > 1000.0 or float(sigma[3:].max()) > 0.05:
+        reasons.append("poor_coverage")
+    if verdict is Verdict.UNKNOWN:
+        reasons.append("unexplained_structure")
+    if len(prepared.problem.scene) < 300:
+        reasons.append("not_enough_data")
+    return tuple(reasons)
+
+
+def _simulation(prepared: Prepared, given: Array | None) -> tuple[Array, Array]:
+    """Nine errors of the simulation and its residual: those given, or as calibrated on the first half."""
+    problem = prepared.problem
+    if given is not None:
+        x = np.concatenate([given, prepared.baseline.x[STATE_SIZE:]])
+        return given, evaluate(problem, x, (), derivatives=False).residual
+    half = len(problem.scene) // 2
+    scene = problem.scene
+    first = replace(
+        scene,
+        time_s=scene.time_s[:half],
+        field_nt=scene.field_nt[:half],
+        calibrated_nt=scene.calibrated_nt[:half],
+        clean_field_nt=scene.clean_field_nt[:half],
+        magnitude_nt=scene.magnitude_nt[:half],
+        reference_eci_nt=None,
+        position_ecef_km=None,
+        channels={},
+        body_from_eci=None,
+    )
+    room = None if problem.room_from_body is None else problem.room_from_body[:half]
+    x = solve(replace(problem, scene=first, room_from_body=room), prepared.baseline.x).x
+    return x[:STATE_SIZE], evaluate(problem, x, (), derivatives=False).residual

@@ -1,0 +1,358 @@
+"""Which physics was left out: every hypothesis screened, the best refined and fitted jointly, kept only if held-out
+blocks agree; several by forward selection with a backward check; rivals by their evidence in the same place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.linear import Gain, Workspace
+from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
+from magcal_service.model import Array
+from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear
+
+ACCEPTED_NATS: Final = 12.0
+"""Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
+
+HELD_OUT_SHARE: Final = 0.3
+"""Of the drop in squares inside, at least so much has to be seen on blocks that took no part."""
+
+MOST_EFFECTS: Final = 4
+CLASS_NATS: Final = 3.0
+"""Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
+
+_REPEATABLE: Final = ("tone",)
+_LINES: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis with its best nonlinear numbers, its gain, and its evidence after the cost of the search."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    gain: Gain
+    nats: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """The effects that were kept, jointly fitted, and for each what rivals would have done in its place.
+
+    Parameters
+    ----------
+    fit: nine errors and effects.
+    rivals: for each term, effect names with their best evidence in its place [nats], itself included, best first.
+    nats: for each term, evidence for it over its absence.
+    """
+
+    fit: Fit
+    rivals: tuple[tuple[Candidate, ...], ...] = ()
+    nats: tuple[float, ...] = ()
+
+
+@dataclass(eq=False)
+class Search:
+    """One search over a problem.
+
+    Parameters
+    ----------
+    problem: the problem.
+    hypotheses: what may be left out.
+    whitening: autoregressive coefficients (p,) of the noise; empty: white.
+    spin_hz: the spin's frequency, for lines.
+    """
+
+    problem: Problem
+    hypotheses: Sequence[Hypothesis]
+    whitening: Array = field(default_factory=lambda: np.zeros(0))
+    spin_hz: float | None = None
+    _cache: dict[int, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [hypothesis.effect for hypothesis in self.hypotheses]
+        self._forms = {name: names.count(name) for name in set(names)}
+
+    # Rows
+
+    def white(self, rows: Array) -> Array:
+        """Rows (m,) or (m, k) through the noise's whitening filter."""
+        if not len(self.whitening):
+            return rows
+        result = np.array(rows, dtype=np.float64)
+        for lag, coefficient in enumerate(self.whitening.tolist(), start=1):
+            result[lag:] -= coefficient * rows[:-lag]
+        return result
+
+    def workspace(self, fit: Fit, without: int | None = None) -> Workspace:
+        """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
+        residual, columns = fit.residual, fit.columns
+        if without is not None:
+            own = _columns_of(fit, without)
+            linear = own[: fit.terms[without].hypothesis.size]
+            residual = residual + columns[:, linear] @ fit.terms[without].amplitudes
+            columns = np.delete(columns, own, axis=1)
+        return Workspace(self.white(residual), self.white(columns))
+
+    def rows_of(self, hypothesis: Hypothesis, theta: Array, fit: Fit) -> Array | None:
+        """White columns of a hypothesis (m, k); those without nonlinear numbers are kept."""
+        if not hypothesis.nonlinear and id(hypothesis) in self._cache:
+            return self._cache[id(hypothesis)]
+        made: Columns = hypothesis.columns(theta)
+        rows = self.problem.rows(made, fit.unit)
+        if rows is None or not np.isfinite(rows).all():
+            return None
+        rows = self.white(rows)
+        if not hypothesis.nonlinear:
+            self._cache[id(hypothesis)] = rows
+        return rows
+
+    # Screening
+
+    def screen(self, space: Workspace, fit: Fit, sigma_nt: float, skip: Sequence[str] = ()) -> list[Candidate]:
+        """Every hypothesis at its best, best first."""
+        lines: Array | None = None
+        found = []
+        for hypothesis in self.hypotheses:
+            if hypothesis.effect in skip:
+                continue
+            if any(number.role in ("frequency", "period") for number in hypothesis.nonlinear) and lines is None:
+                lines = self._lines(space, fit)
+            candidate = self._best(hypothesis, space, fit, sigma_nt, lines)
+            if candidate is not None:
+                found.append(candidate)
+        return sorted(found, key=lambda candidate: -candidate.nats)
+
+    def _lines(self, space: Workspace, fit: Fit) -> Array:
+        if self.problem.is_vector:
+            return np.zeros(0)
+        return strongest(self.problem.scene, space.residual, fit.unit, _LINES, self.spin_hz)
+
+    def _best(
+        self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float, lines: Array | None
+    ) -> Candidate | None:
+        cost = math.log(self._forms[hypothesis.effect]) + hypothesis.odds
+        grids = [_grid(number, lines) for number in hypothesis.nonlinear]
+        if any(len(grid) == 0 for grid in grids):
+            return None
+
+        def gain(theta: Array) -> Gain | None:
+            rows = self.rows_of(hypothesis, theta, fit)
+            return None if rows is None else space.gain(rows, sigma_nt)
+
+        if not grids:
+            only = gain(np.zeros(0))
+            return None if only is None else Candidate(hypothesis, np.zeros(0), only, only.nats - cost)
+        best: tuple[float, Array, Gain] | None = None
+        for values in _product(grids):
+            trial = gain(values)
+            if trial is not None and (best is None or trial.nats > best[0]):
+                best = (trial.nats, values, trial)
+        if best is None:
+            return None
+        theta, refined = best[1], best[2]
+        if best[0] > 0.5 * ACCEPTED_NATS:
+            theta, refined = _refined(hypothesis, gain, theta, refined, grids, self.problem)
+        cost += sum(_search_cost(number, self.problem) for number in hypothesis.nonlinear)
+        return Candidate(hypothesis, theta, refined, refined.nats - cost)
+
+    # Selection
+
+    def run(self, start: Fit, floor_nt: float) -> Explained:
+        """Forward selection with a backward check after every step."""
+        fit = start
+        refused: set[str] = set()
+        for _ in range(MOST_EFFECTS + len(self.hypotheses)):
+            if len(fit.terms) >= MOST_EFFECTS:
+                break
+            present = {term.hypothesis.effect for term in fit.terms} - set(_REPEATABLE)
+            candidate = self._next(fit, floor_nt, sorted(present | refused))
+            if candidate is None:
+                break
+            term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
+            trial = solve(self.problem, fit.x, (*fit.terms, term))
+            if not self._agrees(fit, trial):
+                refused.add(candidate.hypothesis.effect)
+                continue
+            fit = self._pruned(trial, floor_nt)
+            fit = self._exchanged(fit, floor_nt)
+        return self._compared(fit, floor_nt)
+
+    def _next(self, fit: Fit, floor_nt: float, skip: Sequence[str]) -> Candidate | None:
+        space = self.workspace(fit)
+        sigma = max(math.sqrt(space.squares / space.count), floor_nt)
+        ranked = self.screen(space, fit, sigma, skip)
+        if not ranked:
+            return None
+        # once more with the noise that the best explanation would leave
+        left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
+        sigma = max(math.sqrt(left), floor_nt)
+        close = {id(c.hypothesis) for c in ranked[:25]}
+        again = Search(self.problem, [h for h in self.hypotheses if id(h) in close], self.whitening, self.spin_hz)
+        again._cache, again._forms = self._cache, self._forms
+        ranked = again.screen(space, fit, sigma, skip)
+        return ranked[0] if ranked and ranked[0].nats > ACCEPTED_NATS else None
+
+    def _agrees(self, before: Fit, after: Fit) -> bool:
+        """Whether blocks that took no part gain by the new term too."""
+        inside = float(before.residual @ before.residual) - float(after.residual @ after.residual)
+        outside = float(before.held_out_residual @ before.held_out_residual)
+        outside -= float(after.held_out_residual @ after.held_out_residual)
+        return inside > 0.0 and outside > HELD_OUT_SHARE * inside
+
+    def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
+        """Without the terms that the others have made superfluous."""
+        while len(fit.terms) > 1:
+            sigma = max(fit.rms_nt, floor_nt)
+            nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
+            weakest = int(np.argmin(nats))
+            if nats[weakest] > ACCEPTED_NATS:
+                return fit
+            terms = tuple(term for index, term in enumerate(fit.terms) if index != weakest)
+            fit = solve(self.problem, fit.x, terms)
+        return fit
+
+    def _worth(self, fit: Fit, index: int, sigma: float) -> float:
+        """Evidence for one term with all others there."""
+        term = fit.terms[index]
+        rows = self.rows_of(term.hypothesis, term.theta, fit)
+        assert rows is not None
+        cost = sum(_search_cost(number, self.problem) for number in term.hypothesis.nonlinear)
+        return self.workspace(fit, index).gain(rows, sigma).nats - cost - math.log(self._forms[term.hypothesis.effect])
+
+    def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
+        """Each term replaced by a rival that does better in its place, now that the others are there."""
+        for index in range(len(fit.terms)):
+            sigma = max(fit.rms_nt, floor_nt)
+            ranked = self._rivals(fit, index, sigma)
+            own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
+            if not ranked or ranked[0].nats < own + CLASS_NATS:
+                continue
+            best = ranked[0]
+            terms = list(fit.terms)
+            terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+            trial = solve(self.problem, fit.x, tuple(terms))
+            if trial.held_out_rms_nt <= fit.held_out_rms_nt:
+                fit = trial
+        return fit
+
+    def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
+        others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index} - set(_REPEATABLE)
+        return self.screen(self.workspace(fit, index), fit, sigma, sorted(others))
+
+    def _compared(self, fit: Fit, floor_nt: float) -> Explained:
+        sigma = max(fit.rms_nt, floor_nt)
+        rivals, nats = [], []
+        for index in range(len(fit.terms)):
+            ranked = self._rivals(fit, index, sigma)
+            rivals.append(_best_of_each(ranked))
+            nats.append(self._worth(fit, index, sigma))
+        return Explained(fit, tuple(rivals), tuple(nats))
+
+
+def _best_of_each(ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The best form of each effect, best first."""
+    best: dict[str, Candidate] = {}
+    for candidate in ranked:
+        best.setdefault(candidate.hypothesis.effect, candidate)
+    return tuple(best.values())
+
+
+def _columns_of(fit: Fit, index: int) -> Array:
+    """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
+    from magcal_service.diagnosis.problem import free_numbers
+
+    at, free = fit.problem.size, fit.linear_size
+    for number, term in enumerate(fit.terms):
+        count, moving = term.hypothesis.size, len(free_numbers(term))
+        if number == index:
+            return np.concatenate([np.arange(at, at + count), np.arange(free, free + moving)]).astype(np.intp)
+        at, free = at + count, free + moving
+    raise IndexError(index)
+
+
+def _grid(number: Nonlinear, lines: Array | None) -> Array:
+    if number.role == "frequency":
+        return np.zeros(0) if lines is None else lines
+    if number.role == "period":
+        return np.zeros(0) if lines is None else 1.0 / lines
+    return number.grid
+
+
+def _product(grids: Sequence[Array]) -> Array:
+    """Every combination of the grids' values (m, k)."""
+    return np.stack([axis.ravel() for axis in np.meshgrid(*grids, indexing="ij")], axis=1)
+
+
+def _search_cost(number: Nonlinear, problem: Problem) -> float:
+    """ln of how many independent places were looked at."""
+    if number.role in ("frequency", "period", "instant"):
+        return math.log(max(len(problem.scene), 2))
+    return math.log(max(len(number.grid), 1))
+
+
+def _refined(
+    hypothesis: Hypothesis,
+    gain: object,
+    theta: Array,
+    best: Gain,
+    grids: Sequence[Array],
+    problem: Problem,
+) -> tuple[Array, Gain]:
+    """The nonlinear numbers moved one after another by shrinking steps while the evidence grows."""
+    assert callable(gain)
+    theta = np.array(theta)
+    for _ in range(2 if len(grids) > 1 else 1):
+        for index, number in enumerate(hypothesis.nonlinear):
+            step = _first_step(number, float(theta[index]), grids[index], problem)
+            while step > _last_step(number, float(theta[index]), problem):
+                for sign in (1.0, -1.0):
+                    trial = np.array(theta)
+                    trial[index] += sign * step
+                    if trial[index] <= 0.0 and (number.logarithmic or number.role):
+                        continue
+                    other = gain(trial)
+                    if other is not None and other.nats > best.nats:
+                        theta, best = trial, other
+                        break
+                else:
+                    step *= 0.5
+    return theta, best
+
+
+def _first_step(number: Nonlinear, value: float, grid: Array, problem: Problem) -> float:
+    span = max(float(np.ptp(problem.scene.time_s)), 1.0)
+    if number.role == "frequency":
+        return 0.25 / span
+    if number.role == "period":
+        return 0.25 * value**2 / span
+    if len(grid) < 2:
+        return 0.0
+    nearest = int(np.argmin(np.abs(grid - value)))
+    gaps = np.diff(np.sort(grid))
+    return 0.5 * float(gaps[min(max(nearest - 1, 0), len(gaps) - 1)])
+
+
+def _last_step(number: Nonlinear, value: float, problem: Problem) -> float:
+    span = max(float(np.ptp(problem.scene.time_s)), 1.0)
+    if number.role == "frequency":
+        return 0.005 / span
+    if number.role == "period":
+        return 0.005 * value**2 / span
+    if number.role == "instant":
+        return 0.4 * problem.scene.period_s
+    return 0.02 * max(abs(value), 1e-3)
+
+
+def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesis]:
+    """Every way every effect may act on a problem's scene, in a form that its residual can see."""
+    found = [hypothesis for effect in effects for hypothesis in effect.hypotheses(problem.scene)]
+    if not problem.is_vector:
+        return found
+    magnitude = ("time_offset", "position_offset", "reference_epoch", "external_field")
+    return [replace(h) for h in found if h.effect not in magnitude]

@@ -1,0 +1,97 @@
+"""What no effect explains: the family of shapes that finds most in a residual, how much, and what it looks like."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search
+from magcal_service.diagnosis.linear import Workspace
+from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.shapes import Shape, shapes
+from magcal_service.model import Array
+
+_MOST_TERMS: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """Structure of one family in a residual.
+
+    Parameters
+    ----------
+    shape: the family.
+    nats: evidence for it, after the number of families looked at.
+    squares: sum of squares that it holds, less what noise alone would give it [nT^2].
+    signal: (m,) what it finds in each row [nT].
+    """
+
+    shape: Shape
+    nats: float
+    squares: float
+    signal: Array
+
+
+def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
+    """Every family's part in what a fit has left, the best first."""
+    space = search.workspace(fit)
+    sigma = max(math.sqrt(space.squares / space.count), floor_nt)
+    families = list(shapes(search.problem, phase))
+    cost = math.log(max(len(families), 1))
+    found = []
+    for _ in range(2):
+        found = [_structure(shape, search, space, fit, sigma, cost) for shape in families]
+        found.sort(key=lambda structure: -structure.nats)
+        left = (space.squares - found[0].squares) / space.count
+        better = max(math.sqrt(max(left, 0.0)), floor_nt)
+        if better > 0.98 * sigma:
+            break
+        sigma = better
+    return found
+
+
+def _structure(shape: Shape, search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure:
+    columns = search.white(shape.columns(fit.unit))
+    gain = space.gain(columns, sigma)
+    squares = max(gain.squares - gain.effective * sigma**2, 0.0)
+    signal: Array = space.projected(columns) @ gain.amplitudes
+    return Structure(shape, gain.nats - cost, squares, signal)
+
+
+def significant(structure: Structure) -> bool:
+    """Whether a structure is more than noise."""
+    return structure.nats > ACCEPTED_NATS
+
+
+def fitted_terms(structure: Structure, search: Search, fit: Fit) -> list[tuple[str, float]]:
+    """The few terms of a family with names that hold most of its structure, with their amplitudes [nT rms].
+
+    Chosen one after another by what each still explains, refitted together.
+    """
+    names = structure.shape.terms
+    if not names:
+        return []
+    space = search.workspace(fit)
+    columns = space.projected(search.white(structure.shape.columns(fit.unit)))
+    labels = [f"{name} on {axis}" for name in names for axis in "xyz"]
+    scale = np.sqrt(np.mean(columns**2, axis=0))
+    chosen: list[int] = []
+    residual = space.residual
+    for _ in range(_MOST_TERMS):
+        scores = (columns.T @ residual) ** 2 / np.maximum((columns**2).sum(axis=0), 1e-12)
+        scores[chosen] = 0.0
+        best = int(np.argmax(scores))
+        sigma2 = float(residual @ residual) / len(residual)
+        if scores[best] < (2.0 * ACCEPTED_NATS) * sigma2:
+            break
+        chosen.append(best)
+        part = columns[:, chosen]
+        residual = space.residual - part @ np.linalg.lstsq(part, space.residual, rcond=1e-9)[0]
+    if not chosen:
+        return []
+    part = columns[:, chosen]
+    amplitudes = np.linalg.lstsq(part, space.residual, rcond=1e-9)[0]
+    return [(labels[i], float(a * scale[i])) for i, a in zip(chosen, amplitudes.tolist(), strict=True)]

@@ -1,0 +1,71 @@
+"""Lines of a residual: frequencies at which a body-fixed oscillation would explain most of it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.scene import Scene
+
+_SLOWEST_PERIODS: Final = 8.0
+_SLOWEST_S: Final = 900.0
+_APART_BINS: Final = 4
+
+
+def strongest(
+    scene: Scene, residual: Array, unit: Array, count: int, spin_hz: float | None = None, all_lines: bool = False
+) -> Array:
+    """Up to ``count`` frequencies [Hz], strongest first.
+
+    The six columns u_i cos, u_i sin at each frequency of a zero-padded transform; their normal matrix follows from the
+    transform of u_i u_j at zero and at twice the frequency.  Gaps count as no data.  Lines slower than eight periods a
+    recording or 900 s, and those at the spin's own rate and its double, are no tones (``all_lines`` keeps the latter).
+    """
+    slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
+    size = 1 << int(np.ceil(np.log2(2 * (int(slot[-1]) + 1))))
+    products = np.stack([unit[:, i] * unit[:, j] for i in range(3) for j in range(3)], axis=1)
+    right = _transform(slot, residual[:, None] * unit, size)
+    pairs = _transform(slot, products, size)
+    half = size // 2
+    frequency = np.arange(half) / (size * scene.period_s)
+    double = pairs[(2 * np.arange(half)) % size].reshape(half, 3, 3)
+    still = pairs[0].real.reshape(1, 3, 3)
+    normal = np.empty((half, 6, 6))
+    normal[:, :3, :3] = 0.5 * (still + double.real)
+    normal[:, 3:, 3:] = 0.5 * (still - double.real)
+    normal[:, :3, 3:] = -0.5 * double.imag
+    normal[:, 3:, :3] = -0.5 * double.imag
+    vector = np.concatenate([right[:half].real, -right[:half].imag], axis=1)
+    trace = np.trace(still[0]) / 3.0
+    normal += 1e-6 * trace * np.eye(6)
+    power = np.einsum("fi,fi->f", vector, np.linalg.solve(normal, vector[:, :, None])[:, :, 0])
+    span = max(float(scene.time_s[-1] - scene.time_s[0]), 1.0)
+    power[frequency < max(_SLOWEST_PERIODS / span, 1.0 / _SLOWEST_S)] = 0.0
+    power[frequency > 0.5 / scene.period_s - 3.0 / span] = 0.0
+    if spin_hz is not None and not all_lines:
+        for multiple in (1, 2):
+            line = _folded(multiple * spin_hz, 1.0 / scene.period_s)
+            power[np.abs(frequency - line) < max(6.0 / span, 4e-4)] = 0.0
+    found: list[float] = []
+    for _ in range(count):
+        best = int(np.argmax(power))
+        if power[best] <= 0.0:
+            break
+        found.append(float(frequency[best]))
+        power[max(0, best - _APART_BINS) : best + _APART_BINS + 1] = 0.0
+    return np.array(found)
+
+
+def _folded(line_hz: float, rate_hz: float) -> float:
+    """Where a line appears when sampled at a rate."""
+    folded = abs(line_hz) % rate_hz
+    return min(folded, rate_hz - folded)
+
+
+def _transform(slot: Array, values: Array, size: int) -> Array:
+    """Sum of values exp(-i w t) on an even grid: (size, k) from values (n, k)."""
+    grid = np.zeros((size, values.shape[1]))
+    np.add.at(grid, slot, values)
+    return np.fft.fft(grid, axis=0)

@@ -1,0 +1,270 @@
+"""A recording as a problem: rows in order, gaps filled in telemetry, spikes left out, nine errors fitted, attitude solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service import geomagnetic
+from magcal_service.config import FilterConfig
+from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, solve
+from magcal_service.estimators.start import BatchProblem, StartGate, WindowMeans, gauss_newton, linear_start, prior_sigma
+from magcal_service.model import STATE_SIZE, Array, calibrate, measure
+from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.scene import Scene, Telemetry
+from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from magcal_service.physics.sunlight import hold_over_nan
+from magcal_service.physics.view import View
+from magcal_service.recordings.channels import Axes, QuaternionOrder
+from magcal_service.recordings.recording import Channel, Recording
+from magcal_service.residuals import noise_floor
+from magcal_service.units import CHANNEL_UNITS
+from magcal_service.wire.messages import Clock, Frame
+
+MOST_ROWS: Final = 60_000
+"""Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
+
+_SPIKE: Final = 8.0
+_CONSTANT_SPREAD: Final = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What the steps of a diagnosis work on.
+
+    Parameters
+    ----------
+    recording: the rows that are used, in time order.
+    problem: as the residual is formed.
+    baseline: the nine errors alone.
+    spin: the turn of the craft, or None.
+    view: what effects may look at that are no field.
+    counts: rows that were left out, by kind.
+    findings: effects seen in the samples themselves, by name.
+    """
+
+    recording: Recording
+    problem: Problem
+    baseline: Fit
+    spin: SpinSolution | None
+    view: View
+    counts: Mapping[str, int]
+    findings: Mapping[str, Finding] = field(default_factory=dict)
+
+
+def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
+    """Everything up to the residual of the nine errors."""
+    usable, counts = _usable(recording)
+    noise_nt = recording.descriptor.magnetometer.noise_nt
+    scene = scene_of(usable)
+    x = baseline_start(scene, noise_nt)
+    level = noise_nt or _white(scene, x)
+    findings, spoiled = _sample_findings(scene, x, level, noise_nt, effects)
+    spikes = _spikes(scene, x) & ~spoiled
+    counts |= {"spikes": int(spikes.sum()), "spoiled": int(spoiled.sum())}
+    keep = ~(spikes | spoiled)
+    if not keep.all() and np.count_nonzero(keep) >= 10 * STATE_SIZE:
+        usable = usable.select(keep)
+        scene = scene_of(usable)
+        x = baseline_start(scene, noise_nt)
+        level = noise_nt or _white(scene, x)
+    attitude = recorded_attitude(usable)
+    scene = cleaned(scene, x)
+    room = _room(scene, attitude)
+    spin = None if attitude is not None else _spin(usable, scene)
+    if attitude is not None and attitude[0] is Axes.ECI:
+        scene = replace(scene, body_from_eci=attitude[1])
+    elif spin is not None:
+        scene = replace(scene, body_from_eci=spin.body_from_eci)
+    problem = Problem(scene, level, room)
+    start = x if room is None else np.concatenate([x, _room_field(scene, room)])
+    baseline = solve(problem, start)
+    nominal = usable.descriptor.spin
+    view = View(
+        scene,
+        baseline.residual,
+        level,
+        spin,
+        None if nominal is None else np.array(nominal.axis),
+        None if nominal is None else nominal.rate_rad_s,
+        noise_nt,
+    )
+    return Prepared(usable, problem, baseline, spin, view, counts, findings)
+
+
+def _usable(recording: Recording) -> tuple[Recording, dict[str, int]]:
+    usable = recording.sorted_unique()
+    counts = {"rows": len(recording), "without reference or doubled": len(recording) - len(usable)}
+    if len(usable) > MOST_ROWS:
+        stride = -(-len(usable) // MOST_ROWS)
+        usable = usable.select(np.arange(0, len(usable), stride))
+        counts["thinned by"] = stride
+    return usable, counts
+
+
+def scene_of(recording: Recording) -> Scene:
+    """The scene of a recording's rows (in time order), nothing calibrated yet."""
+    origin_ns = int(recording.time_ns[0])
+    reference = recording.reference
+    position = recording.position
+    ecef = None
+    if position is not None and np.isfinite(position.km).all():
+        if position.frame is Frame.ECEF:
+            ecef = position.km
+        elif recording.clock is Clock.UTC:
+            ecef = geomagnetic.ecef_from_eci(recording.time_ns, position.km)
+    return Scene(
+        time_s=(recording.time_ns - origin_ns) * 1e-9,
+        origin_ns=origin_ns,
+        utc=recording.clock is Clock.UTC,
+        field_nt=recording.field_body_nt,
+        calibrated_nt=recording.field_body_nt,
+        clean_field_nt=recording.field_body_nt,
+        magnitude_nt=reference.magnitude_nt,
+        reference_eci_nt=_reference_eci(recording, ecef),
+        position_ecef_km=ecef,
+        channels={name: telemetry(channel) for name, channel in recording.channels.items() if channel.spec.order is None},
+    )
+
+
+def telemetry(channel: Channel) -> Telemetry:
+    """A channel in its base unit, gaps filled."""
+    unit = CHANNEL_UNITS[channel.spec.unit]
+    return Telemetry(channel.spec.name, unit.quantity, hold_over_nan(unit.to_base(channel.values)))
+
+
+def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
+    reference = recording.reference
+    if reference.vector_nt is None or not np.isfinite(reference.vector_nt).all():
+        return None
+    if reference.frame is Frame.ECI:
+        return reference.vector_nt
+    if recording.clock is not Clock.UTC:
+        return None
+    if reference.frame is Frame.ECEF:
+        return geomagnetic.eci_from_ecef(recording.time_ns, reference.vector_nt)
+    if ecef is None:
+        return None
+    latitude, longitude, _ = geomagnetic.geodetic_from_ecef(ecef)
+    fixed = geomagnetic.ecef_from_ned(latitude, longitude, reference.vector_nt)
+    return geomagnetic.eci_from_ecef(recording.time_ns, fixed)
+
+
+def baseline_start(scene: Scene, noise_nt: float | None) -> Array:
+    """The nine errors (9,) by linear least squares and Gauss-Newton; zero where neither gets anywhere."""
+    prior = prior_sigma(FilterConfig(prior_bias_nt=PRIOR_BIAS_NT, prior_D=PRIOR_D))
+    magnitude = scene.magnitude_nt
+    found: list[tuple[float, Array]] = []
+    sigma = max(noise_nt or 0.0, 0.01 * float(magnitude.mean()))
+    problem = BatchProblem(scene.field_nt, magnitude, WindowMeans.of(()), prior, sigma, noise_nt or 0.0)
+    first = linear_start(problem)
+    starts = [np.zeros(STATE_SIZE)] if isinstance(first, StartGate) else [first, np.zeros(STATE_SIZE)]
+    for start in starts:
+        try:
+            result = gauss_newton(problem, start)
+        except np.linalg.LinAlgError:
+            continue
+        if result is not None and np.isfinite(result[0]).all():
+            found.append((problem.normal_equations(result[0])[2], result[0]))
+    return min(found, key=lambda pair: pair[0])[1] if found else np.zeros(STATE_SIZE)
+
+
+def _white(scene: Scene, x: Array) -> float:
+    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
+    return max(noise_floor(scene.time_ns, residual), 1e-3)
+
+
+def cleaned(scene: Scene, x: Array) -> Scene:
+    """The scene with vectors calibrated by nine errors and brought to the known magnitude: no radial noise is left."""
+    w = calibrate(x, scene.field_nt)
+    length = np.linalg.norm(w, axis=1)
+    clean = w * (scene.magnitude_nt / np.maximum(length, 1.0))[:, None]
+    return replace(scene, calibrated_nt=clean, clean_field_nt=measure(x, clean))
+
+
+def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
+    """Single samples that stand far out of their neighbourhood."""
+    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
+    padded = np.pad(residual, 4, mode="reflect")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
+    off = np.abs(residual - around)
+    limit = _SPIKE * 1.4826 * float(np.median(off))
+    spread = np.abs(residual - np.median(residual))
+    return np.asarray((off > limit) & (spread > _SPIKE * 1.4826 * float(np.median(spread))))
+
+
+def _sample_findings(
+    scene: Scene, x: Array, noise_nt: float, stated: float | None, effects: tuple[Effect, ...]
+) -> tuple[dict[str, Finding], NDArray[np.bool_]]:
+    """Effects that show in the samples themselves, and the rows that they spoil."""
+    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
+    view = View(scene, residual, noise_nt, stated_noise_nt=stated)
+    spoiled = np.zeros(len(scene), dtype=bool)
+    findings = {}
+    for effect in effects:
+        if effect.find is None or effect.name not in IN_SAMPLES:
+            continue
+        finding = effect.find(view)
+        if finding is None:
+            continue
+        findings[effect.name] = finding
+        if finding.spoiled is not None:
+            spoiled |= finding.spoiled
+    return findings, spoiled
+
+
+IN_SAMPLES: Final = ("stuck_axis", "saturation", "quantisation")
+IN_ATTITUDE: Final = ("nutation", "spin_rate")
+IN_NOISE: Final = ("coloured_noise",)
+"""Effects that are looked for elsewhere than in the field, and where."""
+
+
+def _spin(recording: Recording, scene: Scene) -> SpinSolution | None:
+    nominal = recording.descriptor.spin
+    axis = None if nominal is None else np.array(nominal.axis)
+    return solve_spin(scene, axis, None if nominal is None else nominal.rate_rad_s)
+
+
+def recorded_attitude(recording: Recording) -> tuple[Axes, Array] | None:
+    """The axes that a recorded attitude refers the body to, and (n, 3, 3) body from those axes; None without one."""
+    for channel in recording.channels.values():
+        spec = channel.spec
+        if spec.order is None or spec.from_axes is None or spec.to_axes is None:
+            continue
+        quaternion = hold_over_nan(channel.values)
+        if spec.order is QuaternionOrder.XYZW:
+            quaternion = quaternion[:, [3, 0, 1, 2]]
+        to_from = _matrices(quaternion)  # turns vectors of ``from`` into ``to``
+        if spec.to_axes is Axes.BODY:
+            return spec.from_axes, to_from
+        if spec.from_axes is Axes.BODY:
+            return spec.to_axes, np.transpose(to_from, (0, 2, 1))
+    return None
+
+
+def _matrices(quaternion: Array) -> Array:
+    """(n, 3, 3) rotation matrices of quaternions (n, 4), scalar first."""
+    w, x, y, z = (quaternion / np.maximum(np.linalg.norm(quaternion, axis=1), 1e-12)[:, None]).T
+    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
+def _room(scene: Scene, attitude: tuple[Axes, Array] | None) -> Array | None:
+    """Attitude to a room of uniform field, where the reference has one magnitude only."""
+    if attitude is None or float(np.std(scene.magnitude_nt)) > _CONSTANT_SPREAD * float(scene.magnitude_nt.mean()):
+        return None
+    return np.transpose(attitude[1], (0, 2, 1))
+
+
+def _room_field(scene: Scene, room_from_body: Array) -> Array:
+    """A first guess at the room's field (3,) [nT]: the mean of the calibrated vectors, brought to the known length."""
+    mean = np.einsum("nij,nj->i", room_from_body, scene.calibrated_nt) / len(scene)
+    size = float(np.linalg.norm(mean))
+    return np.asarray(mean * (float(scene.magnitude_nt.mean()) / max(size, 1e-9)))
+

@@ -1,0 +1,86 @@
+"""Coning about the momentum: the axis that is fixed in inertial space moves in the body, and the body's axis in space."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.steady_spin import across
+from magcal_service.physics.view import View
+
+_LEAST_NATS: Final = 15.0
+_LEAST_SIGMAS: Final = 0.1
+_SLOWEST_HZ: Final = 2e-3
+
+
+def _find(view: View) -> Finding | None:
+    spin, scene = view.spin, view.scene
+    if spin is None or scene.reference_eci_nt is None or len(scene) < 200:
+        return None
+    b1, b2 = across(spin.axis_body)
+    w = scene.calibrated_nt
+    turning = w @ b1 + 1j * (w @ b2)
+    steady = np.hstack([w, scene.reference_eci_nt, np.ones((len(scene), 1))])
+    misfit = spin.axial_misfit_nt - steady @ np.linalg.lstsq(steady, spin.axial_misfit_nt, rcond=1e-10)[0]
+    frequency, line = _spectrum(scene.time_s, misfit * np.conj(turning), scene.period_s)
+    turn_hz = spin.rate_rad_s / (2.0 * math.pi)
+    span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
+    allowed = (np.abs(frequency) > max(_SLOWEST_HZ, span_hz)) & ~_near(frequency, 2.0 * turn_hz, span_hz, scene.period_s)
+    if not allowed.any():
+        return None
+    power = float((np.abs(turning) ** 2).sum())
+    best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
+    amplitude = 2.0 * float(np.abs(line[best])) / power
+    chi2 = amplitude**2 * power / 2.0 / max(view.noise_nt, 1e-9) ** 2
+    nats = 0.5 * chi2 - math.log(len(scene))
+    strength = amplitude * math.sqrt(power / len(scene) / 2.0)
+    if nats < _LEAST_NATS or strength < _LEAST_SIGMAS * view.noise_nt:
+        return None
+    before = float(np.mean(misfit**2))
+    explained = amplitude**2 * power / 2.0 / len(scene)
+    excess = max(before - view.noise_nt**2, explained)
+    sigma = view.noise_nt * math.sqrt(2.0 / power)
+    parameters = {
+        "angle_deg": value_of(math.degrees(math.atan(amplitude)), math.degrees(sigma), "deg"),
+        "rate_rad_s": value_of(
+            2.0 * math.pi * abs(float(frequency[best])), 2.0 * math.pi * span_hz / 3.0 * sigma / amplitude, "rad/s"
+        ),
+        "frequency_hz": value_of(abs(float(frequency[best])), span_hz / 3.0 * sigma / amplitude, "Hz"),
+    }
+    return Finding(parameters, nats, min(1.0, explained / excess))
+
+
+def _spectrum(time_s: Array, signal: Array, period_s: float) -> tuple[Array, Array]:
+    """Two-sided frequencies [Hz] and sum of signal exp(+i 2 pi f t) of samples put on an even grid."""
+    slot = np.rint((time_s - time_s[0]) / period_s).astype(np.intp)
+    size = 2 * (int(slot[-1]) + 1)
+    grid = np.zeros(size, dtype=np.complex128)
+    np.add.at(grid, slot, signal)
+    return np.fft.fftfreq(size, period_s), np.fft.ifft(grid) * size
+
+
+def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) -> Array:
+    """Whether frequencies lie at a line, of either sign, or where it is folded to."""
+    rate = 1.0 / period_s
+    distance = [np.abs((frequency - sign * line_hz + rate / 2.0) % rate - rate / 2.0) for sign in (1.0, -1.0)]
+    return np.asarray(np.minimum(*distance) < width_hz)
+
+
+EFFECT = Effect(
+    name="nutation",
+    title="the craft nutates",
+    equation="the momentum's direction in the body cones: h = a_b + tan(angle) (b1 cos nu t + b2 sin nu t), w . h = H . a_i",
+    units={"angle_deg": "deg", "rate_rad_s": "rad/s", "frequency_hz": "Hz"},
+    prior=(10.0, 20000.0),
+    valid="small angles, a body with two equal moments of inertia; seen in the vectors, never in their magnitude",
+    confused_with=("spin_rate",),
+    separated_by="side lines of the spin: nutation has them at a frequency of its own",
+    source="Wertz 1978, section 16.2: coning at (I3 / I1 - 1) times the spin rate",
+    says=("The craft nutates by {angle_deg} deg at {frequency_hz} Hz in the body.",),
+    find=_find,
+    absorbed="the magnitude is the same whatever the attitude: the nine errors and the scalar residual do not see it",
+)
