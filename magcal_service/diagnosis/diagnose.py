@@ -103,7 +103,8 @@ def diagnose(
     problem, baseline = prepared.problem, prepared.baseline
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     progress(f"screening {len(effects)} effects")
-    search = Search(problem, hypotheses_of(effects, problem), spin_hz=spin_hz)
+    largest = {effect.name: effect.prior[1] for effect in effects}
+    search = Search(problem, hypotheses_of(effects, problem), spin_hz=spin_hz, largest_nt=largest)
     floor = 0.3 * problem.noise_nt
     explained = search.run(baseline, floor)
     phase = None if prepared.spin is None else prepared.spin.phase_rad
@@ -112,7 +113,7 @@ def diagnose(
     coefficients, nats = autoregression(explained.fit.residual, None if problem.is_vector else problem.scene.pauses)
     if nats > ACCEPTED_NATS and nats > left[0].nats:
         progress("the noise has a memory: once more with it taken off")
-        search = Search(problem, search.hypotheses, coefficients, spin_hz)
+        search = replace(search, whitening=coefficients, _cache={})
         explained = search.run(baseline, 0.3 * floor)
         left = structures(search, explained.fit, phase, 0.3 * floor)
     else:

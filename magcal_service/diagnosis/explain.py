@@ -4,7 +4,7 @@ blocks agree; several by forward selection with a backward check; rivals by thei
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -26,6 +26,11 @@ MOST_EFFECTS: Final = 4
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
 
+LEAST_VISIBLE: Final = 0.03
+"""Of an effect's own size in the residual: what the nine errors have not absorbed.  Less is no evidence but rounding."""
+
+_MOST_TRIED: Final = 5
+_CLOSE: Final = 30
 _REPEATABLE: Final = ("tone",)
 _LINES: Final = 3
 
@@ -66,13 +71,15 @@ class Search:
     hypotheses: what may be left out.
     whitening: autoregressive coefficients (p,) of the noise; empty: white.
     spin_hz: the spin's frequency, for lines.
+    largest_nt: rms in the residual that an effect never exceeds [nT], by name.
     """
 
     problem: Problem
     hypotheses: Sequence[Hypothesis]
     whitening: Array = field(default_factory=lambda: np.zeros(0))
     spin_hz: float | None = None
-    _cache: dict[int, Array] = field(default_factory=dict)
+    largest_nt: Mapping[str, float] = field(default_factory=dict)
+    _cache: dict[int, Array] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         names = [hypothesis.effect for hypothesis in self.hypotheses]
@@ -147,7 +154,9 @@ class Search:
 
         if not grids:
             only = gain(np.zeros(0))
-            return None if only is None else Candidate(hypothesis, np.zeros(0), only, only.nats - cost)
+            if only is None:
+                return None
+            return self._believable(Candidate(hypothesis, np.zeros(0), only, only.nats - cost), space, fit)
         best: tuple[float, Array, Gain] | None = None
         for values in _product(grids):
             trial = gain(values)
@@ -159,44 +168,69 @@ class Search:
         if best[0] > 0.5 * ACCEPTED_NATS:
             theta, refined = _refined(hypothesis, gain, theta, refined, grids, self.problem)
         cost += sum(_search_cost(number, self.problem) for number in hypothesis.nonlinear)
-        return Candidate(hypothesis, theta, refined, refined.nats - cost)
+        return self._believable(Candidate(hypothesis, theta, refined, refined.nats - cost), space, fit)
+
+    def _believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> Candidate | None:
+        """The candidate, unless it is larger than its physics ever is, or all but absorbed by what is fitted anyway."""
+        if candidate.nats < 0.5 * ACCEPTED_NATS:
+            return candidate
+        rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
+        assert rows is not None
+        signal = rows @ candidate.gain.amplitudes
+        size = float(signal @ signal)
+        if math.sqrt(size / len(signal)) > self.largest_nt.get(candidate.hypothesis.effect, math.inf):
+            return None
+        seen = space.projected(signal[:, None])
+        return candidate if float((seen**2).sum()) > LEAST_VISIBLE**2 * size else None
 
     # Selection
 
     def run(self, start: Fit, floor_nt: float) -> Explained:
         """Forward selection with a backward check after every step."""
         fit = start
-        refused: set[str] = set()
-        for _ in range(MOST_EFFECTS + len(self.hypotheses)):
-            if len(fit.terms) >= MOST_EFFECTS:
+        while len(fit.terms) < MOST_EFFECTS:
+            larger = self._larger(fit, floor_nt)
+            if larger is None:
                 break
-            present = {term.hypothesis.effect for term in fit.terms} - set(_REPEATABLE)
-            candidate = self._next(fit, floor_nt, sorted(present | refused))
-            if candidate is None:
+            fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
+            if len(fit.terms) < len(larger.terms):
                 break
-            term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
-            trial = solve(self.problem, fit.x, (*fit.terms, term))
-            if not self._agrees(fit, trial):
-                refused.add(candidate.hypothesis.effect)
-                continue
-            fit = self._pruned(trial, floor_nt)
-            fit = self._exchanged(fit, floor_nt)
         return self._compared(fit, floor_nt)
 
-    def _next(self, fit: Fit, floor_nt: float, skip: Sequence[str]) -> Candidate | None:
+    def _larger(self, fit: Fit, floor_nt: float) -> Fit | None:
+        """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
+        present = {term.hypothesis.effect for term in fit.terms} - set(_REPEATABLE)
+        tried: set[str] = set()
+        for candidate in self._ranked(fit, floor_nt, sorted(present)):
+            if candidate.nats < ACCEPTED_NATS or len(tried) >= _MOST_TRIED:
+                break
+            if candidate.hypothesis.effect in tried:
+                continue
+            tried.add(candidate.hypothesis.effect)
+            term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
+            trial = solve(self.problem, fit.x, (*fit.terms, term))
+            if self._agrees(fit, trial):
+                return trial
+        return None
+
+    def _ranked(self, fit: Fit, floor_nt: float, skip: Sequence[str]) -> list[Candidate]:
+        """Every hypothesis, best first, by the noise that the best of them would leave."""
         space = self.workspace(fit)
         sigma = max(math.sqrt(space.squares / space.count), floor_nt)
         ranked = self.screen(space, fit, sigma, skip)
         if not ranked:
-            return None
-        # once more with the noise that the best explanation would leave
+            return []
         left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
         sigma = max(math.sqrt(left), floor_nt)
-        close = {id(c.hypothesis) for c in ranked[:25]}
-        again = Search(self.problem, [h for h in self.hypotheses if id(h) in close], self.whitening, self.spin_hz)
-        again._cache, again._forms = self._cache, self._forms
-        ranked = again.screen(space, fit, sigma, skip)
-        return ranked[0] if ranked and ranked[0].nats > ACCEPTED_NATS else None
+        close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
+        return sorted(close, key=lambda candidate: -candidate.nats)
+
+    def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
+        """The same hypothesis at the same numbers, at another noise."""
+        rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
+        assert rows is not None
+        gain = space.gain(rows, sigma)
+        return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
