@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.linear import Gain, Workspace
+from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
 from magcal_service.model import Array
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear
@@ -80,6 +80,7 @@ class Search:
     spin_hz: float | None = None
     largest_nt: Mapping[str, float] = field(default_factory=dict)
     _cache: dict[int, Array] = field(default_factory=dict, repr=False)
+    _close: set[int] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
         names = [hypothesis.effect for hypothesis in self.hypotheses]
@@ -121,11 +122,18 @@ class Search:
 
     # Screening
 
-    def screen(self, space: Workspace, fit: Fit, sigma_nt: float, skip: Sequence[str] = ()) -> list[Candidate]:
-        """Every hypothesis at its best, best first."""
+    def screen(
+        self,
+        space: Workspace,
+        fit: Fit,
+        sigma_nt: float,
+        skip: Sequence[str] = (),
+        among: Sequence[Hypothesis] | None = None,
+    ) -> list[Candidate]:
+        """Every hypothesis (or those ``among``) at its best, best first."""
         lines: Array | None = None
         found = []
-        for hypothesis in self.hypotheses:
+        for hypothesis in self.hypotheses if among is None else among:
             if hypothesis.effect in skip:
                 continue
             if any(number.role in ("frequency", "period") for number in hypothesis.nonlinear) and lines is None:
@@ -157,6 +165,12 @@ class Search:
             if only is None:
                 return None
             return self._believable(Candidate(hypothesis, np.zeros(0), only, only.nats - cost), space, fit)
+        if hypothesis.nonlinear[0].role == "instant":
+            found = self._instant(hypothesis, space, fit, sigma_nt)
+            if found is None:
+                return None
+            cost += _search_cost(hypothesis.nonlinear[0], self.problem)
+            return self._believable(Candidate(hypothesis, found[0], found[1], found[1].nats - cost), space, fit)
         best: tuple[float, Array, Gain] | None = None
         for values in _product(grids):
             trial = gain(values)
@@ -169,6 +183,28 @@ class Search:
             theta, refined = _refined(hypothesis, gain, theta, refined, grids, self.problem)
         cost += sum(_search_cost(number, self.problem) for number in hypothesis.nonlinear)
         return self._believable(Candidate(hypothesis, theta, refined, refined.nats - cost), space, fit)
+
+    def _instant(
+        self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float
+    ) -> tuple[Array, Gain] | None:
+        """The best instant of a change: first on the grid, then every sample between the best one's neighbours."""
+        rows = self.rows_of(hypothesis, np.array([-np.inf]), fit)
+        if rows is None:
+            return None
+        times = self.problem.row_time_s
+        firsts = np.unique(np.searchsorted(times, hypothesis.nonlinear[0].grid))
+        firsts = firsts[(firsts > 0) & (firsts < len(times) - 1)]
+        if len(firsts) < 3:
+            return None
+        best = int(np.argmax([gain.nats for gain in space.gated(rows, firsts, sigma_nt)]))
+        low, high = firsts[max(best - 1, 0)], firsts[min(best + 1, len(firsts) - 1)]
+        finer = np.arange(low, high + 1)
+        if self.problem.is_vector:
+            finer = np.unique(finer - finer % 3)
+        gains = space.gated(rows, finer[finer > 0], sigma_nt)
+        top = int(np.argmax([gain.nats for gain in gains]))
+        row = int(finer[finer > 0][top])
+        return np.array([0.5 * (times[row] + times[max(row - 1 - 2 * self.problem.is_vector, 0)])]), gains[top]
 
     def _believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> Candidate | None:
         """The candidate, unless it is larger than its physics ever is, or all but absorbed by what is fitted anyway."""
@@ -223,6 +259,7 @@ class Search:
         left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
+        self._close |= {id(candidate.hypothesis) for candidate in close}
         return sorted(close, key=lambda candidate: -candidate.nats)
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
@@ -261,7 +298,7 @@ class Search:
 
     def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
         """Each term replaced by a rival that does better in its place, now that the others are there."""
-        for index in range(len(fit.terms)):
+        for index in range(len(fit.terms) if len(fit.terms) > 1 else 0):
             sigma = max(fit.rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
             own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
@@ -277,14 +314,16 @@ class Search:
 
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
         others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index} - set(_REPEATABLE)
-        return self.screen(self.workspace(fit, index), fit, sigma, sorted(others))
+        space = self.workspace(fit, index)
+        mine = fit.terms[index].hypothesis
+        close = [h for h in self.hypotheses if h is mine or id(h) in self._close]
+        return self.screen(space, fit, sigma, sorted(others), close)
 
     def _compared(self, fit: Fit, floor_nt: float) -> Explained:
         sigma = max(fit.rms_nt, floor_nt)
         rivals, nats = [], []
         for index in range(len(fit.terms)):
-            ranked = self._rivals(fit, index, sigma)
-            rivals.append(_best_of_each(ranked))
+            rivals.append(_best_of_each(self._rivals(fit, index, sigma)))
             nats.append(self._worth(fit, index, sigma))
         return Explained(fit, tuple(rivals), tuple(nats))
 

@@ -12,6 +12,7 @@ from magcal_service.physics.scene import Scene
 _SLOWEST_PERIODS: Final = 8.0
 _SLOWEST_S: Final = 900.0
 _APART_BINS: Final = 4
+_ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
 
 
 def strongest(
@@ -47,7 +48,7 @@ def strongest(
     if spin_hz is not None and not all_lines:
         for multiple in (1, 2):
             line = _folded(multiple * spin_hz, 1.0 / scene.period_s)
-            power[np.abs(frequency - line) < max(6.0 / span, 4e-4)] = 0.0
+            power[np.abs(frequency - line) < max(6.0 / span, _ORBIT_SIDE_HZ)] = 0.0
     found: list[float] = []
     for _ in range(count):
         best = int(np.argmax(power))

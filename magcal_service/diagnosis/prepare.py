@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from magcal_service import geomagnetic
 from magcal_service.config import FilterConfig
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, solve
-from magcal_service.estimators.start import BatchProblem, StartGate, WindowMeans, gauss_newton, linear_start, prior_sigma
+from magcal_service.estimators.start import (
+    BatchProblem,
+    StartGate,
+    WindowMeans,
+    gauss_newton,
+    linear_start,
+    prior_sigma,
+)
 from magcal_service.model import STATE_SIZE, Array, calibrate, measure
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene import Scene, Telemetry
@@ -127,7 +134,9 @@ def scene_of(recording: Recording) -> Scene:
         magnitude_nt=reference.magnitude_nt,
         reference_eci_nt=_reference_eci(recording, ecef),
         position_ecef_km=ecef,
-        channels={name: telemetry(channel) for name, channel in recording.channels.items() if channel.spec.order is None},
+        channels={
+            name: telemetry(channel) for name, channel in recording.channels.items() if channel.spec.order is None
+        },
     )
 
 
@@ -267,4 +276,3 @@ def _room_field(scene: Scene, room_from_body: Array) -> Array:
     mean = np.einsum("nij,nj->i", room_from_body, scene.calibrated_nt) / len(scene)
     size = float(np.linalg.norm(mean))
     return np.asarray(mean * (float(scene.magnitude_nt.mean()) / max(size, 1e-9)))
-

@@ -79,9 +79,7 @@ class Problem:
         """Columns as rows of the residual (m, k), or None where they say nothing in this form."""
         if not self.is_vector:
             return columns.along(unit)
-        if columns.body is None:
-            return None
-        return np.ascontiguousarray(columns.body.reshape(columns.body.shape[0], -1).T)
+        return columns.components()
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,10 +168,8 @@ def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
     body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
     for term in terms:
         columns = term.hypothesis.columns(term.theta)
-        if columns.body is not None:
-            body += np.einsum("k,kni->ni", term.amplitudes, columns.body)
-        elif columns.magnitude is not None:
-            magnitude += term.amplitudes @ columns.magnitude
+        body += columns.field(term.amplitudes)
+        magnitude += columns.growth(term.amplitudes)
     return body, magnitude
 
 

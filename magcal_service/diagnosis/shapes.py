@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
-from magcal_service.physics.interface import Columns, axes_by_signals
+from magcal_service.physics.interface import along_axes
 
 _BINS: Final = 10
 
@@ -59,7 +59,7 @@ def shapes(problem: Problem, phase: Array | None) -> Iterator[Shape]:
 def _body(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
     def columns(unit: Array) -> Array:
         if problem.is_vector:
-            rows = problem.rows(Columns(body=axes_by_signals(signals)), unit)
+            rows = along_axes(signals).components()
             assert rows is not None
             return rows
         return (signals[:, :, None] * unit[:, None, :]).reshape(len(signals), -1)

@@ -31,9 +31,7 @@ EFFECT = Effect(
     confused_with=("response_lag",),
     separated_by="another spin rate: at a steady rate it is a non-orthogonality, and the nine errors absorb it",
     source="0.1-10 ms between channels of a multiplexed converter",
-    says=(
-        "The axes are digitised one after another: y and z {after_x_s} s after x.",
-    ),
+    says=("The axes are digitised one after another: y and z {after_x_s} s after x.",),
     derived=_derived,
     hypotheses=_hypotheses,
     absorbed="at a constant spin rate the nine errors take up the delays as D12, D13, D23",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from magcal_service.physics.change import drifts
-from magcal_service.physics.interface import Block, Effect, axes_times
+from magcal_service.physics.interface import Block, Effect, along_axes
 
 EFFECT = Effect(
     name="bias_drift",
@@ -20,5 +20,5 @@ EFFECT = Effect(
         "The bias drifts by {nt_per_s} nT/s.",
         "The bias relaxes by {nt_end} nT with a time constant of {time_constant_s} s.",
     ),
-    hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", axes_times, Block("nt_per_s", "nT/s"))),
+    hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))),
 )

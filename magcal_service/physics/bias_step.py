@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from magcal_service.physics.change import step
-from magcal_service.physics.interface import Block, Effect, axes_times
+from magcal_service.physics.interface import Block, Effect, along_axes
 
 EFFECT = Effect(
     name="bias_step",
@@ -15,8 +15,6 @@ EFFECT = Effect(
     confused_with=("scale_step", "torquer", "bias_drift"),
     separated_by="the log of relays, deployments and torquer commands at that time",
     source="magnetisation by launch, deployment or torquers: 10-5000 nT (Springmann & Cutler 2012)",
-    says=(
-        "The bias jumps by {step_nt} nT at {at_s} s.",
-    ),
-    hypotheses=lambda scene: (step(scene, "bias_step", axes_times, Block("step_nt", "nT")),),
+    says=("The bias jumps by {step_nt} nT at {at_s} s.",),
+    hypotheses=lambda scene: (step(scene, "bias_step", along_axes, Block("step_nt", "nT")),),
 )

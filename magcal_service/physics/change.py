@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.temperature import Act
 
@@ -27,7 +27,7 @@ def step(scene: Scene, effect: str, act: Act, block: Block, variant: str = "") -
     """Nothing before an instant, a constant from then on."""
 
     def columns(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
-        return Columns(body=act((scene.time_s >= float(theta[0])).astype(np.float64)))
+        return act((scene.time_s >= float(theta[0])).astype(np.float64))
 
     return Hypothesis(effect, "none", columns, (block,), variant, (instants(scene),))
 
@@ -37,14 +37,16 @@ def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypoth
     elapsed = scene.time_s - scene.time_s[0]
     span = max(float(elapsed[-1]), 1.0)
     linear = act(elapsed)
-    yield Hypothesis(effect, "none", lambda _: Columns(body=linear), (block,))
+    yield Hypothesis(effect, "none", lambda _: linear, (block,))
     curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape)
-    both = np.concatenate([linear, act(elapsed**2)])
-    yield Hypothesis(effect, "none", lambda _: Columns(body=both), (block, curve), "quadratic")
+    both = joined(linear, act(elapsed**2))
+    yield Hypothesis(effect, "none", lambda _: both, (block, curve), "quadratic")
     tau = Nonlinear("time_constant_s", "s", span * np.array(_RELAXATION_SHARES), logarithmic=True)
-    end = Block(f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape)
+    end = Block(
+        f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape
+    )
 
     def relaxing(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
-        return Columns(body=act(-np.expm1(-elapsed / float(theta[0]))))
+        return act(-np.expm1(-elapsed / float(theta[0])))
 
     yield Hypothesis(effect, "none", relaxing, (end,), "relaxing", (tau,))

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, axes_by_signals
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene import Scene
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
 
 
 def _fixed(signals: Array) -> Callable[[Array], Columns]:
-    return lambda _: Columns(body=axes_by_signals(signals))
+    return lambda _: along_axes(signals)
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
@@ -36,7 +36,12 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             one = Block("nt_per_a", "nT/A")
             signal, name = channel.values[:, [column]], f"channel:{channel.name}"
             yield Hypothesis(
-                "current_loop", name, _fixed(signal), (one,), f"circuit {column + 1}", constants={"column_0": float(column)}
+                "current_loop",
+                name,
+                _fixed(signal),
+                (one,),
+                f"circuit {column + 1}",
+                constants={"column_0": float(column)},
             )
     yield from _inferred(scene)
 

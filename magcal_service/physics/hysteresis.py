@@ -11,7 +11,7 @@ from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.scene import Scene
 
-_WIDTHS: Final = np.array([0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
+_WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
 
 
 def play(values: Array, half_width: float) -> Array:
@@ -35,11 +35,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     scale = float(np.percentile(np.abs(field), 99))
 
     def columns(theta: Array) -> Columns:
-        lagging = play(field, float(theta[0]) * scale) - field
-        body = np.zeros((3, len(field), 3))
-        for axis in range(3):
-            body[axis, :, axis] = lagging[:, axis]
-        return Columns(body=body)
+        return Columns(axes=(play(field, float(theta[0]) * scale) - field)[None])
 
     width = Nonlinear("half_width", "1", _WIDTHS)
     constants = {"scale_nt": scale}
@@ -56,8 +52,6 @@ EFFECT = Effect(
     confused_with=("cubic_response", "response_lag", "axis_skew"),
     separated_by="the two branches: the same field approached from both sides",
     source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
-    says=(
-        "Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",
-    ),
+    says=("Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -6,7 +6,7 @@ Every effect is linear in its amplitudes once its few nonlinear numbers (a lag, 
     |A H| = |H_ref| + sum_k c_k m_k(t; theta)                                a wrong reference
 
 so a hypothesis hands out columns g_k (body field [nT per unit of c_k]) or m_k (magnitude [nT per unit]), and these
-columns are the derivatives of the residual: by a body field u'g, by a magnitude m (u: direction of the field in the body).
+columns are the derivatives of the residual: u'g for a body field, m for a magnitude (u: direction of the field in the body).
 """
 
 from __future__ import annotations
@@ -28,23 +28,49 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """What one unit of each amplitude adds, for n samples and k amplitudes.
+    """What one unit of each amplitude adds, for n samples; one of three forms.
 
     Parameters
     ----------
-    body: (k, n, 3) additive field in the corrected body frame [nT per unit], or None.
-    magnitude: (k, n) growth of the field's magnitude at the sensor over the reference's [nT per unit], or None.
+    axes: (s, n, 3), 3 s amplitudes: number 3 j + i adds ``axes[j, :, i]`` along body axis i [nT per unit].
+    body: (k, n, 3), k amplitudes: each adds a vector in the corrected body frame [nT per unit].
+    magnitude: (k, n), k amplitudes: growth of the field's magnitude at the sensor over the reference's [nT per unit].
     """
 
+    axes: Array | None = None
     body: Array | None = None
     magnitude: Array | None = None
 
     def along(self, unit: Array) -> Array:
         """Columns of the scalar residual (n, k) for field directions ``unit`` (n, 3) in the body."""
+        if self.axes is not None:
+            return np.concatenate([part * unit for part in self.axes], axis=1)
         if self.body is not None:
             return np.ascontiguousarray(np.einsum("kni,ni->nk", self.body, unit))
         assert self.magnitude is not None
         return np.ascontiguousarray(self.magnitude.T)
+
+    def components(self) -> Array | None:
+        """Columns of a vector residual (3 n, k); None for a magnitude, which has no direction."""
+        body = self.body
+        if self.axes is not None:
+            body = np.zeros((3 * len(self.axes), *self.axes.shape[1:]))
+            for i in range(3):
+                body[i::3, :, i] = self.axes[:, :, i]
+        return None if body is None else np.ascontiguousarray(body.reshape(len(body), -1).T)
+
+    def field(self, amplitudes: Array) -> Array:
+        """The body field (n, 3) of amplitudes (k,) [nT]; zeros (n, 3) for a magnitude."""
+        if self.axes is not None:
+            return np.asarray(np.einsum("ji,jni->ni", amplitudes.reshape(-1, 3), self.axes))
+        if self.body is not None:
+            return np.asarray(np.einsum("k,kni->ni", amplitudes, self.body))
+        assert self.magnitude is not None
+        return np.zeros((self.magnitude.shape[1], 3))
+
+    def growth(self, amplitudes: Array) -> Array | float:
+        """Growth of the magnitude (n,) of amplitudes (k,) [nT]; 0 for a body field."""
+        return 0.0 if self.magnitude is None else amplitudes @ self.magnitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,24 +247,28 @@ def _digits(number: float, sigma: float) -> str:
     return f"{number:.{places}f}"
 
 
-def axes_times(signal: Array) -> Array:
-    """Columns (3, n, 3): a signal (n,) along each body axis."""
-    columns = np.zeros((3, len(signal), 3))
-    for axis in range(3):
-        columns[axis, :, axis] = signal
-    return columns
+def along_axes(signals: Array) -> Columns:
+    """Every signal of (n,) or (n, s) along each body axis."""
+    each = signals[None] if signals.ndim == 1 else signals.T
+    return Columns(axes=np.repeat(each[:, :, None], 3, axis=2))
 
 
-def axes_by_signals(signals: Array) -> Array:
-    """Columns (3 k, n, 3): every signal of (n, k) along each body axis, the axes of one signal together."""
-    return np.concatenate([axes_times(signal) for signal in signals.T])
-
-
-def gain_columns(field_nt: Array, signal: Array, common: bool = False) -> Array:
-    """Columns for D + diag(a) s(t): d = -a_i B_i s along axis i, (3, n, 3), or their sum (1, n, 3) where ``common``.
+def gains(field_nt: Array, signals: Array) -> Columns:
+    """D + diag(a) s(t) for each signal of (n,) or (n, s): d = -a_i B_i s along axis i.
 
     With the gain left out, w = (I + D) B - b = A H + eps - diag(a) s B, so the disturbance is minus the gain's work.
     """
-    columns = axes_times(-signal)
-    columns = columns * field_nt[None, :, :]
-    return columns.sum(axis=0, keepdims=True) if common else columns
+    each = signals[None] if signals.ndim == 1 else signals.T
+    return Columns(axes=-each[:, :, None] * field_nt[None])
+
+
+def common_gain(field_nt: Array, signals: Array) -> Columns:
+    """``gains`` with one number for all three axes."""
+    return Columns(body=gains(field_nt, signals).axes)
+
+
+def joined(*parts: Columns) -> Columns:
+    """The columns of several parts of one form, one after another."""
+    if all(part.axes is not None for part in parts):
+        return Columns(axes=np.concatenate([part.axes for part in parts if part.axes is not None]))
+    return Columns(body=np.concatenate([part.body for part in parts if part.body is not None]))

@@ -29,7 +29,9 @@ def _find(view: View) -> Finding | None:
     frequency, line = _spectrum(scene.time_s, misfit * np.conj(turning), scene.period_s)
     turn_hz = spin.rate_rad_s / (2.0 * math.pi)
     span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
-    allowed = (np.abs(frequency) > max(_SLOWEST_HZ, span_hz)) & ~_near(frequency, 2.0 * turn_hz, span_hz, scene.period_s)
+    allowed = (np.abs(frequency) > max(_SLOWEST_HZ, span_hz)) & ~_near(
+        frequency, 2.0 * turn_hz, span_hz, scene.period_s
+    )
     if not allowed.any():
         return None
     power = float((np.abs(turning) ** 2).sum())

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-import numpy as np
-
-from magcal_service import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene import Scene

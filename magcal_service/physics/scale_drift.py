@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from magcal_service.physics.change import drifts
-from magcal_service.physics.interface import Block, Effect, gain_columns
+from magcal_service.physics.interface import Block, Effect, gains
 
 EFFECT = Effect(
     name="scale_drift",
@@ -21,6 +21,6 @@ EFFECT = Effect(
         "The gain relaxes by {end} with a time constant of {time_constant_s} s.",
     ),
     hypotheses=lambda scene: tuple(
-        drifts(scene, "scale_drift", lambda s: gain_columns(scene.clean_field_nt, s), Block("per_s", "1/s"))
+        drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
     ),
 )

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from magcal_service.physics.change import step
-from magcal_service.physics.interface import Block, Effect, Hypothesis, gain_columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis, common_gain, gains
 from magcal_service.physics.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield step(scene, "scale_step", lambda s: gain_columns(scene.clean_field_nt, s), Block("step", "1"))
+    yield step(scene, "scale_step", lambda s: gains(scene.clean_field_nt, s), Block("step", "1"))
     common = Block("step_common", "1", ())
-    yield step(scene, "scale_step", lambda s: gain_columns(scene.clean_field_nt, s, common=True), common, "one gain")
+    yield step(scene, "scale_step", lambda s: common_gain(scene.clean_field_nt, s), common, "one gain")
 
 
 EFFECT = Effect(

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, axes_by_signals
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene import Scene, Telemetry
 
 
 def _fixed(signals: Array) -> Callable[[Array], Columns]:
-    return lambda _: Columns(body=axes_by_signals(signals))
+    return lambda _: along_axes(signals)
 
 
 def harmonics(sun: Array) -> Array:
@@ -61,8 +61,6 @@ EFFECT = Effect(
     confused_with=("current_loop", "thermal_bias"),
     separated_by="array currents beside it, or a craft that turns its panels: a panel gives half waves, heat a full one",
     source="Toeffner-Clausen et al. 2016 and Lesur et al. 2016 (Swarm, Sun-driven disturbance, 1-5 nT)",
-    says=(
-        "A field of {nt} nT per unit of the Sun's direction in the body turns with {driver} and is gone in shadow.",
-    ),
+    says=("A field of {nt} nT per unit of the Sun's direction in the body turns with {driver} and is gone in shadow.",),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

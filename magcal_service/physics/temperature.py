@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.sunlight import first_order
 
@@ -17,8 +17,8 @@ TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 15)
 
 _LEAST_SWING_K: Final = 0.05
 
-Act = Callable[[Array], Array]
-"""From a signal (n,) to columns (k, n, 3)."""
+Act = Callable[[Array], Columns]
+"""From a signal (n,) to its columns."""
 
 
 def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
@@ -40,7 +40,7 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
 
 
 def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
-    return lambda _: Columns(body=act(signal))
+    return lambda _: act(signal)
 
 
 def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
@@ -57,7 +57,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
         tau_s = float(theta[0])
         answer = first_order(time_s, lit - mean, tau_s, 0.0)
         decay = np.exp(-(time_s - time_s[0]) / tau_s)
-        return Columns(body=np.concatenate([act(answer), act(decay)]))
+        return joined(act(answer), act(decay))
 
     yield Hypothesis(
         effect,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from magcal_service.physics.interface import Block, Effect, Hypothesis, axes_times
+from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.temperature import inferred, recorded
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield from recorded(scene, "thermal_bias", axes_times, Block("nt_per_k", "nT/K"))
-    yield from inferred(scene, "thermal_bias", axes_times, Block("nt_swing", "nT"))
+    yield from recorded(scene, "thermal_bias", along_axes, Block("nt_per_k", "nT/K"))
+    yield from inferred(scene, "thermal_bias", along_axes, Block("nt_swing", "nT"))
 
 
 EFFECT = Effect(

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Effect, Hypothesis, gain_columns
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, common_gain, gains
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.temperature import inferred, recorded
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    def each(signal: Array) -> Array:
-        return gain_columns(scene.clean_field_nt, signal)
+    def each(signal: Array) -> Columns:
+        return gains(scene.clean_field_nt, signal)
 
-    def common(signal: Array) -> Array:
-        return gain_columns(scene.clean_field_nt, signal, common=True)
+    def common(signal: Array) -> Columns:
+        return common_gain(scene.clean_field_nt, signal)
 
     yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K"))
     for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, axes_by_signals, value_of
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
 from magcal_service.physics.scene import Scene
 
 
@@ -17,7 +17,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
     def columns(theta: Array) -> Columns:
         angle = 2.0 * np.pi * float(theta[0]) * scene.time_s
-        return Columns(body=axes_by_signals(np.stack([np.cos(angle), np.sin(angle)], axis=1)))
+        return along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
     blocks = (Block("cosine_nt", "nT"), Block("sine_nt", "nT"))
     frequency = Nonlinear("frequency_hz", "Hz", np.empty(0), role="frequency")
@@ -42,9 +42,7 @@ EFFECT = Effect(
     confused_with=("torquer", "sun_disturbance"),
     separated_by="another sampling rate moves an alias and leaves a true line; switching the suspect off",
     source="spectra of platform magnetometers: converters, wheels and heaters, 1-500 nT",
-    says=(
-        "A line of {amplitude_nt} nT at {frequency_hz} Hz, fixed in the body.",
-    ),
+    says=("A line of {amplitude_nt} nT at {frequency_hz} Hz, fixed in the body.",),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, axes_by_signals, value_of
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
 from magcal_service.physics.scene import Scene
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
@@ -39,7 +39,7 @@ def _driven(scene: Scene, moment: Array, remanence: bool) -> Callable[[Array], C
         signals = _decayed(scene, moment, float(theta[0]))
         if remanence:
             signals = np.concatenate([signals, remembered(moment)], axis=1)
-        return Columns(body=axes_by_signals(signals))
+        return along_axes(signals)
 
     return columns
 
@@ -58,9 +58,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             "torquer", driver, _driven(scene, moment, False), (matrix,), nonlinear=(decay,), constants=constants
         )
         blocks = (matrix, Block("remanence_nt", "nT", (count, 3)))
-        yield Hypothesis(
-            "torquer", driver, _driven(scene, moment, True), blocks, "with remanence", (decay,), constants
-        )
+        yield Hypothesis("torquer", driver, _driven(scene, moment, True), blocks, "with remanence", (decay,), constants)
     yield from _inferred(scene)
 
 
@@ -70,21 +68,19 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),
-        Nonlinear("on_share", "1", np.array([0.15, 0.3, 0.5, 0.7, 0.85]), role="held"),
+        Nonlinear("on_share", "1", np.array([0.25, 0.5, 0.75]), role="held"),
         Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False), role="held"),
     )
 
     def columns(theta: Array) -> Columns:
         period_s, share, phase = (float(value) for value in theta)
         on = np.mod(scene.time_s / period_s - phase, 1.0) < share
-        return Columns(body=axes_by_signals(on[:, None].astype(np.float64)))
+        return along_axes(on.astype(np.float64))
 
     yield Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
     signs = -np.sign(scene.field_slope)
     block = Block("detumbling_nt", "nT", (3, 3))
-    yield Hypothesis(
-        "torquer", "inferred:detumbling", lambda _: Columns(body=axes_by_signals(signs)), (block,), "sign of dB/dt"
-    )
+    yield Hypothesis("torquer", "inferred:detumbling", lambda _: along_axes(signs), (block,), "sign of dB/dt")
 
 
 def _derived(parameters: Values) -> Values:
