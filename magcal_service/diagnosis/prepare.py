@@ -11,15 +11,9 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.config import FilterConfig
-from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, solve
-from magcal_service.estimators.start import (
-    BatchProblem,
-    StartGate,
-    WindowMeans,
-    gauss_newton,
-    linear_start,
-    prior_sigma,
-)
+from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed, solve
+from magcal_service.estimators.start import prior_sigma
+from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate, measure
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene import Scene, Telemetry
@@ -164,22 +158,16 @@ def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
 
 
 def baseline_start(scene: Scene, noise_nt: float | None) -> Array:
-    """The nine errors (9,) by linear least squares and Gauss-Newton; zero where neither gets anywhere."""
+    """The nine errors (9,) by linear least squares, then jointly; from zero as well, and the better of the two."""
     prior = prior_sigma(FilterConfig(prior_bias_nt=PRIOR_BIAS_NT, prior_D=PRIOR_D))
     magnitude = scene.magnitude_nt
-    found: list[tuple[float, Array]] = []
     sigma = max(noise_nt or 0.0, 0.01 * float(magnitude.mean()))
-    problem = BatchProblem(scene.field_nt, magnitude, WindowMeans.of(()), prior, sigma, noise_nt or 0.0)
-    first = linear_start(problem)
-    starts = [np.zeros(STATE_SIZE)] if isinstance(first, StartGate) else [first, np.zeros(STATE_SIZE)]
-    for start in starts:
-        try:
-            result = gauss_newton(problem, start)
-        except np.linalg.LinAlgError:
-            continue
-        if result is not None and np.isfinite(result[0]).all():
-            found.append((problem.normal_equations(result[0])[2], result[0]))
-    return min(found, key=lambda pair: pair[0])[1] if found else np.zeros(STATE_SIZE)
+    linear = BatchProblem(scene.field_nt, magnitude, WindowMeans.of(()), prior, sigma, noise_nt or 0.0)
+    first, positive = linear_states(linear)
+    starts = [first, np.zeros(STATE_SIZE)] if bool(positive) else [np.zeros(STATE_SIZE)]
+    problem = Problem(scene, noise_nt or 0.0)
+    fits = [solve(problem, start) for start in starts]
+    return min(fits, key=lambda fit: (is_collapsed(fit.x), fit.rms_nt)).x
 
 
 def _white(scene: Scene, x: Array) -> float:
