@@ -12,11 +12,12 @@ import numpy as np
 
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, hypotheses_of
 from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, evaluate, is_collapsed, solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics import catalogue
-from magcal_service.physics.coloured_noise import autoregression
+from magcal_service.physics.coloured_noise import autoregression, long_memory
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.recording import Recording
@@ -110,17 +111,19 @@ def diagnose(
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
     left = structures(search, explained.fit, phase, floor)
-    coefficients, nats = autoregression(explained.fit.residual, None if problem.is_vector else problem.scene.pauses)
-    if nats > ACCEPTED_NATS and nats > left[0].nats:
+    coefficients = _memory(search, explained.fit, left)
+    if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        search = replace(search, whitening=coefficients, _cache={})
+        close = [hypothesis for hypothesis in search.hypotheses if id(hypothesis) in search._close]
+        search = replace(search, hypotheses=close, whitening=coefficients, _cache={})
         explained = search.run(baseline, 0.3 * floor)
         left = structures(search, explained.fit, phase, 0.3 * floor)
-    else:
-        coefficients = np.zeros(0)
+    elif left and significant(left[0]):
+        explained = _outdone(search, baseline, explained, phase, floor)
+        left = structures(search, explained.fit, phase, floor)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
-    unexplained = _unexplained(prepared, explained.fit, left)
+    unexplained = _unexplained(prepared, explained.fit, left, findings.get("coloured_noise"))
     verdict = _verdict(explained, findings, unexplained)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -141,6 +144,37 @@ def diagnose(
     )
 
 
+def _memory(search: Search, fit: Fit, left: list[Structure]) -> Array:
+    """Autoregressive coefficients (p,) of the noise, empty where it is white.
+
+    Neighbouring samples have to be alike even with the largest slow structure off, and the spectrum has to be red: an
+    oscillation that nothing explains is no noise.
+    """
+    problem = search.problem
+    if problem.is_vector:
+        return np.zeros(0)
+    slow = [structure for structure in left if structure.shape.name.startswith("slow") and significant(structure)]
+    residual = fit.residual - slow[0].signal if slow else fit.residual
+    _, nats = autoregression(residual, problem.scene.pauses)
+    other = max([s.nats for s in left if not s.shape.name.startswith(("slow", "time"))], default=0.0)
+    if nats < ACCEPTED_NATS or nats < other or not is_red(problem.scene, residual, fit.unit):
+        return np.zeros(0)
+    return long_memory(fit.residual)
+
+
+def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
+    """No effects, where a family without a name does better than all of them together: names that merely fit."""
+    fit = explained.fit
+    if not fit.terms:
+        return explained
+    space = search.workspace(baseline)
+    rows = [search.rows_of(term.hypothesis, term.theta, fit) for term in fit.terms]
+    sigma = max(fit.rms_nt, floor)
+    named = space.gain(np.concatenate([part for part in rows if part is not None], axis=1), sigma).nats
+    nameless = max(structure.nats for structure in structures(search, baseline, phase, floor))
+    return Explained(baseline) if nameless > named else explained
+
+
 def _other_findings(
     prepared: Prepared, fit: Fit, effects: tuple[Effect, ...], coloured: bool
 ) -> tuple[dict[str, Finding], SpinSolution | None]:
@@ -156,21 +190,26 @@ def _other_findings(
     if not prepared.problem.is_vector:
         view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
         for effect in effects:
-            wanted = IN_ATTITUDE + (IN_NOISE if coloured or "quantisation" not in findings else ())
+            wanted = IN_ATTITUDE + (IN_NOISE if coloured else ())
             if effect.find is None or effect.name not in wanted:
                 continue
             finding = effect.find(view)
-            if finding is not None and (effect.name not in IN_NOISE or coloured or not fit.terms):
+            if finding is not None:
                 findings[effect.name] = finding
     return findings, spin
 
 
-def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure]) -> float:
-    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise."""
+def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure], memory: Finding | None) -> float:
+    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise.
+
+    What noise with a memory explains counts as explained.
+    """
     if not left or not significant(left[0]):
         return 0.0
     before, after = prepared.baseline.residual, fit.residual
     explained = max(float(before @ before) - float(after @ after), 0.0)
+    if memory is not None:
+        explained += float(after @ after) * memory.share
     return left[0].squares / max(left[0].squares + explained, 1e-12)
 
 

@@ -31,7 +31,7 @@ LEAST_VISIBLE: Final = 0.03
 
 _MOST_TRIED: Final = 5
 _CLOSE: Final = 30
-_REPEATABLE: Final = ("tone",)
+_REPEATABLE: Final[tuple[str, ...]] = ()
 _LINES: Final = 3
 
 
@@ -92,10 +92,17 @@ class Search:
         """Rows (m,) or (m, k) through the noise's whitening filter."""
         if not len(self.whitening):
             return rows
-        result = np.array(rows, dtype=np.float64)
-        for lag, coefficient in enumerate(self.whitening.tolist(), start=1):
-            result[lag:] -= coefficient * rows[:-lag]
-        return result
+        length = len(self.whitening)
+        if length <= 16:
+            result = np.array(rows, dtype=np.float64)
+            for lag, coefficient in enumerate(self.whitening.tolist(), start=1):
+                result[lag:] -= coefficient * rows[:-lag]
+            return result
+        size = 1 << int(np.ceil(np.log2(len(rows) + length + 1)))
+        kernel = np.fft.rfft(np.concatenate([[1.0], -self.whitening]), size)
+        spectrum = np.fft.rfft(rows, size, axis=0)
+        shape = (-1,) + (1,) * (rows.ndim - 1)
+        return np.asarray(np.fft.irfft(spectrum * kernel.reshape(shape), size, axis=0)[: len(rows)])
 
     def workspace(self, fit: Fit, without: int | None = None) -> Workspace:
         """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
@@ -278,7 +285,7 @@ class Search:
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
         """Without the terms that the others have made superfluous."""
-        while len(fit.terms) > 1:
+        while fit.terms:
             sigma = max(fit.rms_nt, floor_nt)
             nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
             weakest = int(np.argmin(nats))

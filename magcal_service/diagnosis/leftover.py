@@ -10,9 +10,14 @@ import numpy as np
 
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search
 from magcal_service.diagnosis.linear import Workspace
+from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.shapes import Shape, shapes
 from magcal_service.model import Array
+from magcal_service.physics.interface import along_axes
+
+SIGNIFICANT_NATS: Final = 6.0
+"""Evidence for a family, after their number, from which on it is no noise: a dozen families are looked at, once each."""
 
 _MOST_TERMS: Final = 5
 
@@ -39,7 +44,7 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
     """Every family's part in what a fit has left, the best first."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    families = list(shapes(search.problem, phase))
+    families = list(shapes(search.problem, phase, _line(search, fit, space, sigma)))
     cost = math.log(max(len(families), 1))
     found = []
     for _ in range(2):
@@ -53,6 +58,19 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
     return found
 
 
+def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | None:
+    """The strongest line, where it is one [Hz]; its neighbourhood may hold more than a steady tone."""
+    if search.problem.is_vector:
+        return None
+    scene = search.problem.scene
+    found = strongest(scene, space.residual, fit.unit, 1, search.spin_hz)
+    if not len(found):
+        return None
+    angle = 2.0 * np.pi * float(found[0]) * scene.time_s
+    rows = search.white(along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1)).along(fit.unit))
+    return float(found[0]) if space.gain(rows, sigma).nats > 0.5 * SIGNIFICANT_NATS else None
+
+
 def _structure(shape: Shape, search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure:
     columns = search.white(shape.columns(fit.unit))
     gain = space.gain(columns, sigma)
@@ -63,7 +81,7 @@ def _structure(shape: Shape, search: Search, space: Workspace, fit: Fit, sigma: 
 
 def significant(structure: Structure) -> bool:
     """Whether a structure is more than noise."""
-    return structure.nats > ACCEPTED_NATS
+    return structure.nats > SIGNIFICANT_NATS
 
 
 def fitted_terms(structure: Structure, search: Search, fit: Fit) -> list[tuple[str, float]]:

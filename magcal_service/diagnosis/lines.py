@@ -12,6 +12,7 @@ from magcal_service.physics.scene import Scene
 _SLOWEST_PERIODS: Final = 8.0
 _SLOWEST_S: Final = 900.0
 _APART_BINS: Final = 4
+_PEAK: Final = 2.0
 _ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
 
 
@@ -23,6 +24,29 @@ def strongest(
     The six columns u_i cos, u_i sin at each frequency of a zero-padded transform; their normal matrix follows from the
     transform of u_i u_j at zero and at twice the frequency.  Gaps count as no data.  Lines slower than eight periods a
     recording or 900 s, and those at the spin's own rate and its double, are no tones (``all_lines`` keeps the latter).
+    """
+    frequency, power = body_spectrum(scene, residual, unit)
+    span = max(float(scene.time_s[-1] - scene.time_s[0]), 1.0)
+    power[frequency < max(_SLOWEST_PERIODS / span, 1.0 / _SLOWEST_S)] = 0.0
+    power[frequency > 0.5 / scene.period_s - 3.0 / span] = 0.0
+    if spin_hz is not None and not all_lines:
+        for multiple in (1, 2):
+            line = _folded(multiple * spin_hz, 1.0 / scene.period_s)
+            power[np.abs(frequency - line) < max(6.0 / span, _ORBIT_SIDE_HZ)] = 0.0
+    found: list[float] = []
+    for _ in range(count):
+        best = int(np.argmax(power))
+        if power[best] <= 0.0:
+            break
+        found.append(float(frequency[best]))
+        power[max(0, best - _APART_BINS) : best + _APART_BINS + 1] = 0.0
+    return np.array(found)
+
+
+def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Array]:
+    """Frequencies [Hz] (f,) and the drop in squares (f,) [nT^2] that a body-fixed oscillation at each would bring.
+
+    White noise gives six times its variance everywhere.
     """
     slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
     size = 1 << int(np.ceil(np.log2(2 * (int(slot[-1]) + 1))))
@@ -42,21 +66,20 @@ def strongest(
     trace = np.trace(still[0]) / 3.0
     normal += 1e-6 * trace * np.eye(6)
     power = np.einsum("fi,fi->f", vector, np.linalg.solve(normal, vector[:, :, None])[:, :, 0])
-    span = max(float(scene.time_s[-1] - scene.time_s[0]), 1.0)
-    power[frequency < max(_SLOWEST_PERIODS / span, 1.0 / _SLOWEST_S)] = 0.0
-    power[frequency > 0.5 / scene.period_s - 3.0 / span] = 0.0
-    if spin_hz is not None and not all_lines:
-        for multiple in (1, 2):
-            line = _folded(multiple * spin_hz, 1.0 / scene.period_s)
-            power[np.abs(frequency - line) < max(6.0 / span, _ORBIT_SIDE_HZ)] = 0.0
-    found: list[float] = []
-    for _ in range(count):
-        best = int(np.argmax(power))
-        if power[best] <= 0.0:
-            break
-        found.append(float(frequency[best]))
-        power[max(0, best - _APART_BINS) : best + _APART_BINS + 1] = 0.0
-    return np.array(found)
+    return frequency, power
+
+
+def is_red(scene: Scene, residual: Array, unit: Array) -> bool:
+    """Whether a residual's spectrum in the body falls from the lowest frequencies on, as noise with a memory has it.
+
+    A peak in the middle (twice what lies below it) is an oscillation of something.
+    """
+    frequency, power = body_spectrum(scene, residual, unit)
+    width = max(len(power) // 60, 8)
+    smooth = np.convolve(power, np.ones(width) / width, mode="valid")
+    best = int(np.argmax(smooth))
+    below = smooth[: max(best // 2, 1)]
+    return best < 2 * width or float(smooth[best]) < _PEAK * float(np.mean(below))
 
 
 def _folded(line_hz: float, rate_hz: float) -> float:

@@ -49,7 +49,15 @@ class Place:
         }
 
 
-_KINDS: Final = {"slow": "time", "time": "time", "field": "field", "spin": "phase", "sunlight": "light", "place": "place"}
+_KINDS: Final = {
+    "line": "frequency",
+    "slow": "time",
+    "time": "time",
+    "field": "field",
+    "spin": "phase",
+    "sunlight": "light",
+    "place": "place",
+}
 
 
 def locate(search: Search, fit: Fit, found: Sequence[Structure] | None = None) -> list[Place]:
@@ -122,7 +130,11 @@ def _coincidence(frequency: float, spin_hz: float | None, period_s: float) -> st
     """What a line falls together with, as a part of a sentence."""
     if spin_hz is None:
         return ""
-    names: dict[str, float] = {"the spin": spin_hz, "twice the spin": 2.0 * spin_hz, "three times the spin": 3.0 * spin_hz}
+    names: dict[str, float] = {
+        "the spin": spin_hz,
+        "twice the spin": 2.0 * spin_hz,
+        "three times the spin": 3.0 * spin_hz,
+    }
     rate = 1.0 / period_s
     for name, line in names.items():
         seen = line % rate

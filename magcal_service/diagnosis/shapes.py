@@ -17,6 +17,8 @@ from magcal_service.model import Array
 from magcal_service.physics.interface import along_axes
 
 _BINS: Final = 10
+_SHORTEST_S: Final = 240.0
+_MOST_COURSES: Final = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,8 +31,8 @@ class Shape:
     terms: tuple[str, ...] = ()
 
 
-def shapes(problem: Problem, phase: Array | None) -> Iterator[Shape]:
-    """Every family that this recording has the means for."""
+def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) -> Iterator[Shape]:
+    """Every family that this recording has the means for; ``line_hz`` is a line worth a closer look."""
     scene = problem.scene
     elapsed = scene.time_s - scene.time_s[0]
     share = elapsed / max(float(elapsed[-1]), 1.0)
@@ -40,6 +42,12 @@ def shapes(problem: Problem, phase: Array | None) -> Iterator[Shape]:
         for count in (24, 160):
             yield _plain(f"time {count}", "the field's magnitude, in stretches of time", _windows(share, count))
     yield _body(problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt))
+    if line_hz is not None:
+        angle = 2.0 * np.pi * line_hz * scene.time_s
+        courses = _windows(share, int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES)))
+        swinging = [courses * part[:, None] for part in (np.cos(angle), np.sin(angle))]
+        says = f"a body-fixed oscillation near {line_hz:.4g} Hz that comes and goes"
+        yield _body(problem, "line", says, np.concatenate(swinging, axis=1))
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
         yield _body(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)

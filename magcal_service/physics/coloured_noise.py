@@ -38,6 +38,26 @@ def autoregression(residual: Array, pauses: Array | None = None) -> tuple[Array,
     return coefficients, gain - 0.5 * order * math.log(count)
 
 
+def long_memory(residual: Array) -> Array:
+    """Coefficients (p,) of an autoregressive model with a memory of up to 2048 samples, few of them free.
+
+    The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs, which suits 1/f noise.
+    Source: Corsi 2009, a heterogeneous autoregressive model, J. Financial Econometrics 7, 174-196.
+    """
+    spans = [1, 2, 3, 4, *(span for span in (8, 32, 128, 512, 2048) if span < len(residual) // 8)]
+    longest = spans[-1]
+    sums = np.concatenate([[0.0], np.cumsum(residual)])
+    rows = np.arange(longest, len(residual))
+    design = [residual[rows - lag] for lag in spans[:4]]
+    design += [(sums[rows] - sums[rows - span]) / span for span in spans[4:]]
+    weights = np.linalg.lstsq(np.stack(design, axis=1), residual[rows], rcond=1e-10)[0]
+    coefficients = np.zeros(longest)
+    coefficients[:4] = weights[:4]
+    for span, weight in zip(spans[4:], weights[4:].tolist(), strict=True):
+        coefficients[:span] += weight / span
+    return coefficients
+
+
 def body_correlation(view: View) -> float:
     """Correlation at one sample of noise that is fixed in the body, from e_i e_(i+1) = C u_i . u_(i+1)."""
     unit, e = view.scene.unit, view.residual_nt

@@ -43,7 +43,23 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
                 f"circuit {column + 1}",
                 constants={"column_0": float(column)},
             )
+    yield from _together(scene)
     yield from _inferred(scene)
+
+
+def _together(scene: Scene) -> Iterator[Hypothesis]:
+    """All circuits of all current channels at once."""
+    channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0]
+    if len(channels) < 2:
+        return
+    signals = np.concatenate([channel.values for channel in channels], axis=1)
+    moving = np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0)
+    if np.count_nonzero(moving) < 2:
+        return
+    driver = "channel:" + "+".join(channel.name for channel in channels)
+    block = Block("nt_per_a", "nT/A", (int(np.count_nonzero(moving)), 3))
+    constants = {f"column_{i}": float(column) for i, column in enumerate(np.flatnonzero(moving))}
+    yield Hypothesis("current_loop", driver, _fixed(signals[:, moving]), (block,), "all circuits", constants=constants)
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:

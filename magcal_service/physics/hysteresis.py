@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
@@ -33,20 +33,31 @@ def play(values: Array, half_width: float) -> Array:
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     field = scene.calibrated_nt
     scale = float(np.percentile(np.abs(field), 99))
+    known: dict[float, Array] = {}
 
-    def columns(theta: Array) -> Columns:
-        return Columns(axes=(play(field, float(theta[0]) * scale) - field)[None])
+    def lagging(share: float) -> Array:
+        if share not in known:
+            known[share] = play(field, share * scale) - field
+        return known[share]
+
+    def own(theta: Array) -> Columns:
+        return Columns(axes=lagging(float(theta[0]))[None])
+
+    def rods(theta: Array) -> Columns:
+        return along_axes(lagging(float(theta[0])))
 
     width = Nonlinear("half_width", "1", _WIDTHS)
     constants = {"scale_nt": scale}
-    yield Hypothesis("hysteresis", "none", columns, (Block("share", "1"),), nonlinear=(width,), constants=constants)
+    yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants)
+    block = Block("share_matrix", "1", (3, 3))
+    yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants)
 
 
 EFFECT = Effect(
     name="hysteresis",
     title="permeable parts remember the field",
     equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
-    units={"share": "1", "half_width": "1"},
+    units={"share": "1", "share_matrix": "1", "half_width": "1"},
     prior=(10.0, 2000.0),
     valid="one play operator stands for the part's spread of them; sampled several times a turn",
     confused_with=("cubic_response", "response_lag", "axis_skew"),

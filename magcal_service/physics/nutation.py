@@ -12,7 +12,7 @@ from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.steady_spin import across
 from magcal_service.physics.view import View
 
-_LEAST_NATS: Final = 15.0
+_LEAST_NATS: Final = 40.0
 _LEAST_SIGMAS: Final = 0.1
 _SLOWEST_HZ: Final = 2e-3
 
@@ -24,7 +24,9 @@ def _find(view: View) -> Finding | None:
     b1, b2 = across(spin.axis_body)
     w = scene.calibrated_nt
     turning = w @ b1 + 1j * (w @ b2)
-    steady = np.hstack([w, scene.reference_eci_nt, np.ones((len(scene), 1))])
+    i1, i2 = across(spin.axis_eci)
+    tilts = [w @ b1, w @ b2, scene.reference_eci_nt @ i1, scene.reference_eci_nt @ i2, np.ones(len(scene))]
+    steady = np.stack(tilts, axis=1)
     misfit = spin.axial_misfit_nt - steady @ np.linalg.lstsq(steady, spin.axial_misfit_nt, rcond=1e-10)[0]
     frequency, line = _spectrum(scene.time_s, misfit * np.conj(turning), scene.period_s)
     turn_hz = spin.rate_rad_s / (2.0 * math.pi)
@@ -37,8 +39,10 @@ def _find(view: View) -> Finding | None:
     power = float((np.abs(turning) ** 2).sum())
     best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
     amplitude = 2.0 * float(np.abs(line[best])) / power
-    chi2 = amplitude**2 * power / 2.0 / max(view.noise_nt, 1e-9) ** 2
-    nats = 0.5 * chi2 - math.log(len(scene))
+    around = allowed & (np.abs(np.arange(len(line)) - best) < max(len(line) // 40, 40))
+    around &= np.abs(np.arange(len(line)) - best) > 6
+    usual = float(np.mean(np.abs(line[around]) ** 2)) if around.any() else math.inf
+    nats = float(np.abs(line[best])) ** 2 / max(usual, power * view.noise_nt**2 * 0.5) - math.log(len(scene))
     strength = amplitude * math.sqrt(power / len(scene) / 2.0)
     if nats < _LEAST_NATS or strength < _LEAST_SIGMAS * view.noise_nt:
         return None

@@ -11,20 +11,19 @@ from magcal_service.physics.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    if scene.rate_body is None:
+        return
     slope = scene.field_slope
-    late = -slope
-    second = np.einsum("ni,ni->n", slope, slope)
     along = np.einsum("ni,ni->n", slope, scene.unit)
-    bend = (second - along**2) / np.linalg.norm(scene.calibrated_nt, axis=1)
-    loss = -(bend[:, None] * scene.unit)
-    body = np.stack([late, loss])
-    blocks = (Block("lag_s", "s", ()), Block("loss_s2", "s2", ()))
-    yield Hypothesis("response_lag", "none", lambda _: Columns(body=body), blocks)
+    across2 = np.maximum(np.einsum("ni,ni->n", slope, slope) - along**2, 0.0)
+    loss = -(0.5 * across2 / np.linalg.norm(scene.calibrated_nt, axis=1))[:, None] * scene.unit
+    columns = Columns(body=loss[None])
+    yield Hypothesis("response_lag", "none", lambda _: columns, (Block("tau2_s2", "s2", ()),))
 
 
 def _derived(parameters: Values) -> Values:
-    """The time constant, from the loss across the field (tau^2), which a lag of one sign cannot imitate."""
-    loss = parameters["loss_s2"]
+    """The time constant, from what is lost across the field, which grows as tau^2."""
+    loss = parameters["tau2_s2"]
     tau = float(np.sqrt(max(float(loss.value), 0.0)))
     if tau <= 0.0:
         return {}
@@ -34,17 +33,14 @@ def _derived(parameters: Values) -> Values:
 EFFECT = Effect(
     name="response_lag",
     title="the sensor answers late",
-    equation="tau dy/dt = AH - y: d = -tau dB/dt, and |d| falls short by tau^2 |dB/dt|^2 / (2 |B|) across the field",
-    units={"lag_s": "s", "loss_s2": "s2", "tau_s": "s"},
+    equation="tau dy/dt = A H - y: the part that turns is short by 1 / sqrt(1 + w^2 tau^2), so |B| by tau^2 |dB/dt|^2 / (2 |B|)",
+    units={"tau2_s2": "s2", "tau_s": "s"},
     prior=(5.0, 5000.0),
     valid="tau below about a tenth of a turn",
     confused_with=("axis_skew", "scale_drift", "spin_rate"),
     separated_by="another spin rate: at a steady rate it is a gain and an angle, and the nine errors absorb it",
     source="first-order response; Wertz 1978, section 17 (eddy currents)",
-    says=(
-        "The sensor answers late, with a time constant of {tau_s} s.",
-        "The sensor answers late, by {lag_s} s.",
-    ),
+    says=("The sensor answers late, with a time constant of {tau_s} s.",),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     absorbed="at a constant spin rate the nine errors take up gain and angle of the lag whole",

@@ -159,6 +159,22 @@ class Scene:
             return None
         return np.asarray(np.einsum("nij,nj->ni", self.body_from_eci, self.sun_eci))
 
+    def warmed(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
+        """Answer (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
+        key = (tau_s, skin_s)
+        if key not in self._warmed:
+            assert self.lit is not None
+            drive = self.lit - float(self.lit.mean())
+            if skin_s > 0.0:
+                drive = sunlight.first_order(self.time_s, drive, skin_s, 0.0)
+            answer = sunlight.first_order(self.time_s, drive, tau_s, 0.0)
+            self._warmed[key] = answer, np.exp(-(self.time_s - self.time_s[0]) / tau_s)
+        return self._warmed[key]
+
+    @cached_property
+    def _warmed(self) -> dict[tuple[float, float], tuple[Array, Array]]:
+        return {}
+
     @cached_property
     def eclipses(self) -> bool:
         """Whether light changes enough for anything to follow it."""

@@ -10,10 +10,12 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
 from magcal_service.physics.scene import Scene
-from magcal_service.physics.sunlight import first_order
 
-TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 15)
+TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
 """2 minutes (a bare board) to 4 hours (the middle of a craft)."""
+
+SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
+"""What is heated first: nothing between, a panel, a structure."""
 
 _LEAST_SWING_K: Final = 0.05
 
@@ -44,19 +46,16 @@ def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
 
 
 def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
-    """Temperature as dT/dt = (T_eq(lit) - T) / tau, in units of the swing between light and shadow.
+    """Temperature as an answer to light, in units of the swing between light and shadow.
 
-    The temperature at the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
+    Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at the
+    start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
     """
     if scene.lit is None or not scene.eclipses:
         return
-    lit, time_s = scene.lit, scene.time_s
-    mean = float(lit.mean())
 
     def columns(theta: Array) -> Columns:
-        tau_s = float(theta[0])
-        answer = first_order(time_s, lit - mean, tau_s, 0.0)
-        decay = np.exp(-(time_s - time_s[0]) / tau_s)
+        answer, decay = scene.warmed(float(theta[0]), float(theta[1]))
         return joined(act(answer), act(decay))
 
     yield Hypothesis(
@@ -64,7 +63,9 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
         "inferred:temperature",
         columns,
         (block, Block(f"start_{block.name}", block.unit, block.shape)),
-        variant="first-order answer to light",
-        nonlinear=(Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),),
-        constants={"mean_light": mean},
+        variant="answer to light",
+        nonlinear=(
+            Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),
+            Nonlinear("skin_s", "s", SKINS_S),
+        ),
     )

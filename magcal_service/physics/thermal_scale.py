@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, common_gain, gains
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, common_gain, gains, value_of
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.temperature import inferred, recorded
 
@@ -22,23 +24,41 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):
         yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
     yield from inferred(scene, "thermal_scale", each, Block("swing", "1"))
+    for hypothesis in inferred(scene, "thermal_scale", common, Block("swing_common", "1", ())):
+        yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
+
+
+def _derived(parameters: Values) -> Values:
+    """One gain for all axes as three."""
+    one = parameters.get("per_k_common")
+    return {} if one is None else {"per_k": value_of(np.full(3, one.value), np.full(3, one.sigma), one.unit)}
 
 
 EFFECT = Effect(
     name="thermal_scale",
     title="a gain that follows the sensor's temperature",
     equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B",
-    units={"per_k": "1/K", "per_k_common": "1/K", "swing": "1", "start_swing": "1", "time_constant_s": "s"},
+    units={
+        "per_k": "1/K",
+        "per_k_common": "1/K",
+        "swing": "1",
+        "start_swing": "1",
+        "swing_common": "1",
+        "time_constant_s": "s",
+    },
     prior=(5.0, 5000.0),
     valid="linear in T over tens of kelvin; T0 is the mean of the recording",
     confused_with=("thermal_bias", "current_loop", "scale_drift"),
     separated_by="a field of another size at the same temperature: half an orbit of another phase, or another spin axis",
     source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
     says=(
-        "A gain of {per_k} per kelvin and axis follows {driver}.",
         "One gain of {per_k_common} per kelvin for all axes follows {driver}.",
+        "A gain of {per_k} per kelvin and axis follows {driver}.",
+        "One gain for all axes swings by {swing_common} between light and shadow and follows {driver}, with a time "
+        "constant of {time_constant_s} s.",
         "A gain that swings by {swing} between light and shadow follows {driver}, with a time constant of "
         "{time_constant_s} s.",
     ),
+    derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

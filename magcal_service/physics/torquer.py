@@ -80,7 +80,7 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     yield Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
     signs = -np.sign(scene.field_slope)
     block = Block("detumbling_nt", "nT", (3, 3))
-    yield Hypothesis("torquer", "inferred:detumbling", lambda _: along_axes(signs), (block,), "sign of dB/dt")
+    yield Hypothesis("torquer", "inferred:detumbling", lambda _: along_axes(signs), (block,), "sign of dB/dt", odds=6.0)
 
 
 def _derived(parameters: Values) -> Values:
