@@ -28,6 +28,10 @@ UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
 
 
+NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
+"""Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
+
+
 class Verdict(StrEnum):
     """What a diagnosis comes to."""
 
@@ -105,7 +109,7 @@ def diagnose(
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     progress(f"screening {len(effects)} effects")
     largest = {effect.name: effect.prior[1] for effect in effects}
-    search = Search(problem, hypotheses_of(effects, problem), spin_hz=spin_hz, largest_nt=largest)
+    search = Search(problem, hypotheses_of(effects, problem), effects, spin_hz=spin_hz, largest_nt=largest)
     floor = 0.3 * problem.noise_nt
     explained = search.run(baseline, floor)
     phase = None if prepared.spin is None else prepared.spin.phase_rad
@@ -114,9 +118,8 @@ def diagnose(
     coefficients = _memory(search, explained.fit, left)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        close = [hypothesis for hypothesis in search.hypotheses if id(hypothesis) in search._close]
-        search = replace(search, hypotheses=close, whitening=coefficients, _cache={})
-        explained = search.run(baseline, 0.3 * floor)
+        search = replace(search, problem=problem, whitening=coefficients, hypotheses=[], _cache={})
+        explained = search.run(search.refreshed(baseline), 0.3 * floor)
         left = structures(search, explained.fit, phase, 0.3 * floor)
     elif left and significant(left[0]):
         explained = _outdone(search, baseline, explained, phase, floor)
@@ -163,16 +166,20 @@ def _memory(search: Search, fit: Fit, left: list[Structure]) -> Array:
 
 
 def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
-    """No effects, where a family without a name does better than all of them together: names that merely fit."""
+    """No effects, where a family without a name holds clearly more than all of them together: names that merely fit.
+
+    One name may fall short of the family by a quarter, for it is a model; several have to come close.
+    """
     fit = explained.fit
     if not fit.terms:
         return explained
-    space = search.workspace(baseline)
-    rows = [search.rows_of(term.hypothesis, term.theta, fit) for term in fit.terms]
-    sigma = max(fit.rms_nt, floor)
-    named = space.gain(np.concatenate([part for part in rows if part is not None], axis=1), sigma).nats
-    nameless = max(structure.nats for structure in structures(search, baseline, phase, floor))
-    return Explained(baseline) if nameless > named else explained
+    nameless = replace(search, problem=baseline.problem, _cache={})
+    best = structures(nameless, baseline, phase, floor)[0]
+    named = float(baseline.residual @ baseline.residual) - float(fit.residual @ fit.residual)
+    needed = NEEDED_SHARES[min(len(fit.terms), len(NEEDED_SHARES)) - 1]
+    if named > needed * best.squares:
+        return explained
+    return Explained(search.refreshed(solve(search.problem, baseline.x)))
 
 
 def _other_findings(

@@ -12,8 +12,8 @@ import numpy as np
 
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
-from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
-from magcal_service.model import Array
+from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, free_numbers, solve
+from magcal_service.model import STATE_SIZE, Array, measure
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear
 
 ACCEPTED_NATS: Final = 12.0
@@ -69,6 +69,7 @@ class Search:
     ----------
     problem: the problem.
     hypotheses: what may be left out.
+    effects: the catalogue that the hypotheses come from.
     whitening: autoregressive coefficients (p,) of the noise; empty: white.
     spin_hz: the spin's frequency, for lines.
     largest_nt: rms in the residual that an effect never exceeds [nT], by name.
@@ -76,11 +77,12 @@ class Search:
 
     problem: Problem
     hypotheses: Sequence[Hypothesis]
+    effects: Sequence[Effect] = ()
     whitening: Array = field(default_factory=lambda: np.zeros(0))
     spin_hz: float | None = None
     largest_nt: Mapping[str, float] = field(default_factory=dict)
     _cache: dict[int, Array] = field(default_factory=dict, repr=False)
-    _close: set[int] = field(default_factory=set, repr=False)
+    close: set[str] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
         names = [hypothesis.effect for hypothesis in self.hypotheses]
@@ -159,7 +161,7 @@ class Search:
         self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float, lines: Array | None
     ) -> Candidate | None:
         cost = math.log(self._forms[hypothesis.effect]) + hypothesis.odds
-        grids = [_grid(number, lines) for number in hypothesis.nonlinear]
+        grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
         if any(len(grid) == 0 for grid in grids):
             return None
 
@@ -235,10 +237,29 @@ class Search:
             larger = self._larger(fit, floor_nt)
             if larger is None:
                 break
+            larger = self.refreshed(larger)
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
-        return self._compared(fit, floor_nt)
+        return self._compared(self.refreshed(fit), floor_nt)
+
+    def refreshed(self, fit: Fit) -> Fit:
+        """The fit once more with all columns made of vectors that it itself has calibrated.
+
+        Columns made of other vectors than the model's own are inconsistent with it, and combinations of many of them
+        then hold the radial noise that they were freed of one by one.
+        """
+        scene = self.problem.scene
+        if not self.problem.is_vector:
+            body, magnitude = disturbances(fit.terms, scene)
+            clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
+            scene = scene.recalibrated(clean, measure(fit.x[:STATE_SIZE], clean + body))
+        self.problem = replace(self.problem, scene=scene)
+        self.hypotheses = hypotheses_of(self.effects, self.problem)
+        self._cache = {}
+        known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
+        terms = [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
+        return solve(self.problem, fit.x, terms)
 
     def _larger(self, fit: Fit, floor_nt: float) -> Fit | None:
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
@@ -266,7 +287,7 @@ class Search:
         left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
-        self._close |= {id(candidate.hypothesis) for candidate in close}
+        self.close |= {candidate.hypothesis.label for candidate in close}
         return sorted(close, key=lambda candidate: -candidate.nats)
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
@@ -323,7 +344,7 @@ class Search:
         others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index} - set(_REPEATABLE)
         space = self.workspace(fit, index)
         mine = fit.terms[index].hypothesis
-        close = [h for h in self.hypotheses if h is mine or id(h) in self._close]
+        close = [h for h in self.hypotheses if h is mine or h.label in self.close]
         return self.screen(space, fit, sigma, sorted(others), close)
 
     def _compared(self, fit: Fit, floor_nt: float) -> Explained:
@@ -345,8 +366,6 @@ def _best_of_each(ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
 
 def _columns_of(fit: Fit, index: int) -> Array:
     """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
-    from magcal_service.diagnosis.problem import free_numbers
-
     at, free = fit.problem.size, fit.linear_size
     for number, term in enumerate(fit.terms):
         count, moving = term.hypothesis.size, len(free_numbers(term))
@@ -356,12 +375,17 @@ def _columns_of(fit: Fit, index: int) -> Array:
     raise IndexError(index)
 
 
-def _grid(number: Nonlinear, lines: Array | None) -> Array:
+def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
+    """Values to try first; a period may show as a line of its own or as side lines of the spin."""
+    if number.role not in ("frequency", "period"):
+        return number.grid
+    if lines is None or not len(lines):
+        return np.zeros(0)
     if number.role == "frequency":
-        return np.zeros(0) if lines is None else lines
-    if number.role == "period":
-        return np.zeros(0) if lines is None else 1.0 / lines
-    return number.grid
+        return lines
+    beside = [] if spin_hz is None else [np.abs(lines - spin_hz), lines + spin_hz]
+    found = np.unique(np.round(np.concatenate([lines, *beside]), 7))
+    return 1.0 / found[found > 1e-3]
 
 
 def _product(grids: Sequence[Array]) -> Array:

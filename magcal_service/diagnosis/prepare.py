@@ -143,7 +143,7 @@ def telemetry(channel: Channel) -> Telemetry:
 def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
     reference = recording.reference
     if reference.vector_nt is None or not np.isfinite(reference.vector_nt).all():
-        return None
+        return _model_direction(recording, ecef)
     if reference.frame is Frame.ECI:
         return reference.vector_nt
     if recording.clock is not Clock.UTC:
@@ -155,6 +155,24 @@ def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
     latitude, longitude, _ = geomagnetic.geodetic_from_ecef(ecef)
     fixed = geomagnetic.ecef_from_ned(latitude, longitude, reference.vector_nt)
     return geomagnetic.eci_from_ecef(recording.time_ns, fixed)
+
+
+def _model_direction(recording: Recording, ecef: Array | None) -> Array | None:
+    """(n, 3) ECI [nT]: the recorded magnitude along the main field of the model, where place and time are known."""
+    if ecef is None or recording.clock is not Clock.UTC:
+        return None
+    time_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
+    rows = np.unique(
+        np.concatenate([np.flatnonzero(np.diff(np.floor(time_s / 10.0), prepend=-1.0)), [len(time_s) - 1]])
+    )
+    try:
+        knots = geomagnetic.igrf_ecef_nt(recording.time_ns[rows], ecef[rows])
+    except (geomagnetic.InputRefusedError, geomagnetic.ExtraMissingError):
+        return None
+    inertial = geomagnetic.eci_from_ecef(recording.time_ns[rows], knots)
+    field = np.stack([np.interp(time_s, time_s[rows], column) for column in inertial.T], axis=1)
+    size = np.linalg.norm(field, axis=1)
+    return np.asarray(field * (recording.reference.magnitude_nt / size)[:, None])
 
 
 def baseline_start(scene: Scene, noise_nt: float | None) -> Array:

@@ -41,7 +41,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             block = Block("radial_km", "km", ())
             yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
         return
-    gradient = gradients(scene)
+    gradient = scene.once("gradients", lambda: gradients(scene))
     hours = scene.time_s / 3600.0
 
     def of(*columns: Array) -> Columns:

@@ -33,11 +33,11 @@ def truncated_change(scene: Scene, degree: int) -> Array:
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     if not scene.has_model:
         return
-    change = yearly_change(scene)[None]
+    change = scene.once("yearly change", lambda: yearly_change(scene))[None]
     block = Block("years", "a", ())
     yield Hypothesis("reference_epoch", "none", lambda _: Columns(magnitude=change), (block,))
     for degree in DEGREES:
-        column = truncated_change(scene, degree)[None]
+        column = scene.once(f"degree {degree}", lambda degree=degree: truncated_change(scene, degree))[None]  # type: ignore[misc]
         share = Block("share", "1", ())
         yield Hypothesis(
             "reference_epoch",

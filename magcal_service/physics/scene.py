@@ -6,9 +6,10 @@ need, each worked out once and only when asked for; None where the recording can
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,27 @@ from magcal_service.physics import sunlight
 
 _DIPOLE_POLE_DEG = (80.8, -72.8)  # geomagnetic north pole (IGRF-14, epoch 2025): latitude, longitude
 _KNOT_S = 10.0  # between knots the field of a model, and its differences, are taken as linear
+
+
+_KEPT = (
+    "period_s",
+    "pauses",
+    "time_ns",
+    "magnitude_slope",
+    "position_eci_km",
+    "sun_eci",
+    "lit",
+    "sun_body",
+    "_warmed",
+    "eclipses",
+    "dipole_eci",
+    "dipole_latitude_sine",
+    "knots",
+    "has_model",
+)
+"""What a scene has worked out that does not depend on the calibrated vectors."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +83,25 @@ class Scene:
     position_ecef_km: Array | None = None
     channels: Mapping[str, Telemetry] = field(default_factory=dict)
     body_from_eci: Array | None = None
+    memo: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What ``make`` gives, worked out once for this recording, whatever is calibrated meanwhile.
+
+        For what depends on times, places, reference and telemetry alone.
+        """
+        if name not in self.memo:
+            self.memo[name] = make()
+        found: T = self.memo[name]
+        return found
+
+    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> Scene:
+        """The same recording with other calibrated vectors; what does not depend on them is kept."""
+        scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt)
+        for name in _KEPT:
+            if name in self.__dict__:
+                scene.__dict__[name] = self.__dict__[name]
+        return scene
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -12,8 +12,15 @@ from magcal_service.physics.view import View
 
 _LEAST_NATS: Final = 15.0
 _LEAST_BEND_RAD: Final = math.radians(3.0)
-_LEAST_SHARE: Final = 0.01
-"""A rate counts as another from 1 % on: descriptors round."""
+_LEAST_SHARE: Final = 0.001
+
+
+def _tolerance(nominal_rad_s: float) -> float:
+    """How far a steady rate may be from the stated one [rad/s]: half a unit of its last digit, at least a thousandth."""
+    rpm = abs(nominal_rad_s) * 30.0 / math.pi
+    text = f"{rpm:.9g}".partition("e")[0]
+    unit = 10.0 ** -len(text.partition(".")[2])
+    return max(_LEAST_SHARE * rpm, 0.5 * unit) * math.pi / 30.0
 
 
 def _find(view: View) -> Finding | None:
@@ -37,7 +44,7 @@ def _find(view: View) -> Finding | None:
     nats = 0.5 * (float(left_1 @ left_1) - float(left_2 @ left_2)) / scatter - math.log(len(scene))
     drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD
     nominal = view.nominal_rate_rad_s
-    other = nominal is not None and abs(spin.rate_rad_s - nominal) > _LEAST_SHARE * abs(nominal)
+    other = nominal is not None and abs(spin.rate_rad_s - nominal) > _tolerance(nominal)
     if not drifting and not other:
         return None
     to_rpm = 30.0 / math.pi

@@ -17,7 +17,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.scene import Scene
 
-LARGEST_MISFIT: Final = 0.08
+LARGEST_MISFIT: Final = 0.3
 """Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
 
 _KNOT_TURNS: Final = 12.0

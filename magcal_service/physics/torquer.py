@@ -78,9 +78,20 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return along_axes(on.astype(np.float64))
 
     yield Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
-    signs = -np.sign(scene.field_slope)
+    slope = scene.field_slope
     block = Block("detumbling_nt", "nT", (3, 3))
-    yield Hypothesis("torquer", "inferred:detumbling", lambda _: along_axes(signs), (block,), "sign of dB/dt", odds=6.0)
+
+    def pulsed(theta: Array) -> Columns:
+        period_s, share, phase = (float(value) for value in theta)
+        cycle = scene.time_s / period_s - phase
+        on = np.mod(cycle, 1.0) < share
+        begins = np.searchsorted(scene.time_s, (np.floor(cycle) + phase) * period_s)
+        measured = np.clip(begins - 1, 0, len(scene) - 1)  # what the controller saw before it fired
+        return along_axes(-np.sign(slope[measured]) * on[:, None])
+
+    yield Hypothesis("torquer", "inferred:detumbling", pulsed, (block,), "sign of dB/dt on a duty", duty)
+    steady = along_axes(-np.sign(slope))
+    yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
 
 
 def _derived(parameters: Values) -> Values:
