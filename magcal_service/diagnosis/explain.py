@@ -29,6 +29,7 @@ CLASS_NATS: Final = 3.0
 LEAST_VISIBLE: Final = 0.03
 """Of an effect's own size in the residual: what the nine errors have not absorbed.  Less is no evidence but rounding."""
 
+_SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
 _MOST_TRIED: Final = 5
 _CLOSE: Final = 30
 _REPEATABLE: Final[tuple[str, ...]] = ()
@@ -385,7 +386,7 @@ def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Arra
         return lines
     beside = [] if spin_hz is None else [np.abs(lines - spin_hz), lines + spin_hz]
     found = np.unique(np.round(np.concatenate([lines, *beside]), 7))
-    return 1.0 / found[found > 1e-3]
+    return 1.0 / found[found > _SLOWEST_DUTY_HZ]
 
 
 def _product(grids: Sequence[Array]) -> Array:
@@ -418,7 +419,7 @@ def _refined(
                 for sign in (1.0, -1.0):
                     trial = np.array(theta)
                     trial[index] += sign * step
-                    if trial[index] <= 0.0 and (number.logarithmic or number.role):
+                    if not _allowed(number, float(trial[index])):
                         continue
                     other = gain(trial)
                     if other is not None and other.nats > best.nats:
@@ -427,6 +428,13 @@ def _refined(
                 else:
                     step *= 0.5
     return theta, best
+
+
+def _allowed(number: Nonlinear, value: float) -> bool:
+    """Whether a number is within the range that is searched; lines and periods only have to be positive."""
+    if number.role in ("frequency", "period"):
+        return value > 0.0
+    return bool(number.grid.min() <= value <= number.grid.max())
 
 
 def _first_step(number: Nonlinear, value: float, grid: Array, problem: Problem) -> float:

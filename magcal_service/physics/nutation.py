@@ -31,9 +31,10 @@ def _find(view: View) -> Finding | None:
     frequency, line = _spectrum(scene.time_s, misfit * np.conj(turning), scene.period_s)
     turn_hz = spin.rate_rad_s / (2.0 * math.pi)
     span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
-    allowed = (np.abs(frequency) > max(_SLOWEST_HZ, span_hz)) & ~_near(
-        frequency, 2.0 * turn_hz, span_hz, scene.period_s
-    )
+    side_hz = max(_SLOWEST_HZ, span_hz)  # what is fixed in the body or in space has its lines there
+    allowed = np.ones(len(frequency), dtype=bool)
+    for still_hz in (0.0, turn_hz, 2.0 * turn_hz):
+        allowed &= ~_near(frequency, still_hz, side_hz, scene.period_s)
     if not allowed.any():
         return None
     power = float((np.abs(turning) ** 2).sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
 from magcal_service.physics.scene import Scene
+
+CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0])
+"""Controllers measure, fire and pause in whole seconds; slower ones would not detumble."""
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 """L/R of the coil, 0: faster than a sample."""
@@ -68,8 +72,8 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),
-        Nonlinear("on_share", "1", np.array([0.25, 0.5, 0.75]), role="held"),
-        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False), role="held"),
+        Nonlinear("on_share", "1", np.array([0.25, 0.4, 0.6, 0.8]), role="held"),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 12, endpoint=False), role="held"),
     )
 
     def columns(theta: Array) -> Columns:
@@ -89,7 +93,8 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         measured = np.clip(begins - 1, 0, len(scene) - 1)  # what the controller saw before it fired
         return along_axes(-np.sign(slope[measured]) * on[:, None])
 
-    yield Hypothesis("torquer", "inferred:detumbling", pulsed, (block,), "sign of dB/dt on a duty", duty)
+    cycles = (replace(duty[0], grid=CYCLES_S * max(1.0, scene.period_s), role="held"), *duty[1:])
+    yield Hypothesis("torquer", "inferred:detumbling", pulsed, (block,), "sign of dB/dt on a duty", cycles)
     steady = along_axes(-np.sign(slope))
     yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
 
