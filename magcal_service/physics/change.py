@@ -33,8 +33,8 @@ def step(scene: Scene, effect: str, act: Act, block: Block, variant: str = "") -
 
 
 def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
-    """Linear, quadratic, and relaxing towards an end value, all zero at the first sample."""
-    elapsed = scene.time_s - scene.time_s[0]
+    """Linear, quadratic, and relaxing towards an end value, all zero at the origin of time."""
+    elapsed = scene.time_s
     span = max(float(elapsed[-1]), 1.0)
     linear = act(elapsed)
     yield Hypothesis(effect, "none", lambda _: linear, (block,))
@@ -47,6 +47,6 @@ def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypoth
     )
 
     def relaxing(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
-        return act(-np.expm1(-elapsed / float(theta[0])))
+        return act(-np.expm1(-np.maximum(elapsed, 0.0) / float(theta[0])))
 
     yield Hypothesis(effect, "none", relaxing, (end,), "relaxing", (tau,))

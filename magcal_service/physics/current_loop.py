@@ -20,7 +20,8 @@ def _fixed(signals: Array) -> Callable[[Array], Columns]:
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for channel in scene.of_quantity("current"):
         moving = np.std(channel.values, axis=0) > _LEAST_SWING * np.abs(channel.values).max(axis=0)
-        circuits = np.flatnonzero(moving)
+        chosen = scene.chosen("column", np.flatnonzero(moving).tolist())
+        circuits = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
         if len(circuits) == 0:
             continue
         shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
@@ -32,7 +33,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             (block,),
             constants={f"column_{index}": float(column) for index, column in enumerate(circuits)},
         )
-        for column in circuits if len(circuits) > 1 else ():
+        for column in circuits if len(circuits) > 1 or scene.is_given else ():
             one = Block("nt_per_a", "nT/A")
             signal, name = channel.values[:, [column]], f"channel:{channel.name}"
             yield Hypothesis(
@@ -49,17 +50,18 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 def _together(scene: Scene) -> Iterator[Hypothesis]:
     """All circuits of all current channels at once."""
-    channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0]
+    channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
     if len(channels) < 2:
         return
     signals = np.concatenate([channel.values for channel in channels], axis=1)
-    moving = np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0)
-    if np.count_nonzero(moving) < 2:
+    moving = np.flatnonzero(np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0))
+    used = [column for column in scene.chosen("column", moving.tolist()) if column < signals.shape[1]]
+    if len(used) < 2:
         return
     driver = "channel:" + "+".join(channel.name for channel in channels)
-    block = Block("nt_per_a", "nT/A", (int(np.count_nonzero(moving)), 3))
-    constants = {f"column_{i}": float(column) for i, column in enumerate(np.flatnonzero(moving))}
-    yield Hypothesis("current_loop", driver, _fixed(signals[:, moving]), (block,), "all circuits", constants=constants)
+    block = Block("nt_per_a", "nT/A", (len(used), 3))
+    constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
+    yield Hypothesis("current_loop", driver, _fixed(signals[:, used]), (block,), "all circuits", constants=constants)
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
@@ -74,7 +76,7 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     faces = np.concatenate([np.maximum(scene.sun_body, 0.0), np.maximum(-scene.sun_body, 0.0)], axis=1)
     faces = faces * scene.lit[:, None]
     names = ("+x", "+y", "+z", "-x", "-y", "-z")
-    used = [i for i in range(6) if float(np.std(faces[:, i])) > 0.02]
+    used = [i for i in range(6) if float(np.std(faces[:, i])) > 0.02 or scene.is_given]
     for i in used:
         yield Hypothesis("current_loop", driver, _fixed(faces[:, [i]]), (block,), f"panel {names[i]}")
     sides = (("x", (0, 3)), ("y", (1, 4)), ("z", (2, 5)))
@@ -82,11 +84,14 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         if all(i in used for i in pair):
             both = Block("nt_full_sun", "nT", (2, 3))
             yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
+    used = scene.chosen("face", used)
     if len(used) >= 3:
+        constants = {f"face_{index}": float(face) for index, face in enumerate(used)}
         total = faces[:, used].sum(axis=1, keepdims=True)
-        yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels")
+        yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels", constants=constants)
         every = Block("nt_full_sun", "nT", (len(used), 3))
-        yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), "every panel its own circuit")
+        form = "every panel its own circuit"
+        yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
 
 
 EFFECT = Effect(

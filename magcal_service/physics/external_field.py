@@ -33,14 +33,26 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     column = ring_current(scene)
     if column is None:
         return
-    share = (scene.time_s - scene.time_s.mean()) / max(np.ptp(scene.time_s), 1.0) * 2.0
+    middle_s = scene.constant("middle_s", float(scene.time_s.mean()))
+    span_s = scene.constant("span_s", max(float(np.ptp(scene.time_s)), 1.0))
+    share = (scene.time_s - middle_s) / span_s * 2.0
+    if scene.is_given:  # a course is known within its recording only; beyond, its ends hold
+        share = np.clip(share, -1.0, 1.0)
+    constants = {"middle_s": middle_s, "span_s": span_s}
     for order, variant in ((0, ""), (1, "changing"), (2, "curved"), (4, "storm")):
         powers = np.polynomial.legendre.legvander(share, order).T
         made = Columns(magnitude=powers * column[None])
         blocks = (Block("mean_nt", "nT", ()),)
         if order:
             blocks = (*blocks, Block("course_nt", "nT", (order,)))
-        yield Hypothesis("external_field", "none", lambda _, made=made: made, blocks, variant)  # type: ignore[misc]
+        yield Hypothesis(
+            "external_field",
+            "none",
+            lambda _, made=made: made,  # type: ignore[misc]
+            blocks,
+            variant,
+            constants=constants if order else {},
+        )
 
 
 EFFECT = Effect(

@@ -14,14 +14,17 @@ from magcal_service.physics.scene import Scene
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
 
 
-def play(values: Array, half_width: float) -> Array:
+def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
     """The play operator (n, 3) of each axis: it follows the input once the slack of +-half_width is used up.
+
+    ``start`` is its state before the first sample.
 
     Source: Visintin 1994, Differential Models of Hysteresis, chapter III.
     """
     answer = np.empty_like(values)
+    before = np.broadcast_to(start, values.shape[1:])
     for axis in range(values.shape[1]):
-        state, found = 0.0, []
+        state, found = float(before[axis]), []
         for value in values[:, axis].tolist():
             low, high = value - half_width, value + half_width
             state = low if state < low else high if state > high else state
@@ -32,12 +35,14 @@ def play(values: Array, half_width: float) -> Array:
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     field = scene.calibrated_nt
-    scale = float(np.percentile(np.abs(field), 99))
+    scale = scene.constant("scale_nt", float(np.percentile(np.abs(field), 99)))
     known: dict[float, Array] = {}
 
     def lagging(share: float) -> Array:
         if share not in known:
-            known[share] = play(field, share * scale) - field
+            answer = play(field, share * scale, scene.begin("answer", 0.0))
+            scene.keep("answer", answer)
+            known[share] = answer - field
         return known[share]
 
     def own(theta: Array) -> Columns:

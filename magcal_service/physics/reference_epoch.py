@@ -33,10 +33,14 @@ def truncated_change(scene: Scene, degree: int) -> Array:
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     if not scene.has_model:
         return
-    change = scene.once("yearly change", lambda: yearly_change(scene))[None]
-    block = Block("years", "a", ())
-    yield Hypothesis("reference_epoch", "none", lambda _: Columns(magnitude=change), (block,))
-    for degree in DEGREES:
+    degrees = DEGREES
+    if scene.given is None or "degree" not in scene.given:
+        change = scene.once("yearly change", lambda: yearly_change(scene))[None]
+        block = Block("years", "a", ())
+        yield Hypothesis("reference_epoch", "none", lambda _: Columns(magnitude=change), (block,))
+    if scene.given is not None:
+        degrees = tuple(degree for degree in DEGREES if degree == scene.given.get("degree"))
+    for degree in degrees:
         column = scene.once(f"degree {degree}", lambda degree=degree: truncated_change(scene, degree))[None]  # type: ignore[misc]
         share = Block("share", "1", ())
         yield Hypothesis(

@@ -18,7 +18,7 @@ _KNEES: Final = np.linspace(0.5, 0.97, 12)
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for axis, name in enumerate("xyz"):
         values = scene.clean_field_nt[:, axis]
-        largest = float(np.percentile(np.abs(values), 99.9))
+        largest = scene.constant("full_scale_nt", float(np.percentile(np.abs(values), 99.9)))
 
         def columns(theta: Array, axis: int = axis, values: Array = values, largest: float = largest) -> Columns:
             knee = float(theta[0]) * largest

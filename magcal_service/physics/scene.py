@@ -6,7 +6,7 @@ need, each worked out once and only when asked for; None where the recording can
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -52,6 +52,14 @@ class Telemetry:
     values: Array
 
 
+@dataclass(slots=True, eq=False)
+class Memory:
+    """What an effect with a past carries from one scene of a stream to the next, which begins at row ``next_row``."""
+
+    next_row: int = -1
+    states: dict[str, Array] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Samples in rising time order.
@@ -70,6 +78,10 @@ class Scene:
     position_ecef_km: (n, 3) or None.
     channels: telemetry by name.
     body_from_eci: (n, 3, 3) attitude, recorded or from a steady spin, or None.
+    given: constants of a model that is applied here, which hold in place of what the scene itself suggests; nothing is
+        left out then for want of change.  None while effects are looked for.
+    memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
+    mean_rate_rad_s: (3,) the craft's turn where neither attitude nor gyro tells it, or None.
     """
 
     time_s: Array
@@ -83,6 +95,9 @@ class Scene:
     position_ecef_km: Array | None = None
     channels: Mapping[str, Telemetry] = field(default_factory=dict)
     body_from_eci: Array | None = None
+    given: Mapping[str, float] | None = None
+    memory: Memory | None = None
+    mean_rate_rad_s: Array | None = None
     memo: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
@@ -105,6 +120,31 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether a known model is applied, rather than one looked for."""
+        return self.given is not None
+
+    def constant(self, name: str, own: float) -> float:
+        """A constant of the model that is applied; ``own`` while one is looked for."""
+        return own if self.given is None else self.given.get(name, own)
+
+    def chosen(self, name: str, own: Sequence[int]) -> list[int]:
+        """Numbers kept as the constants ``NAME_0``, ``NAME_1``, ... of the model that is applied; else ``own``."""
+        if self.given is None:
+            return [int(number) for number in own]
+        keys = (f"{name}_{index}" for index in range(len(self.given)))
+        return [int(self.given[key]) for key in keys if key in self.given]
+
+    def begin(self, name: str, default: Array | float) -> Array | float:
+        """State at the first row of an effect with a past, as the scene before it has left it."""
+        return default if self.memory is None else self.memory.states.get(name, default)
+
+    def keep(self, name: str, states: Array) -> None:
+        """Leave the states (n, ...) of an effect with a past to the next scene."""
+        if self.memory is not None:
+            self.memory.states[name] = np.array(states[self.memory.next_row])
 
     def of_quantity(self, *quantities: str) -> list[Telemetry]:
         """Channels of these kinds, in the descriptor's order."""
@@ -153,6 +193,8 @@ class Scene:
         for channel in self.of_quantity("angular rate"):
             if channel.values.shape[1] == 3:
                 return channel.values
+        if self.mean_rate_rad_s is not None:
+            return np.broadcast_to(self.mean_rate_rad_s, (len(self), 3))
         return None
 
     @cached_property
@@ -200,16 +242,24 @@ class Scene:
             return None
         return np.asarray(np.einsum("nij,nj->ni", self.body_from_eci, self.sun_eci))
 
+    @property
+    def mean_light(self) -> float:
+        """Light that counts as zero of what follows it: the recording's mean."""
+        assert self.lit is not None
+        return self.constant("mean_light", float(self.lit.mean()))
+
     def warmed(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
         """Answer (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
         key = (tau_s, skin_s)
         if key not in self._warmed:
             assert self.lit is not None
-            drive = self.lit - float(self.lit.mean())
+            drive = self.lit - self.mean_light
             if skin_s > 0.0:
-                drive = sunlight.first_order(self.time_s, drive, skin_s, 0.0)
-            answer = sunlight.first_order(self.time_s, drive, tau_s, 0.0)
-            self._warmed[key] = answer, np.exp(-(self.time_s - self.time_s[0]) / tau_s)
+                drive = sunlight.first_order(self.time_s, drive, skin_s, self.begin("skin", 0.0))
+                self.keep("skin", drive)
+            answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
+            self.keep("answer", answer)
+            self._warmed[key] = answer, np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
         return self._warmed[key]
 
     @cached_property
@@ -219,6 +269,8 @@ class Scene:
     @cached_property
     def eclipses(self) -> bool:
         """Whether light changes enough for anything to follow it."""
+        if self.is_given:
+            return self.lit is not None
         return self.lit is not None and 0.02 < float(self.lit.mean()) < 0.98
 
     # The reference field

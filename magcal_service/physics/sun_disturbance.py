@@ -21,14 +21,15 @@ def harmonics(sun: Array) -> Array:
     return np.stack([x * y, x * z, y * z, x * x - y * y, 2.0 * z * z - x * x - y * y], axis=1)
 
 
-def _directions(scene: Scene) -> Iterator[tuple[str, Array]]:
-    """Names of drivers and the Sun in the body (n, 3), zero in shadow."""
+def _directions(scene: Scene) -> Iterator[tuple[str, Array, dict[str, float]]]:
+    """Names of drivers, the Sun in the body (n, 3), zero in shadow, and constants."""
     for channel in scene.channels.values():
-        if _is_sun(channel) and float(np.std(channel.values)) > 0.0:
-            size = float(np.percentile(np.linalg.norm(channel.values, axis=1), 99))
-            yield f"channel:{channel.name}", channel.values / (size if channel.quantity == "counts" else 1.0)
+        if _is_sun(channel) and (float(np.std(channel.values)) > 0.0 or scene.is_given):
+            own = float(np.percentile(np.linalg.norm(channel.values, axis=1), 99))
+            size = scene.constant("full_sun", own if channel.quantity == "counts" else 1.0)
+            yield f"channel:{channel.name}", channel.values / size, {"full_sun": size}
     if scene.sun_body is not None and scene.lit is not None:
-        yield "inferred:sun_direction", scene.sun_body * scene.lit[:, None]
+        yield "inferred:sun_direction", scene.sun_body * scene.lit[:, None], {}
 
 
 def _is_sun(channel: Telemetry) -> bool:
@@ -38,17 +39,19 @@ def _is_sun(channel: Telemetry) -> bool:
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    for driver, sun in _directions(scene):
+    for driver, sun, constants in _directions(scene):
         linear = Block("nt", "nT", (3, 3))
-        yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,))
+        yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,), constants=constants)
         square = Block("second_nt", "nT", (5, 3))
         both = np.concatenate([sun, harmonics(sun)], axis=1)
-        yield Hypothesis("sun_disturbance", driver, _fixed(both), (linear, square), "second degree")
+        second = (linear, square)
+        yield Hypothesis("sun_disturbance", driver, _fixed(both), second, "second degree", constants=constants)
         light = np.linalg.norm(sun, axis=1, keepdims=True)
-        if float(np.std(light)) > 0.05:
+        if float(np.std(light)) > 0.05 or scene.is_given:
             whole = np.concatenate([sun, harmonics(sun), light], axis=1)
             blocks = (linear, square, Block("light_nt", "nT"))
-            yield Hypothesis("sun_disturbance", driver, _fixed(whole), blocks, "second degree and light")
+            form = "second degree and light"
+            yield Hypothesis("sun_disturbance", driver, _fixed(whole), blocks, form, constants=constants)
 
 
 EFFECT = Effect(

@@ -28,9 +28,9 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
     for channel in scene.of_quantity("temperature"):
         several = channel.values.shape[1] > 1
         for index, values in enumerate(channel.values.T):
-            if float(np.std(values)) < _LEAST_SWING_K:
+            if float(np.std(values)) < _LEAST_SWING_K and not scene.is_given:
                 continue
-            zero = round(float(values.mean()), 1)
+            zero = scene.constant("zero_degc", round(float(values.mean()), 1))
             yield Hypothesis(
                 effect,
                 f"channel:{channel.name}",
@@ -68,4 +68,5 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
             Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),
             Nonlinear("skin_s", "s", SKINS_S),
         ),
+        constants={"mean_light": scene.mean_light},
     )

@@ -18,7 +18,7 @@ EFFECT = Effect(
     name="thermal_bias",
     title="a bias that follows the sensor's temperature",
     equation="d = k (T - T0); where T is not recorded, dT/dt = (T_eq(lit) - T) / tau",
-    units={"nt_per_k": "nT/K", "nt_swing": "nT", "start_nt_swing": "nT", "time_constant_s": "s"},
+    units={"nt_per_k": "nT/K", "nt_swing": "nT", "start_nt_swing": "nT", "time_constant_s": "s", "skin_s": "s"},
     prior=(5.0, 5000.0),
     valid="linear in T over tens of kelvin; T0 is the mean of the recording",
     confused_with=("current_loop", "thermal_scale", "bias_drift", "sun_disturbance"),

@@ -45,6 +45,8 @@ EFFECT = Effect(
         "start_swing": "1",
         "swing_common": "1",
         "time_constant_s": "s",
+        "skin_s": "s",
+        "start_swing_common": "1",
     },
     prior=(5.0, 5000.0),
     valid="linear in T over tens of kelvin; T0 is the mean of the recording",

@@ -12,7 +12,7 @@ from magcal_service.physics.scene import Scene
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     slope = scene.magnitude_slope
-    if float(np.std(slope)) <= 1e-3:
+    if float(np.std(slope)) <= 1e-3 and not scene.is_given:
         return
     offset, growing = slope[None], (slope * scene.time_s * 1e-6)[None]
     block = Block("offset_s", "s", ())

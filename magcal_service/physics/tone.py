@@ -12,7 +12,7 @@ from magcal_service.physics.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    if len(scene) < 64:
+    if len(scene) < 64 and not scene.is_given:
         return
 
     def columns(theta: Array) -> Columns:

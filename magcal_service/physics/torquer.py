@@ -25,24 +25,29 @@ def _decayed(scene: Scene, moment: Array, decay_s: float) -> Array:
         return moment
     kept = np.exp(-np.diff(scene.time_s) / decay_s)
     answer = np.array(moment, dtype=np.float64)
+    answer[0] = scene.begin("current", answer[0])
     for row in range(1, len(moment)):
         answer[row] = moment[row] + kept[row - 1] * (answer[row - 1] - moment[row])
+    scene.keep("current", answer)
     return answer
 
 
-def remembered(moment: Array) -> Array:
+def remembered(scene: Scene, moment: Array, largest: float) -> Array:
     """Sign of the last command that was not zero (n, k), 0 before the first."""
-    signs = np.sign(np.where(np.abs(moment) > 0.02 * np.abs(moment).max(), moment, 0.0))
+    signs = np.sign(np.where(np.abs(moment) > 0.02 * largest, moment, 0.0))
+    signs[0] = np.where(signs[0] == 0.0, scene.begin("sign", 0.0), signs[0])
     rows = np.where(signs != 0.0, np.arange(len(signs))[:, None], -1)
     last = np.maximum.accumulate(rows, axis=0)
-    return np.where(last >= 0, np.take_along_axis(signs, np.maximum(last, 0), axis=0), 0.0)
+    found = np.where(last >= 0, np.take_along_axis(signs, np.maximum(last, 0), axis=0), 0.0)
+    scene.keep("sign", found)
+    return found
 
 
-def _driven(scene: Scene, moment: Array, remanence: bool) -> Callable[[Array], Columns]:
+def _driven(scene: Scene, moment: Array, largest: float | None) -> Callable[[Array], Columns]:
     def columns(theta: Array) -> Columns:
         signals = _decayed(scene, moment, float(theta[0]))
-        if remanence:
-            signals = np.concatenate([signals, remembered(moment)], axis=1)
+        if largest is not None:
+            signals = np.concatenate([signals, remembered(scene, moment, largest)], axis=1)
         return along_axes(signals)
 
     return columns
@@ -51,24 +56,29 @@ def _driven(scene: Scene, moment: Array, remanence: bool) -> Callable[[Array], C
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     decay = Nonlinear("decay_s", "s", DECAYS_S)
     for channel in scene.of_quantity("magnetic moment"):
-        used = np.flatnonzero(np.std(channel.values, axis=0) > 0.0)
+        moving = np.flatnonzero(np.std(channel.values, axis=0) > 0.0)
+        chosen = scene.chosen("column", moving.tolist())
+        used = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
         if len(used) == 0:
             continue
         moment, count = channel.values[:, used], len(used)
         matrix = Block("nt_per_am2", "nT/(A m2)", (count, 3))
+        largest = scene.constant("largest_am2", float(np.abs(moment).max()))
         constants = {f"column_{index}": float(column) for index, column in enumerate(used)}
         driver = f"channel:{channel.name}"
         yield Hypothesis(
-            "torquer", driver, _driven(scene, moment, False), (matrix,), nonlinear=(decay,), constants=constants
+            "torquer", driver, _driven(scene, moment, None), (matrix,), nonlinear=(decay,), constants=constants
         )
         blocks = (matrix, Block("remanence_nt", "nT", (count, 3)))
-        yield Hypothesis("torquer", driver, _driven(scene, moment, True), blocks, "with remanence", (decay,), constants)
+        with_largest = constants | {"largest_am2": largest}
+        driven = _driven(scene, moment, largest)
+        yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
     yield from _inferred(scene)
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     """A regular duty pattern, and detumbling by the sign of dB/dt."""
-    if scene.period_s > 20.0 or len(scene) < 200:
+    if (scene.period_s > 20.0 or len(scene) < 200) and not scene.is_given:
         return
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),

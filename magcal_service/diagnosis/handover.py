@@ -1,0 +1,80 @@
+"""A diagnosis as ``physics.toml``: the model that daemon and simulator apply."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.result import Entry
+from magcal_service.model import STATE_SIZE, Array
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
+from magcal_service.wire.messages import Clock
+
+
+def write_model(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> str:
+    """The text of ``physics.toml``, as in ``path.write_text(write_model(diagnosis, entries(diagnosis), "flight"))``."""
+    return text_of(model_of(diagnosis, entries, recording))
+
+
+def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> PhysicsModel:
+    """The model of a diagnosis.
+
+    Parameters
+    ----------
+    entries: of ``result.entries``: those that are no term of the fit become notes, but for ``unknown``.
+    recording: name of the recording.
+    """
+    fit, scene = diagnosis.fit, diagnosis.fit.problem.scene
+    fitted = {term.hypothesis.effect for term in fit.terms}
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    others = [entry for entry in entries if entry.effect not in fitted and entry.effect != "unknown"]
+    spin = diagnosis.spin
+    return PhysicsModel(
+        recording=recording,
+        origin_ns=scene.origin_ns,
+        clock=Clock.UTC if scene.utc else Clock.ELAPSED,
+        x=fit.x[:STATE_SIZE],
+        sigma=sigma[:STATE_SIZE],
+        noise_nt=fit.problem.noise_nt,
+        terms=terms_of(fit),
+        notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),
+        spin=None if spin is None else _spin(spin.axis_body, spin.axis_eci, spin.rate_rad_s),
+    )
+
+
+def terms_of(fit: Fit) -> tuple[ModelTerm, ...]:
+    """The terms of a fit with the 1 sigma of their amplitudes."""
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    found, at = [], fit.problem.size
+    for term in fit.terms:
+        own = model_term(term.hypothesis, term.theta, term.amplitudes)
+        spread = model_term(term.hypothesis, term.theta, sigma[at : at + term.hypothesis.size]).amplitudes
+        found.append(replace(own, sigma=spread))
+        at += term.hypothesis.size
+    return tuple(found)
+
+
+def model_term(hypothesis: Hypothesis, theta: Array, amplitudes: Array) -> ModelTerm:
+    """A hypothesis with its numbers by name."""
+    parts, used = {}, 0
+    for block in hypothesis.blocks:
+        parts[block.name] = np.array(amplitudes[used : used + block.size]).reshape(block.shape)
+        used += block.size
+    numbers = {number.name: float(value) for number, value in zip(hypothesis.nonlinear, theta, strict=True)}
+    return ModelTerm(
+        hypothesis.effect, hypothesis.driver, hypothesis.variant, parts, {}, numbers, dict(hypothesis.constants)
+    )
+
+
+def _finite(entry: Entry) -> dict[str, Array]:
+    return {name: value.value for name, value in entry.parameters.items() if np.isfinite(value.value).all()}
+
+
+def _spin(axis_body: Array, axis_eci: Array, rate_rad_s: float) -> ModelSpin:
+    (bx, by, bz), (ix, iy, iz) = axis_body.tolist(), axis_eci.tolist()
+    return ModelSpin((bx, by, bz), (ix, iy, iz), rate_rad_s)

@@ -1,0 +1,172 @@
+"""physics.toml: every number comes back, every fault is named, and a model acts on any scene as it did on its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.handover import model_term
+from magcal_service.model import Array
+from magcal_service.physics import catalogue
+from magcal_service.physics.forward import DriverMissingError, MisfitError, effects_on
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.model_file import ModelError, ModelSpin, ModelTerm, Note, PhysicsModel, parse_model, text_of
+from magcal_service.wire.messages import Clock
+from tests.physics.given_scene import ROWS, X, cut, flight
+
+
+@cache
+def forms() -> tuple[Hypothesis, ...]:
+    return tuple(h for effect in catalogue() for h in effect.hypotheses(flight()))
+
+
+def model(*terms: ModelTerm, **more: object) -> PhysicsModel:
+    made = PhysicsModel("flight", flight().origin_ns, Clock.UTC, X, np.abs(X) / 7.0, 100.0, tuple(terms))
+    return replace(made, **more)  # type: ignore[arg-type]
+
+
+def theta_of(hypothesis: Hypothesis) -> Array:
+    """Nonlinear numbers in the middle of what is tried; a line where nothing is."""
+    lines = {"frequency": 0.0123456789, "period": 271.8281828}
+    found = [lines.get(n.role) or float(n.grid[len(n.grid) // 2]) for n in hypothesis.nonlinear]
+    return np.array(found, dtype=np.float64)
+
+
+def drawn(hypothesis: Hypothesis) -> tuple[ModelTerm, Array, Array]:
+    """A term with random amplitudes that add some 100 nT, and what it adds to its own scene."""
+    theta = theta_of(hypothesis)
+    columns = hypothesis.columns(theta)
+    rng = np.random.default_rng(len(hypothesis.label))
+    ones = np.eye(hypothesis.size)
+    size = [np.abs(columns.field(one)).max() + np.abs(columns.growth(one)).max() for one in ones]
+    amplitudes = (1.0 + rng.random(hypothesis.size)) * 100.0 / np.maximum(size, 1e-12)
+    growth = columns.growth(amplitudes) + np.zeros(ROWS)
+    return model_term(hypothesis, theta, amplitudes), columns.field(amplitudes), growth
+
+
+def ids(hypothesis: Hypothesis) -> str:
+    return hypothesis.label
+
+
+def error(found: tuple[Array, Array], body: Array, growth: Array) -> float:
+    """Largest difference over the largest value."""
+    largest = max(float(np.abs(body).max()), float(np.abs(growth).max()))
+    assert largest > 1.0
+    return max(float(np.abs(found[0] - body).max()), float(np.abs(found[1] - growth).max())) / largest
+
+
+def test_every_effect_that_is_a_field_has_a_form_here() -> None:
+    """The scene of these tests drives the whole catalogue."""
+    silent = {"coloured_noise", "nutation", "quantisation", "spin_rate", "stuck_axis"}
+    assert {h.effect for h in forms()} == {effect.name for effect in catalogue()} - silent
+
+
+@pytest.mark.parametrize("hypothesis", forms(), ids=ids)
+def test_a_file_makes_the_same_disturbance_on_the_same_scene(hypothesis: Hypothesis) -> None:
+    """Each form, through the text of a file, adds what it was fitted with to 1e-9."""
+    term, body, growth = drawn(hypothesis)
+    again = parse_model(text_of(model(term)).encode())
+    assert error(effects_on(flight(), again), body, growth) < 1e-9
+
+
+_SETTLES = {"hysteresis": 400, "thermal_bias": 2500, "thermal_scale": 2500, "torquer": 500}
+"""Rows after which an effect with a past has forgotten that it was not there before."""
+
+
+@pytest.mark.parametrize("hypothesis", forms(), ids=ids)
+def test_a_later_part_of_the_flight_has_what_the_whole_flight_has_there(hypothesis: Hypothesis) -> None:
+    """Constants and the origin of time are the model's: a recording that begins later gets the same disturbance."""
+    first = 250
+    term, body, growth = drawn(hypothesis)
+    if "time_constant_s" in term.nonlinear and "inferred" in term.driver:
+        term = replace(term, nonlinear={**term.nonlinear, "time_constant_s": 200.0})
+        field = effects_on(flight(), model(term))
+        body, growth = field
+    found = effects_on(cut(flight(), first, ROWS), model(term))
+    rows = slice(_SETTLES.get(hypothesis.effect, 0), -10)  # one-sided slopes at a cut
+    begin = 5 + rows.start
+    part = slice(begin, -10)
+    assert error((found[0][part], found[1][part]), body[first:][part], growth[first:][part]) < 1e-5
+
+
+def test_a_recording_at_one_temperature_gets_the_bias_of_that_temperature() -> None:
+    """Nothing is left out for want of change: 30 degC against a zero of 20 degC at 8 nT/K is 80 nT."""
+    scene = flight()
+    steady = {"temperature": replace(scene.channels["temperature"], values=np.full((ROWS, 1), 30.0))}
+    term = ModelTerm(
+        "thermal_bias",
+        "channel:temperature",
+        "",
+        {"nt_per_k": np.array([8.0, 0.0, -1.0])},
+        constants={"zero_degc": 20.0, "column": 0.0},
+    )
+    body, _ = effects_on(replace(scene, channels=steady), model(term))
+    assert body == pytest.approx(np.tile([80.0, 0.0, -10.0], (ROWS, 1)))
+
+
+def test_a_step_stays_at_its_instant() -> None:
+    """A step at 100 s of its own recording is long past in one that begins at 500 s."""
+    term = ModelTerm("bias_step", "none", "", {"step_nt": np.array([1.0, 2.0, 3.0])}, nonlinear={"at_s": 100.0})
+    body, _ = effects_on(cut(flight(), 250, 300), model(term))
+    assert body == pytest.approx(np.tile([1.0, 2.0, 3.0], (50, 1)))
+
+
+def test_a_file_keeps_every_bit() -> None:
+    """Nine errors, sigmas, spin, notes and effects come back as they were, and the text is the same again."""
+    term = replace(drawn(forms()[0])[0], sigma={name: v / 3.0 for name, v in drawn(forms()[0])[0].amplitudes.items()})
+    note = Note("nutation", 'says "so"\n\x7f', {"angle_deg": np.array(1.0 / 3.0)})
+    whole = model(term, notes=(note,), spin=ModelSpin((0.0, 0.6, 0.8), (1.0, 0.0, 0.0), 0.1 + 0.2))
+    again = parse_model(text_of(whole).encode())
+    assert text_of(again) == text_of(whole)
+    assert (again.x == whole.x).all()
+    assert (again.sigma == whole.sigma).all()
+    assert (again.origin_ns, again.clock, again.spin, again.notes[0].says) == (
+        whole.origin_ns,
+        whole.clock,
+        whole.spin,
+        note.says,
+    )
+
+
+GOOD = text_of(model(drawn(next(h for h in forms() if h.label == "thermal_bias by channel:temperature"))[0]))
+
+FAULTS = (
+    ('name = "thermal_bias"', 'name = "thermal_bais"', "effect[0].name", "did you mean 'thermal_bias'?"),
+    ('driver = "channel:temperature"', 'driver = "chanel:x"', "effect[0].driver", '"channel:NAME"'),
+    ("nt_per_k =", "nt_per_kk =", "effect[0].amplitudes.nt_per_kk", "did you mean 'nt_per_k'?"),
+    ("version = 1", "version = 2", "version", "1 is accepted"),
+    ('clock = "utc"', 'clock = "gps"', "recording.clock", "utc"),
+    ("origin_ns = ", "origin_ns = 1.5 # ", "recording.origin_ns", "whole number"),
+    ("bias_nt = [", "bias_nt = [7.0, ", "errors.bias_nt", "an array of 3"),
+    ("D = [0.05", "D = [-0.99", "errors.D", "eigenvalues"),
+    ("column = 0.0", "column = inf", "effect[0].constants.column", "finite"),
+    ("zero_degc", "zero-degc", "effect[0].constants.zero-degc", "a-z"),
+    ("[recording]", "colour = 1\n[recording]", "colour", "unknown key"),
+)
+
+
+@pytest.mark.parametrize(("old", "new", "where", "accepted"), FAULTS, ids=[fault[2] for fault in FAULTS])
+def test_a_fault_is_named_with_what_is_accepted(old: str, new: str, where: str, accepted: str) -> None:
+    """File, field, value and what is accepted, in one line."""
+    assert GOOD.count(old) >= 1
+    with pytest.raises(ModelError) as caught:
+        parse_model(GOOD.replace(old, new, 1).encode())
+    lines = [line for line in str(caught.value).splitlines() if line.startswith(f"physics.toml: {where}: ")]
+    assert len(lines) == 1
+    assert accepted in lines[0]
+
+
+def test_a_scene_without_the_driver_is_refused_by_name() -> None:
+    """The effect and its driver are said."""
+    with pytest.raises(DriverMissingError, match="thermal_bias: driver 'channel:temperature'"):
+        effects_on(replace(flight(), channels={}), parse_model(GOOD.encode()))
+
+
+def test_numbers_of_another_shape_are_refused() -> None:
+    """Two amplitudes do not stand for three axes."""
+    term = parse_model(GOOD.encode()).terms[0]
+    with pytest.raises(MisfitError, match=r"nt_per_k has shape \(2,\); \(3,\) is accepted"):
+        effects_on(flight(), model(replace(term, amplitudes={"nt_per_k": np.array([1.0, 2.0])})))
