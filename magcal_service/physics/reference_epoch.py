@@ -11,7 +11,7 @@ from magcal_service.physics.scene import Scene
 
 _YEAR_NS: Final = round(365.25 * 86400 * 1e9)
 _BASE_YEARS: Final = 5.0
-DEGREES: Final = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
+DEGREES: Final[tuple[int, ...]] = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
 
 
 def yearly_change(scene: Scene) -> Array:
