@@ -1,4 +1,4 @@
-"""The pipeline: prepare -> explain -> what is left -> attitude and noise -> verdict.  Each step takes the one before."""
+"""The pipeline: prepare -> explain -> what is left -> attitude and noise -> verdict.  Each takes the one before."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
@@ -27,7 +28,7 @@ CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
 
 LEAST_VISIBLE: Final = 0.03
-"""Of an effect's own size in the residual: what the nine errors have not absorbed.  Less is no evidence but rounding."""
+"""Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
 _MOST_TRIED: Final = 5
@@ -86,6 +87,10 @@ class Search:
     close: set[str] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
+        self._count_forms()
+
+    def _count_forms(self) -> None:
+        """How many forms each effect has: what choosing the best of them costs."""
         names = [hypothesis.effect for hypothesis in self.hypotheses]
         self._forms = {name: names.count(name) for name in set(names)}
 
@@ -258,6 +263,7 @@ class Search:
         self.problem = replace(self.problem, scene=scene)
         self.hypotheses = hypotheses_of(self.effects, self.problem)
         self._cache = {}
+        self._count_forms()
         known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
         terms = [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
         return solve(self.problem, fit.x, terms)
@@ -365,7 +371,7 @@ def _best_of_each(ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
     return tuple(best.values())
 
 
-def _columns_of(fit: Fit, index: int) -> Array:
+def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
     """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
     at, free = fit.problem.size, fit.linear_size
     for number, term in enumerate(fit.terms):

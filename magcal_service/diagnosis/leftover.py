@@ -17,7 +17,7 @@ from magcal_service.model import Array
 from magcal_service.physics.interface import along_axes
 
 SIGNIFICANT_NATS: Final = 6.0
-"""Evidence for a family, after their number, from which on it is no noise: a dozen families are looked at, once each."""
+"""Evidence for a family, after their number, from which on it is no noise: about a dozen are looked at."""
 
 _MOST_TERMS: Final = 5
 

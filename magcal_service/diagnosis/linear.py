@@ -1,7 +1,7 @@
 """One linear-algebra pass over rival explanations: projections, evidence, and blocks that took no part in a fit.
 
-Evidence is that of a linear Gaussian model whose amplitudes have one common prior spread s, chosen by the data (empirical
-Bayes, type II likelihood).  For amplitudes c with projected normal matrix G = V diag(l) V' and right side V'r:
+Evidence is that of a linear Gaussian model whose amplitudes have one common prior spread s, chosen by the data
+(empirical Bayes, type II likelihood).  For amplitudes c with projected normal matrix G = V diag(l) V', right side V'r:
 
     2 ln E(s) = sum_i (V'r)_i^2 / sigma^2 / (l_i + sigma^2 / s^2) - ln(1 + l_i s^2 / sigma^2)
 

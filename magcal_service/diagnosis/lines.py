@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.scene import Scene
@@ -74,7 +75,7 @@ def is_red(scene: Scene, residual: Array, unit: Array) -> bool:
 
     A peak in the middle (twice what lies below it) is an oscillation of something.
     """
-    frequency, power = body_spectrum(scene, residual, unit)
+    _, power = body_spectrum(scene, residual, unit)
     width = max(len(power) // 60, 8)
     smooth = np.convolve(power, np.ones(width) / width, mode="valid")
     best = int(np.argmax(smooth))
@@ -88,8 +89,8 @@ def _folded(line_hz: float, rate_hz: float) -> float:
     return min(folded, rate_hz - folded)
 
 
-def _transform(slot: Array, values: Array, size: int) -> Array:
+def _transform(slot: NDArray[np.intp], values: Array, size: int) -> NDArray[np.complex128]:
     """Sum of values exp(-i w t) on an even grid: (size, k) from values (n, k)."""
     grid = np.zeros((size, values.shape[1]))
     np.add.at(grid, slot, values)
-    return np.fft.fft(grid, axis=0)
+    return np.asarray(np.fft.fft(grid, axis=0), dtype=np.complex128)

@@ -1,4 +1,4 @@
-"""Where a mismatch sits: every family of shapes and every channel, ranked by what it holds, corrected for the looking."""
+"""Where a mismatch sits: every family of shapes and every channel, ranked, corrected for how many were looked at."""
 
 from __future__ import annotations
 

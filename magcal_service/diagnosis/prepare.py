@@ -1,4 +1,4 @@
-"""A recording as a problem: rows in order, gaps filled in telemetry, spikes left out, nine errors fitted, attitude solved."""
+"""A recording as a problem: rows in order, telemetry without gaps, no spikes, nine errors fitted, attitude solved."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magcal_service import geomagnetic
 from magcal_service.config import FilterConfig
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed, solve
+from magcal_service.errors import ExtraMissingError, InputRefusedError
 from magcal_service.estimators.start import prior_sigma
 from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate, measure
@@ -22,6 +23,7 @@ from magcal_service.physics.sunlight import hold_over_nan
 from magcal_service.physics.view import View
 from magcal_service.recordings.channels import Axes, QuaternionOrder
 from magcal_service.recordings.recording import Channel, Recording
+from magcal_service.recordings.table import FloatArray
 from magcal_service.residuals import noise_floor
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
@@ -140,7 +142,7 @@ def telemetry(channel: Channel) -> Telemetry:
     return Telemetry(channel.spec.name, unit.quantity, hold_over_nan(unit.to_base(channel.values)))
 
 
-def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
+def _reference_eci(recording: Recording, ecef: FloatArray | None) -> Array | None:
     reference = recording.reference
     if reference.vector_nt is None or not np.isfinite(reference.vector_nt).all():
         return _model_direction(recording, ecef)
@@ -157,7 +159,7 @@ def _reference_eci(recording: Recording, ecef: Array | None) -> Array | None:
     return geomagnetic.eci_from_ecef(recording.time_ns, fixed)
 
 
-def _model_direction(recording: Recording, ecef: Array | None) -> Array | None:
+def _model_direction(recording: Recording, ecef: FloatArray | None) -> Array | None:
     """(n, 3) ECI [nT]: the recorded magnitude along the main field of the model, where place and time are known."""
     if ecef is None or recording.clock is not Clock.UTC:
         return None
@@ -167,7 +169,7 @@ def _model_direction(recording: Recording, ecef: Array | None) -> Array | None:
     )
     try:
         knots = geomagnetic.igrf_ecef_nt(recording.time_ns[rows], ecef[rows])
-    except (geomagnetic.InputRefusedError, geomagnetic.ExtraMissingError):
+    except (InputRefusedError, ExtraMissingError):
         return None
     inertial = geomagnetic.eci_from_ecef(recording.time_ns[rows], knots)
     field = np.stack([np.interp(time_s, time_s[rows], column) for column in inertial.T], axis=1)

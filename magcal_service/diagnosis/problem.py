@@ -1,7 +1,7 @@
 """Simulation and recording side by side: nine errors, effects, and the residual that is left, with its derivatives.
 
-Two forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was recorded
-and the reference has one magnitude only (a room): r = w - A H0, three rows a sample, with H0 three unknowns more, because
+Two forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
+recorded and the reference has one magnitude only (a room): r = w - A H0, three rows a sample, H0 three more unknowns:
 on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects' (``physics.interface``).
 
 Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import folds, held_out
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
@@ -65,7 +66,7 @@ class Problem:
         return STATE_SIZE + 3 * self.is_vector
 
     @cached_property
-    def fold(self) -> np.ndarray:  # type: ignore[type-arg]
+    def fold(self) -> NDArray[np.intp]:
         """Fold number of each row."""
         numbers = folds(self.scene.time_s)
         return np.repeat(numbers, 3) if self.is_vector else numbers
@@ -218,7 +219,7 @@ def _model_rows(problem: Problem, jacobian: Array, unit: Array) -> Array:
 
 def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
     """Columns for the nonlinear numbers, by central differences; an instant has none that means anything."""
-    slopes = []
+    slopes: list[Array] = []
     for index, number in enumerate(term.hypothesis.nonlinear):
         if number.role in ("instant", "held"):
             continue

@@ -1,7 +1,7 @@
 """Structure without a name: families of columns that no physics was asked for.
 
-They answer one question, whether anything is left in a residual, and where: over time, at a frequency, along the field in
-the body, with the spin's phase, with the Sun, with a channel.  What they explain and the catalogue does not is unknown.
+They answer one question, whether anything is left in a residual, and where: over time, at a frequency, along the field
+in the body, with the spin's phase, with the Sun, with a channel.  What they alone explain is unknown.
 """
 
 from __future__ import annotations
@@ -81,14 +81,14 @@ def _plain(name: str, says: str, signals: Array) -> Shape:
 
 def _cosines(share: Array, count: int) -> Array:
     """(n, count) smooth courses over the recording."""
-    return np.cos(np.pi * share[:, None] * np.arange(1, count + 1))
+    return np.asarray(np.cos(np.pi * share[:, None] * np.arange(1, count + 1)))
 
 
 def _windows(share: Array, count: int) -> Array:
     """(n, used) indicators of even windows."""
     number = np.minimum((share * count).astype(np.intp), count - 1)
     used = np.unique(number)
-    return (number[:, None] == used).astype(np.float64)
+    return np.asarray(number[:, None] == used, dtype=np.float64)
 
 
 def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:
@@ -122,4 +122,4 @@ def _places(position_ecef_km: Array) -> Array:
     number = np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)
     used, counts = np.unique(number, return_counts=True)
     kept = used[counts >= 20][:200]
-    return (number[:, None] == kept).astype(np.float64)
+    return np.asarray(number[:, None] == kept, dtype=np.float64)

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
 from magcal_service.physics.scene import Scene
 from magcal_service.physics.temperature import Act
@@ -26,7 +27,7 @@ def instants(scene: Scene) -> Nonlinear:
 def step(scene: Scene, effect: str, act: Act, block: Block, variant: str = "") -> Hypothesis:
     """Nothing before an instant, a constant from then on."""
 
-    def columns(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
+    def columns(theta: Array) -> Columns:
         return act((scene.time_s >= float(theta[0])).astype(np.float64))
 
     return Hypothesis(effect, "none", columns, (block,), variant, (instants(scene),))
@@ -46,7 +47,7 @@ def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypoth
         f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape
     )
 
-    def relaxing(theta: np.ndarray) -> Columns:  # type: ignore[type-arg]
+    def relaxing(theta: Array) -> Columns:
         return act(-np.expm1(-np.maximum(elapsed, 0.0) / float(theta[0])))
 
     yield Hypothesis(effect, "none", relaxing, (end,), "relaxing", (tau,))

@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.interface import Effect, Finding, value_of
@@ -16,7 +17,7 @@ _LEAST_NATS: Final = 15.0
 _LEAST_CORRELATION: Final = 0.05
 
 
-def autoregression(residual: Array, pauses: Array | None = None) -> tuple[Array, float]:
+def autoregression(residual: Array, pauses: NDArray[np.intp] | None = None) -> tuple[Array, float]:
     """Coefficients (p,) of an autoregressive model of a residual (n,), and the nats that it gains over white noise.
 
     Source: Yule-Walker equations, solved by least squares on the samples' own products.
@@ -41,7 +42,7 @@ def autoregression(residual: Array, pauses: Array | None = None) -> tuple[Array,
 def long_memory(residual: Array) -> Array:
     """Coefficients (p,) of an autoregressive model with a memory of up to 2048 samples, few of them free.
 
-    The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs, which suits 1/f noise.
+    The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs: 1/f noise.
     Source: Corsi 2009, a heterogeneous autoregressive model, J. Financial Econometrics 7, 174-196.
     """
     spans = [1, 2, 3, 4, *(span for span in (8, 32, 128, 512, 2048) if span < len(residual) // 8)]

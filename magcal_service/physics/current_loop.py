@@ -65,7 +65,7 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
-    """Array currents from light and, where the attitude is known, from the Sun's angle on panels along the body axes."""
+    """Array currents from light and, with the attitude known, from the Sun's angle on panels along the body axes."""
     if scene.lit is None:
         return
     block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
@@ -103,7 +103,7 @@ EFFECT = Effect(
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
-    source="Biot-Savart: 1 A in 10 cm2 at 10 cm gives 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
+    source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
         "Currents add {nt_per_a} nT per ampere, with {driver}.",
         "Currents add {nt_full_sun} nT in full sun, with {driver}.",

@@ -42,7 +42,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for order, variant in ((0, ""), (1, "changing"), (2, "curved"), (4, "storm")):
         powers = np.polynomial.legendre.legvander(share, order).T
         made = Columns(magnitude=powers * column[None])
-        blocks = (Block("mean_nt", "nT", ()),)
+        blocks: tuple[Block, ...] = (Block("mean_nt", "nT", ()),)
         if order:
             blocks = (*blocks, Block("course_nt", "nT", (order,)))
         yield Hypothesis(
@@ -58,7 +58,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 EFFECT = Effect(
     name="external_field",
     title="currents above the craft: the ring current",
-    equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q as Legendre polynomials over the recording",
+    equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials in time",
     units={"mean_nt": "nT", "course_nt": "nT"},
     prior=(5.0, 500.0),
     valid="below 60 degrees of dipole latitude; field-aligned currents are not in it",

@@ -6,7 +6,8 @@ Every effect is linear in its amplitudes once its few nonlinear numbers (a lag, 
     |A H| = |H_ref| + sum_k c_k m_k(t; theta)                                a wrong reference
 
 so a hypothesis hands out columns g_k (body field [nT per unit of c_k]) or m_k (magnitude [nT per unit]), and these
-columns are the derivatives of the residual: u'g for a body field, m for a magnitude (u: direction of the field in the body).
+columns are the derivatives of the residual: u'g for a body field, m for a magnitude (u: the field's direction in the
+body).
 """
 
 from __future__ import annotations

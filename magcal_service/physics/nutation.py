@@ -1,16 +1,19 @@
-"""Coning about the momentum: the axis that is fixed in inertial space moves in the body, and the body's axis in space."""
+"""Coning about the momentum: the axis that is fixed in space moves in the body, and the body's axis in space."""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.steady_spin import across
 from magcal_service.physics.view import View
+
+Complex = NDArray[np.complexfloating[Any, Any]]
 
 _LEAST_NATS: Final = 40.0
 _LEAST_SIGMAS: Final = 0.1
@@ -61,7 +64,7 @@ def _find(view: View) -> Finding | None:
     return Finding(parameters, nats, min(1.0, explained / excess))
 
 
-def _spectrum(time_s: Array, signal: Array, period_s: float) -> tuple[Array, Array]:
+def _spectrum(time_s: Array, signal: Complex, period_s: float) -> tuple[Array, Complex]:
     """Two-sided frequencies [Hz] and sum of signal exp(+i 2 pi f t) of samples put on an even grid."""
     slot = np.rint((time_s - time_s[0]) / period_s).astype(np.intp)
     size = 2 * (int(slot[-1]) + 1)
@@ -70,17 +73,17 @@ def _spectrum(time_s: Array, signal: Array, period_s: float) -> tuple[Array, Arr
     return np.fft.fftfreq(size, period_s), np.fft.ifft(grid) * size
 
 
-def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) -> Array:
+def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) -> NDArray[np.bool_]:
     """Whether frequencies lie at a line, of either sign, or where it is folded to."""
     rate = 1.0 / period_s
     distance = [np.abs((frequency - sign * line_hz + rate / 2.0) % rate - rate / 2.0) for sign in (1.0, -1.0)]
-    return np.asarray(np.minimum(*distance) < width_hz)
+    return np.asarray(np.minimum(*distance) < width_hz, dtype=np.bool_)
 
 
 EFFECT = Effect(
     name="nutation",
     title="the craft nutates",
-    equation="the momentum's direction in the body cones: h = a_b + tan(angle) (b1 cos nu t + b2 sin nu t), w . h = H . a_i",
+    equation="the momentum cones in the body: h = a_b + tan(angle) (b1 cos nu t + b2 sin nu t), w . h = H . a_i",
     units={"angle_deg": "deg", "rate_rad_s": "rad/s", "frequency_hz": "Hz"},
     prior=(10.0, 20000.0),
     valid="small angles, a body with two equal moments of inertia; seen in the vectors, never in their magnitude",

@@ -15,7 +15,7 @@ _STEP_KM = 10.0
 
 
 def gradients(scene: Scene) -> dict[str, Array]:
-    """d|H| [nT per km], (n,), for a craft further out, along its track, and to the left of it, by central differences."""
+    """d|H| (n,) [nT/km] for a craft further out, along its track, and to the left of it, by central differences."""
     rows = scene.knots
     assert scene.position_ecef_km is not None
     position = scene.position_ecef_km[rows]
@@ -73,7 +73,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 EFFECT = Effect(
     name="position_offset",
     title="the reference was computed at the wrong place",
-    equation="H_ref at r + dr: |A H| = |H_ref| + grad|H| . dr, dr in the radial, along-track and cross-track directions",
+    equation="H_ref at r + dr: |A H| = |H_ref| + grad|H| . dr, dr radial, along the track and across it",
     units={
         "radial_km": "km",
         "along_km": "km",
@@ -84,12 +84,13 @@ EFFECT = Effect(
     prior=(10.0, 3000.0),
     valid="to first order: below about 100 km",
     confused_with=("time_offset", "reference_epoch", "external_field"),
-    separated_by="newer orbit elements or a GNSS fix: along the track, a wrong place and a wrong clock are one to first order",
+    separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
     source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
     says=(
         "The reference was computed at the wrong place: the craft is {radial_km} km further out, {along_km} km ahead, "
         "{cross_km} km to the left.",
-        "The reference was computed at the wrong place: the craft is {radial_km} km further out and {along_km} km ahead.",
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out and {along_km} km "
+        "ahead.",
         "The reference was computed at the wrong place: the craft is {along_km} km ahead at the start, growing by "
         "{along_km_per_h} km/h.",
         "The reference was computed at the wrong place: the craft is {radial_km} km further out.",

@@ -56,7 +56,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 EFFECT = Effect(
     name="reference_epoch",
     title="the reference comes from old coefficients or a truncated series",
-    equation="|A H| = |H_ref| + years * d|H|/dt (secular variation); or what the terms above a degree add, times a share",
+    equation="|A H| = |H_ref| + years * d|H|/dt (secular variation); or the terms above a degree, times a share",
     units={"years": "a", "share": "1"},
     prior=(5.0, 3000.0),
     valid="secular variation taken as linear over the years",

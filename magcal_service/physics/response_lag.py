@@ -33,7 +33,7 @@ def _derived(parameters: Values) -> Values:
 EFFECT = Effect(
     name="response_lag",
     title="the sensor answers late",
-    equation="tau dy/dt = A H - y: the part that turns is short by 1 / sqrt(1 + w^2 tau^2), so |B| by tau^2 |dB/dt|^2 / (2 |B|)",
+    equation="tau dy/dt = A H - y: what turns is short by 1 / sqrt(1 + w^2 tau^2), |B| by tau^2 |dB/dt|^2 / (2 |B|)",
     units={"tau2_s2": "s2", "tau_s": "s"},
     prior=(5.0, 5000.0),
     valid="tau below about a tenth of a turn",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
+from magcal_service.errors import ExtraMissingError, InputRefusedError
 from magcal_service.model import Array
 from magcal_service.physics import sunlight
 
@@ -92,7 +93,7 @@ class Scene:
     clean_field_nt: Array
     magnitude_nt: Array
     reference_eci_nt: Array | None = None
-    position_ecef_km: Array | None = None
+    position_ecef_km: NDArray[np.float64] | None = None
     channels: Mapping[str, Telemetry] = field(default_factory=dict)
     body_from_eci: Array | None = None
     given: Mapping[str, float] | None = None
@@ -164,7 +165,7 @@ class Scene:
     @cached_property
     def time_ns(self) -> NDArray[np.int64]:
         """(n,) source time [ns]."""
-        return self.origin_ns + np.rint(self.time_s * 1e9).astype(np.int64)
+        return np.asarray(self.origin_ns + np.rint(self.time_s * 1e9).astype(np.int64), dtype=np.int64)
 
     @cached_property
     def unit(self) -> Array:
@@ -217,7 +218,7 @@ class Scene:
         return self.time_ns * 1e-9 if self.utc else None
 
     @cached_property
-    def position_eci_km(self) -> Array | None:
+    def position_eci_km(self) -> NDArray[np.float64] | None:
         """(n, 3) or None without a position or UTC."""
         if self.position_ecef_km is None or not self.utc:
             return None
@@ -304,9 +305,9 @@ class Scene:
         return np.asarray(np.interp(self.time_s, self.time_s[self.knots], values))
 
     def model_magnitude(
-        self, position_ecef_km: Array, times_ns: NDArray[np.int64] | None = None, degree: int = 13
+        self, position_ecef_km: NDArray[np.float64], times_ns: NDArray[np.int64] | None = None, degree: int = 13
     ) -> Array:
-        """(k,) magnitude of the main field [nT] at places (k, 3), one for each knot, at the knots' or at other times."""
+        """(k,) magnitude of the main field [nT] at places (k, 3), one a knot, at the knots' or at other times."""
         times = self.time_ns[self.knots] if times_ns is None else times_ns
         return np.asarray(np.linalg.norm(geomagnetic.igrf_ecef_nt(times, position_ecef_km, degree), axis=1))
 
@@ -317,15 +318,13 @@ class Scene:
             return False
         try:
             geomagnetic.igrf_ecef_nt(self.time_ns[:1], self.position_ecef_km[:1])
-        except geomagnetic.InputRefusedError:
-            return False
-        except geomagnetic.ExtraMissingError:
+        except (InputRefusedError, ExtraMissingError):
             return False
         return True
 
 
 def _rate_of(body_from_eci: Array, scene: Scene) -> Array:
-    """(n, 3) body rate [rad/s] of attitudes (n, 3, 3): the turn from each sample to the next, by its rotation vector."""
+    """(n, 3) body rate [rad/s] of attitudes (n, 3, 3): the turn from each sample to the next, as rotation vectors."""
     change = np.einsum("nij,nkj->nik", body_from_eci[1:], body_from_eci[:-1])
     cosine = np.clip((np.trace(change, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
     angle = np.arccos(cosine)

@@ -16,7 +16,7 @@ _LEAST_SHARE: Final = 0.001
 
 
 def _tolerance(nominal_rad_s: float) -> float:
-    """How far a steady rate may be from the stated one [rad/s]: half a unit of its last digit, at least a thousandth."""
+    """How far a steady rate may be from the stated one [rad/s]: half a unit of its last digit, at least 0.1 %."""
     rpm = abs(nominal_rad_s) * 30.0 / math.pi
     text = f"{rpm:.9g}".partition("e")[0]
     unit = 10.0 ** -len(text.partition(".")[2])

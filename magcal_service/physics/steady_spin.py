@@ -139,8 +139,8 @@ def _rate(scene: Scene, turn: Array, nominal: float | None) -> float | None:
 def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array | None, Array | None]:
     """Raw and smoothed phases (n,): local straight lines carried from stretch to stretch, then a spline through knots.
 
-    Each stretch is unwrapped by itself, relative to its own mean rate; over a gap the phase is carried on at the rate of
-    the two sides, which is right while it drifts by less than half a turn.
+    Each stretch is unwrapped by itself, relative to its own mean rate; over a gap the phase is carried on at the rate
+    of the two sides, which is right while it drifts by less than half a turn.
     """
     raw = np.empty(len(scene))
     ends = np.append(scene.pauses[1:], len(scene))

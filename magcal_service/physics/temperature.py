@@ -48,8 +48,8 @@ def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
 def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
     """Temperature as an answer to light, in units of the swing between light and shadow.
 
-    Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at the
-    start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
+    Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
+    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
     """
     if scene.lit is None or not scene.eclipses:
         return

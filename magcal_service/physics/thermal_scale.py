@@ -51,7 +51,7 @@ EFFECT = Effect(
     prior=(5.0, 5000.0),
     valid="linear in T over tens of kelvin; T0 is the mean of the recording",
     confused_with=("thermal_bias", "current_loop", "scale_drift"),
-    separated_by="a field of another size at the same temperature: half an orbit of another phase, or another spin axis",
+    separated_by="a field of another size at the same temperature: another phase of the orbit, or another spin axis",
     source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
     says=(
         "One gain of {per_k_common} per kelvin for all axes follows {driver}.",

@@ -31,9 +31,9 @@ EFFECT = Effect(
     valid="to first order in the offset: below about a minute in low orbit",
     confused_with=("position_offset", "thermal_bias", "reference_epoch"),
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
-    source="73 nT per second at 7.6 km/s through IGRF (largest d|H|/dt); pulsar timing treats clocks the same way (PINT)",
+    source="73 nT per second at 7.6 km/s through IGRF (largest d|H|/dt); clocks as in pulsar timing (PINT)",
     says=(
-        "The samples match the reference {offset_s} s later than tagged, and the clocks drift apart by {drift_ppm} ppm.",
+        "The samples match the reference {offset_s} s later than tagged; the clocks drift apart by {drift_ppm} ppm.",
         "The samples match the reference {offset_s} s later than tagged.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

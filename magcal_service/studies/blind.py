@@ -293,10 +293,10 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Cell]:
 _NOTES: Final = (
     "Every case is simulated from causes by tests/blind, which shares no code with the catalogue; its README has the "
     "conventions.  The answer is compared after the diagnosis and never lies beside the recording.",
-    "Scored are clean cases and those whose effects have a detectability of at least 12: norm of the noise-free change of "
-    "the scalar residual, with the nine errors' columns projected out, over the noise.",
-    "Right: the effect is named first; half where it is named in the first one's class.  Clean: nothing is named.  Outside: "
-    "the verdict is unknown.  What is true beside the effect (a despin) counts neither way.",
+    "Scored are clean cases and those whose effects have a detectability of at least 12: norm of the noise-free change "
+    "of the scalar residual, with the nine errors' columns projected out, over the noise.",
+    "Right: the effect is named first; half where it is named in the first one's class.  Clean: nothing is named.  "
+    "Outside: the verdict is unknown.  What is true beside the effect (a despin) counts neither way.",
 )
 
 STUDY = Study("blind", "Concealed cases: is the right physics named, and nothing where there is nothing?", 400, run)
