@@ -73,6 +73,15 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
     calibrate.set_defaults(command=_calibrate)
 
+    diagnose = commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain")
+    diagnose.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    diagnose.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="diagnosis.json and report.html go here"
+    )
+    diagnose.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
+    diagnose.add_argument("--craft", metavar="NAME", help=_WHOSE)
+    diagnose.set_defaults(command=_diagnose)
+
     study = commands.add_parser("study", help="Monte-Carlo studies of the estimators")
     study.add_argument("name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates")
     study.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
@@ -199,6 +208,16 @@ def _calibrate(options: argparse.Namespace) -> int:
         except OSError as exc:
             raise unwritable(options.json, exc) from None
     return DONE if result.trusted else NOT_TRUSTED
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from magcal_service.diagnosis.command import Request, run
+    from magcal_service.diagnosis.progress import progress
+
+    with progress() as tell:
+        outcome = run(Request(options.recording, options.out, options.simulation, options.craft), tell)
+    print("\n".join(outcome.lines))
+    return DONE if outcome.diagnosis.trusted else NOT_TRUSTED
 
 
 def _study(options: argparse.Namespace) -> int:

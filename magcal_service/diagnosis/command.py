@@ -1,0 +1,93 @@
+"""``magcal diagnose``: read, diagnose, write the files, sum up."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from magcal_service.calibrate import refuse_hopeless
+from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rms
+from magcal_service.diagnosis.simulation import simulation_errors
+from magcal_service.diagnosis.summary import summary
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.output import unwritable
+from magcal_service.recordings.reader import read_recording
+
+JSON: Final = "diagnosis.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Request:
+    """What is asked for.
+
+    Parameters
+    ----------
+    recording: descriptor or session.
+    out: folder for the files; made where it is not there.
+    simulation: scenario to compare with, by file or name; None: the forward model as calibrated.
+    craft: which craft of a session that holds several.
+    """
+
+    recording: Path
+    out: Path
+    simulation: str | None = None
+    craft: str | None = None
+
+    @property
+    def command(self) -> str:
+        """The command line that does this."""
+        parts = ["magcal", "diagnose", str(self.recording), "--out", str(self.out)]
+        parts += ["--simulation", self.simulation] if self.simulation is not None else []
+        parts += ["--craft", self.craft] if self.craft is not None else []
+        return shlex.join(parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What came of it: the diagnosis, its entries, the files that were written, and the summary's lines."""
+
+    diagnosis: Diagnosis
+    found: tuple[Entry, ...]
+    files: tuple[Path, ...]
+    lines: tuple[str, ...]
+
+
+def run(request: Request, tell: Callable[[str], None]) -> Outcome:
+    """Do it all; ``tell`` hears of each step.
+
+    Raises ``InputRefusedError`` where the recording, the scenario or the folder is refused.
+    """
+    _prepare_folder(request.out)
+    simulation = None if request.simulation is None else simulation_errors(request.simulation)
+    recording = read_recording(request.recording, request.craft)
+    refuse_hopeless(recording)
+    diagnosis = diagnose(recording, simulation, progress=tell)
+    tell("writing the results")
+    found = entries(diagnosis)
+    content = as_json(diagnosis, found)
+    files = [_write(request.out / JSON, content)]
+    lines = [*recording.report.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
+    return Outcome(diagnosis, found, tuple(files), tuple(lines))
+
+
+def _prepare_folder(folder: Path) -> None:
+    """Refuse before the work is done what could not be written after it."""
+    if "\0" in str(folder):
+        raise InputRefusedError([Fault("--out", str(folder), "give a folder that can be made")])
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        accepted = "give a folder that can be made or written"
+        raise InputRefusedError([Fault(str(folder), exc.strerror or str(exc), accepted)]) from None
+
+
+def _write(path: Path, content: str) -> Path:
+    try:
+        path.write_text(content, encoding="utf-8")
+    except OSError as exc:
+        raise unwritable(path, exc) from None
+    return path

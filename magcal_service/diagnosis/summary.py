@@ -1,0 +1,61 @@
+"""The end of ``magcal diagnose`` on a terminal: a dozen lines."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.result import Entry, moved_bias
+from magcal_service.diagnosis.words import chance, odds, percent, reason_in_words, remaining, verdict_sentence
+from magcal_service.model import BIAS, Array
+
+_MOST_EFFECTS: Final = 3
+_WIDTH: Final = 118
+
+
+def summary(
+    diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float], files: Sequence[Path]
+) -> list[str]:
+    """What was found, how much better it fits, what remains, and where the files are."""
+    lines = [f"verdict: {diagnosis.verdict}", *_wrapped(verdict_sentence(diagnosis, found, held_out))]
+    for entry in found[:_MOST_EFFECTS]:
+        lines += _of(entry)
+    if len(found) > _MOST_EFFECTS:
+        lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
+    lines.append(
+        f"held-out rms: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} nT recalibrated, "
+        f"{held_out['with_effects']:.1f} nT with effects; noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
+    )
+    if diagnosis.fit.terms:
+        before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
+        lines.append(
+            f"bias: a static calibration was off by {moved_bias(diagnosis):.1f} nT unseen, at {_vector(before)} "
+            f"instead of {_vector(after)} nT"
+        )
+    lines.append(f"left: {remaining(diagnosis)}")
+    lines += [f"not to be trusted: {reason} ({reason_in_words(reason)})" for reason in diagnosis.reasons]
+    lines.append("files: " + ", ".join(str(path) for path in files))
+    return lines
+
+
+def _of(entry: Entry) -> Iterator[str]:
+    share = f"{percent(float(entry.where['share_of_mismatch']))} of the mismatch"
+    sure = f"probability {chance(entry.probability)}, {odds(entry.nats)} that it is there"
+    yield f"  {entry.effect}: {share}; {sure}"
+    yield from _wrapped(entry.says, "    ")
+    if len(entry.members) > 1:
+        yield from _wrapped(
+            f"cannot be told from {', '.join(entry.members[1:])} here; what would: {entry.separated_by}", "    "
+        )
+
+
+def _wrapped(text: str, indent: str = "  ") -> list[str]:
+    """At most two lines: a summary is short, the report holds the rest."""
+    return textwrap.wrap(text, _WIDTH, initial_indent=indent, subsequent_indent=indent, max_lines=2, placeholder=" ...")
+
+
+def _vector(values: Array) -> str:
+    return "(" + ", ".join(f"{value:.1f}" for value in values.tolist()) + ")"

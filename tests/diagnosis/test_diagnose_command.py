@@ -1,0 +1,189 @@
+"""``magcal diagnose``: files, the contract's JSON, exit codes and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnosis_runs import Done, diagnose, recorded
+
+from magcal_service.diagnosis.diagnose import Verdict
+
+
+@pytest.fixture(scope="module")
+def hot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """6000 s of a sensor whose bias and gain follow a recorded temperature."""
+    return recorded("hot-electronics", 6000.0, tmp_path_factory.mktemp("hot"))
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """3000 s in which nothing was left out."""
+    return recorded("paper", 3000.0, tmp_path_factory.mktemp("clean"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the diagnosis of ``hot`` goes."""
+    return tmp_path_factory.mktemp("out") / "made" / "hot"
+
+
+@pytest.fixture(scope="module")
+def done(hot: Path, folder: Path) -> Done:
+    """The command over ``hot``, against the scenario that it was made with."""
+    return diagnose(hot, "--out", folder, "--simulation", "hot-electronics")
+
+
+@pytest.fixture(scope="module")
+def content(done: Done, folder: Path) -> dict[str, Any]:
+    """Its ``diagnosis.json``."""
+    loaded: dict[str, Any] = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    return loaded
+
+
+def test_a_diagnosis_is_done_and_says_each_step_on_stderr(done: Done) -> None:
+    assert done.code == 0
+    assert "screening" in done.err
+    assert "..." not in done.out.splitlines()[0]
+
+
+def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, folder: Path) -> None:
+    lines = done.out.splitlines()
+    assert len(lines) <= 16
+    assert "verdict: named" in lines
+    assert any(line.startswith("  thermal_bias: ") for line in lines)
+    assert any(line.startswith("held-out rms: ") and "noise floor 100.0 nT" in line for line in lines)
+    assert any(line.startswith("bias: a static calibration was off by ") for line in lines)
+    assert str(folder / "diagnosis.json") in lines[-1]
+
+
+def typed(value: object) -> object:
+    """A JSON value with every leaf replaced by its type."""
+    if isinstance(value, dict):
+        return {key: typed(item) for key, item in value.items()}
+    return [typed(item) for item in value] if isinstance(value, list) else type(value)
+
+
+ROW = [float, float, float]
+CONTRACT = {
+    "verdict": str,
+    "fit": {
+        "noise_floor_nt": float,
+        "held_out_rms_nt": {"simulation": float, "recalibrated": float, "with_effects": float},
+        "bias_nt": ROW,
+        "D": [ROW, ROW, ROW],
+    },
+    "trusted": bool,
+    "reasons": [],
+}
+
+
+@pytest.mark.parametrize("field", CONTRACT)
+def test_the_json_has_the_contracts_fields(field: str, content: dict[str, Any]) -> None:
+    wanted, found = CONTRACT[field], typed(content[field])
+    if isinstance(wanted, dict):
+        assert isinstance(found, dict)
+        found = {key: value for key, value in found.items() if key in wanted}
+    assert found == wanted
+
+
+def test_every_effect_has_the_contracts_fields(content: dict[str, Any]) -> None:
+    assert content["effects"]
+    for effect in content["effects"]:
+        kinds = {"effect": str, "says": str, "probability": float, "rivals": list, "class": list, "driver": str}
+        assert {key: type(effect[key]) for key in kinds} == kinds
+        assert effect["effect"] in effect["class"]
+        assert {"time_s", "axis", "frequency_hz", "share_of_mismatch"} <= set(effect["where"])
+        assert all(set(value) == {"value", "sigma", "unit"} for value in effect["parameters"].values())
+        assert all(set(rival) == {"effect", "probability"} for rival in effect["rivals"])
+
+
+def test_effects_are_sorted_by_the_share_they_explain(content: dict[str, Any]) -> None:
+    shares = [effect["where"]["share_of_mismatch"] for effect in content["effects"]]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_the_cause_is_named_with_its_driver_and_its_size(content: dict[str, Any]) -> None:
+    assert content["verdict"] == Verdict.NAMED
+    thermal = next(effect for effect in content["effects"] if effect["effect"] == "thermal_bias")
+    assert thermal["driver"] == "channel:temperature"
+    found = thermal["parameters"]["nt_per_k"]
+    errors = [abs(v - t) / s for v, t, s in zip(found["value"], (8.0, -6.0, 12.0), found["sigma"], strict=True)]
+    assert max(errors) < 5.0
+
+
+def test_held_out_data_gain_by_the_effects(content: dict[str, Any]) -> None:
+    rms = content["fit"]["held_out_rms_nt"]
+    assert rms["with_effects"] < 0.9 * rms["recalibrated"] <= 0.9 * rms["simulation"] * 1.05
+    assert rms["with_effects"] == pytest.approx(content["fit"]["noise_floor_nt"], rel=0.1)
+
+
+def test_a_clean_recording_has_no_effect(clean: Path, tmp_path: Path) -> None:
+    done = diagnose(clean, "--out", tmp_path)
+    content = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (done.code, content["verdict"], content["effects"]) == (0, "none", [])
+    assert "agree to the noise" in done.out
+
+
+def test_the_scenarios_errors_are_what_the_recording_is_compared_with(clean: Path, tmp_path: Path) -> None:
+    """With another bias than the recording's own, the simulation's residual is that bias's, and no fit changes."""
+    scenario = tmp_path / "off.toml"
+    scenario.write_text("[magnetometer]\nbias_nt = [9000, 3000, 4000]\nD = [0.05, 0.10, 0.05, 0.05, 0.05, 0.05]\n")
+    diagnose(clean, "--out", tmp_path, "--simulation", scenario)
+    rms = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))["fit"]["held_out_rms_nt"]
+    assert 1000.0 < rms["simulation"] < 4100.0
+    assert rms["recalibrated"] == pytest.approx(300.0, rel=0.1)
+
+
+def test_a_result_that_must_not_be_trusted_ends_with_3_and_says_why(tmp_path: Path) -> None:
+    short = recorded("paper", 200.0, tmp_path / "short")
+    done = diagnose(short, "--out", tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (done.code, content["trusted"]) == (3, False)
+    assert "not_enough_data" in content["reasons"]
+    assert "not to be trusted: not_enough_data (" in done.out
+
+
+def test_a_hopeless_recording_is_refused_like_calibrate_does(tmp_path: Path) -> None:
+    hopeless = recorded("paper", 30.0, tmp_path / "hopeless")
+    done = diagnose(hopeless, "--out", tmp_path / "out")
+    assert (done.code, done.out) == (2, "")
+    assert "at least 50 samples" in done.err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[magnetometer]\nbias_nt = [1, 2]\n", "magnetometer.bias_nt: [1, 2] is refused"),
+        ("[magnetometer]\nD = [-0.9, 0, 0, 0, 0, 0]\n", "magnetometer.D: "),
+        ("[orbit]\naltitude_km = 500\n", "magnetometer: 'missing' is refused"),
+        ("[magnetometer]\n[random]\nbias_nt = 5000\n", "random.bias_nt: 5000 is refused"),
+        ("no toml", "valid TOML"),
+    ],
+)
+def test_a_scenario_without_nine_errors_is_refused_in_one_line(
+    text: str, said: str, clean: Path, tmp_path: Path
+) -> None:
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_text(text)
+    done = diagnose(clean, "--out", tmp_path / "out", "--simulation", scenario)
+    assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1)
+    assert said in done.err
+
+
+def test_a_misspelt_scenario_is_refused_with_the_nearest_name(clean: Path, tmp_path: Path) -> None:
+    done = diagnose(clean, "--out", tmp_path / "out", "--simulation", "papre")
+    assert done.code == 2
+    assert "did you mean 'paper'?" in done.err
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(clean: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    done = diagnose(clean, "--out", tmp_path / "file" / "out")
+    assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1)
+
+
+def test_the_folder_is_required(clean: Path) -> None:
+    assert diagnose(clean).code == 2
