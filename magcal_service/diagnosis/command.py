@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Final
 
 from magcal_service.calibrate import refuse_hopeless
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.report.page import Origin, check_packages, report
 from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
@@ -18,6 +20,7 @@ from magcal_service.output import unwritable
 from magcal_service.recordings.reader import read_recording
 
 JSON: Final = "diagnosis.json"
+REPORT: Final = "report.html"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +62,10 @@ class Outcome:
 def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     """Do it all; ``tell`` hears of each step.
 
-    Raises ``InputRefusedError`` where the recording, the scenario or the folder is refused.
+    Raises ``InputRefusedError`` where the recording, the scenario or the folder is refused, ``ExtraMissingError``
+    without what the report is drawn with.
     """
+    check_packages()
     _prepare_folder(request.out)
     simulation = None if request.simulation is None else simulation_errors(request.simulation)
     recording = read_recording(request.recording, request.craft)
@@ -70,8 +75,22 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
     files = [_write(request.out / JSON, content)]
+    origin = _origin(request, recording.descriptor.path, recording.descriptor.samples)
+    files.append(_write(request.out / REPORT, report(diagnosis, found, content, origin)))
     lines = [*recording.report.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
     return Outcome(diagnosis, found, tuple(files), tuple(lines))
+
+
+def _origin(request: Request, *files: Path) -> Origin:
+    """What the report says of where it comes from; a session without a descriptor is one file."""
+    paths = [path for path in dict.fromkeys([request.recording, *files]) if path.is_file()]
+    digests = tuple((path.name, _digest(path)) for path in paths)
+    return Origin(str(request.recording), request.command, digests, request.simulation or "")
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _prepare_folder(folder: Path) -> None:

@@ -11,6 +11,7 @@ from magcal_service.diagnosis.result import Entry
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
+_MOST_LISTED: Final = 3
 
 REASONS: Final[Mapping[str, str]] = {
     "collapsed": "the nine errors ended at values that no sensor has",
@@ -69,7 +70,7 @@ def titles(diagnosis: Diagnosis) -> dict[str, str]:
 def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
     """The verdict in one plain sentence."""
     known = titles(diagnosis)
-    listed = _and(list(dict.fromkeys(known[entry.effect] for entry in found if entry.effect != "unknown")))
+    listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in found if entry.effect != "unknown")))
     if diagnosis.verdict is Verdict.NONE:
         floor = diagnosis.prepared.problem.noise_nt
         return (
@@ -88,7 +89,10 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
     return f"The simulation leaves out {listed}: {explained} of the mismatch is explained."
 
 
-def _and(parts: Sequence[str]) -> str:
+def _listed(parts: Sequence[str]) -> str:
+    """``a, b and c``; of more than three the first two and how many more."""
+    if len(parts) > _MOST_LISTED:
+        parts = [*parts[: _MOST_LISTED - 1], f"{len(parts) - _MOST_LISTED + 1} more"]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""
 
 

@@ -1,0 +1,218 @@
+"""The figures of a report, each as one image that is part of the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service import geomagnetic
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.report.curves import Against, against, binned_rms, spectrum
+from magcal_service.errors import ExtraMissingError
+from magcal_service.model import Array
+
+BEFORE: Final = "#c2410c"
+AFTER: Final = "#1d4ed8"
+FLOOR: Final = "#52525b"
+_INK: Final = "#27272a"
+
+_POINTS: Final = 4000
+_SIZE: Final = (5.4, 3.3)
+_STYLE: Final[dict[Any, Any]] = {
+    "font.size": 9.5,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9.5,
+    "axes.edgecolor": "#a1a1aa",
+    "axes.labelcolor": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "text.color": _INK,
+    "axes.grid": True,
+    "grid.color": "#e4e4e7",
+    "grid.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.hashsalt": "magcal",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An image: ``src`` with all of its data, what it shows in words, and a caption."""
+
+    src: str
+    alt: str
+    caption: str
+
+
+def pictures(diagnosis: Diagnosis) -> list[Picture]:
+    """Before and after, on data that took no part: over time, spectrum, against the driver, distribution."""
+    before, after = diagnosis.prepared.baseline.held_out_residual, diagnosis.fit.held_out_residual
+    noise = diagnosis.prepared.problem.noise_nt
+    changed = bool(diagnosis.fit.terms)
+    return [
+        _over_time(diagnosis, before, after, noise, changed),
+        _spectrum(diagnosis, before, after, noise, changed),
+        *[_against(shown, changed) for shown in against(diagnosis, before, after)],
+        _histogram(before, after, noise, changed),
+    ]
+
+
+def track(diagnosis: Diagnosis) -> Picture | None:
+    """Where the mismatch sits on the Earth; None without a position."""
+    problem = diagnosis.prepared.problem
+    place = problem.scene.position_ecef_km
+    if place is None or problem.is_vector:
+        return None
+    latitude, longitude, _ = geomagnetic.geodetic_from_ecef(np.asarray(place, dtype=np.float64))
+    residual = diagnosis.prepared.baseline.held_out_residual
+    smooth = _smoothed(residual)
+    rows = _thinned(len(smooth))
+    limit = max(float(np.quantile(np.abs(smooth), 0.98)), 1e-3)
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        points = axes.scatter(
+            longitude[rows],
+            latitude[rows],
+            c=smooth[rows],
+            cmap="coolwarm",
+            vmin=-limit,
+            vmax=limit,
+            s=7,
+            linewidths=0,
+            rasterized=True,
+        )
+        axes.set(xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-90, 90))
+        axes.set_xticks(range(-180, 181, 60))
+        axes.set_yticks(range(-90, 91, 30))
+        figure.colorbar(points, ax=axes, label="residual, smoothed [nT]", pad=0.02)
+
+    words = f"Track over the Earth, coloured by the residual before any effect; colours span {limit:.3g} nT either way"
+    return _picture(draw, words, "The residual of the nine errors alone along the track, running mean of 15 samples.")
+
+
+def _smoothed(residual: Array) -> Array:
+    kernel = np.ones(min(15, len(residual)))
+    return np.convolve(residual, kernel, "same") / np.convolve(np.ones(len(residual)), kernel, "same")
+
+
+def _thinned(count: int) -> NDArray[np.intp]:
+    return np.arange(0, count, max(1, -(-count // _POINTS)))
+
+
+def _over_time(diagnosis: Diagnosis, before: Array, after: Array, noise: float, changed: bool) -> Picture:
+    time_s = diagnosis.prepared.problem.row_time_s
+    rows = _thinned(len(time_s))
+    scale, unit = (3600.0, "h") if time_s[-1] > 5400.0 else (1.0, "s")
+    limit = 1.1 * float(np.quantile(np.abs(before), 0.998))
+
+    shown = [(before, BEFORE, "nine errors"), (after, AFTER, "with effects")][: 1 + changed]
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (values, colour, label) in zip(panels, shown, strict=True):
+            axes.axhspan(-2.0 * noise, 2.0 * noise, color=FLOOR, alpha=0.15, lw=0)
+            axes.scatter(time_s[rows] / scale, values[rows], s=3, c=colour, alpha=0.5, linewidths=0, rasterized=True)
+            axes.set(ylabel=f"{label} [nT]", ylim=(-limit, limit))
+        panels[-1].set_xlabel(f"time [{unit}]")
+
+    centres, rms_before = binned_rms(time_s, before, 30)
+    _, rms_after = binned_rms(time_s, after, 30)
+    worst = float(centres[int(np.argmax(rms_before))])
+    alt = f"Residual over time. Worst stretch before: {rms_before.max():.0f} nT rms near {worst:.0f} s"
+    alt += f"; worst after: {rms_after.max():.0f} nT." if changed else "."
+    return _picture(
+        draw, alt, "Residual over time, each point from a fit that has not seen its block; grey: noise, 2 sigma."
+    )
+
+
+def _spectrum(diagnosis: Diagnosis, before: Array, after: Array, noise: float, changed: bool) -> Picture:
+    scene = diagnosis.prepared.problem.scene
+    frequency, density = spectrum(scene, before)
+    _, density_after = spectrum(scene, after)
+    white = noise * np.sqrt(2.0 * scene.period_s)
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.loglog(frequency, density, color=BEFORE, lw=1.3, label="nine errors")
+        if changed:
+            axes.loglog(frequency, density_after, color=AFTER, lw=1.1, label="with effects")
+        axes.axhline(white, color=FLOOR, lw=1, ls="--", label="white noise")
+        axes.set(xlabel="frequency [Hz]", ylabel="residual [nT / √Hz]")
+        _legend(axes)
+
+    peak = int(np.argmax(density))
+    alt = f"Spectrum of the residual. Highest before: {density[peak]:.3g} nT per root hertz at {frequency[peak]:.3g} Hz"
+    alt += f", {density_after[peak]:.3g} after" if changed else ""
+    return _picture(draw, f"{alt}; white noise is {white:.3g}.", "Spectrum, averaged over neighbouring frequencies.")
+
+
+def _against(shown: Against, changed: bool) -> Picture:
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        bars: dict[str, Any] = {"fmt": "o", "ms": 4, "lw": 1.1}
+        axes.axhline(0.0, color=FLOOR, lw=0.8)
+        axes.errorbar(shown.x, shown.before, shown.before_sigma, color=BEFORE, label="nine errors", **bars)
+        if changed:
+            axes.errorbar(shown.x, shown.after, shown.after_sigma, color=AFTER, label="with effects", **bars)
+        axes.set(xlabel=_plain(shown.x_label), ylabel=_plain(shown.y_label))
+        _legend(axes)
+
+    ends = f"from {shown.before.min():.3g} to {shown.before.max():.3g} nT before"
+    ends += f", from {shown.after.min():.3g} to {shown.after.max():.3g} nT after" if changed else ""
+    return _picture(draw, f"{shown.y_label} against {shown.x_label}: {ends}.", shown.caption)
+
+
+def _histogram(before: Array, after: Array, noise: float, changed: bool) -> Picture:
+    limit = max(4.5 * noise, float(np.quantile(np.abs(before), 0.995)))
+    edges = np.linspace(-limit, limit, 81)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.hist(before, edges, density=True, color=BEFORE, alpha=0.35, label="nine errors")
+        if changed:
+            axes.hist(after, edges, density=True, histtype="step", color=AFTER, lw=1.6, label="with effects")
+        gauss = np.exp(-0.5 * (centres / noise) ** 2) / (noise * np.sqrt(2.0 * np.pi))
+        axes.plot(centres, gauss, color=FLOOR, ls="--", lw=1.3, label="noise alone")
+        axes.set(xlabel="residual [nT]", ylabel="share per nT", xlim=(-limit, limit))
+        axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
+        _legend(axes)
+
+    alt = f"Distribution of the residual: {np.std(before):.0f} nT wide before"
+    alt += f", {np.std(after):.0f} nT after" if changed else ""
+    return _picture(draw, f"{alt}; noise alone {noise:.0f} nT.", "Distribution, with the noise's own Gaussian.")
+
+
+def _legend(axes: Any) -> None:
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, borderaxespad=0.2, handlelength=1.6)
+
+
+def _plain(text: str) -> str:
+    """Text that no font lacks and that is no mathematics to the drawing library."""
+    return "".join(c if c == "√" or ord(c) < 0x250 else "?" for c in text).replace("$", r"\$")
+
+
+def _picture(draw: Callable[[Any], None], alt: str, caption: str) -> Picture:
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError as exc:
+        raise ExtraMissingError(exc.name or "matplotlib", "diagnosis", "the report of a diagnosis") from None
+    with rc_context(_STYLE):
+        figure = Figure(figsize=_SIZE, layout="constrained", facecolor="white")
+        draw(figure)
+        target = io.BytesIO()
+        figure.savefig(target, format="svg", dpi=170, metadata={"Date": None, "Creator": None})
+    src = "data:image/svg+xml;base64," + base64.b64encode(target.getvalue()).decode("ascii")
+    return Picture(src, alt, caption)

@@ -1,0 +1,244 @@
+"""A diagnosis as one page: everything the template shows, in words and rounded numbers."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service import __version__
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.report.figures import pictures, track
+from magcal_service.diagnosis.result import Entry, held_out_rms, moved_bias
+from magcal_service.diagnosis.words import (
+    chance,
+    driver_in_words,
+    odds,
+    percent,
+    reason_in_words,
+    remaining,
+    strength,
+    titles,
+    verdict_sentence,
+)
+from magcal_service.errors import ExtraMissingError
+from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
+from magcal_service.physics.interface import Value, value_of
+from magcal_service.physics.interface import in_words as number_in_words
+
+_MOST_PLACES: Final = 8
+_TEMPLATE: Final = "page.html"
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a report says of how it came about.
+
+    Parameters
+    ----------
+    recording: what was diagnosed, as it was given.
+    command: the command line.
+    files: (name, SHA-256) of every file that was read.
+    simulation: name of the scenario compared with; empty for the forward model as calibrated.
+    """
+
+    recording: str
+    command: str
+    files: tuple[tuple[str, str], ...]
+    simulation: str = ""
+
+
+def check_packages() -> None:
+    """Raise ``ExtraMissingError`` where a report could not be made, before the work rather than after it."""
+    try:
+        import jinja2  # noqa: F401
+        import matplotlib  # noqa: F401
+    except ImportError as exc:
+        raise ExtraMissingError(exc.name or "jinja2", "diagnosis", "the report of a diagnosis") from None
+
+
+def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: Origin) -> str:
+    """The page as HTML; ``content`` is the ``diagnosis.json`` beside it.
+
+    Raises ``ExtraMissingError`` without jinja2 or matplotlib.
+    """
+    check_packages()
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters |= {"percent": percent, "chance": chance, "odds": odds, "strength": strength}
+    numbers = json.loads(content)
+    return environment.get_template(_TEMPLATE).render(
+        diagnosis=diagnosis,
+        numbers=numbers,
+        sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
+        reasons=[(reason, reason_in_words(reason)) for reason in diagnosis.reasons],
+        levels=_levels(diagnosis, bool(origin.simulation)),
+        pictures=pictures(diagnosis),
+        track=track(diagnosis),
+        places=_places(numbers["located"]),
+        effects=[_effect(diagnosis, entry) for entry in found if entry.effect != "unknown"],
+        unknown=next((_unknown(entry) for entry in found if entry.effect == "unknown"), None),
+        remaining=remaining(diagnosis),
+        errors=_errors(diagnosis),
+        moved_nt=moved_bias(diagnosis),
+        unseen=_unseen(diagnosis, found),
+        rows=_rows(diagnosis),
+        facts=_facts(diagnosis),
+        origin=origin,
+        version=__version__,
+        python=platform.python_version(),
+        numpy=np.__version__,
+    )
+
+
+def _levels(diagnosis: Diagnosis, given: bool) -> dict[str, Any]:
+    """The three held-out numbers as bars, and the noise floor as a mark on the same scale."""
+    rms, floor = held_out_rms(diagnosis), diagnosis.prepared.problem.noise_nt
+    words = {
+        "simulation": "simulation as given" if given else "simulation (calibrated on the first half)",
+        "recalibrated": "nine errors fitted anew",
+        "with_effects": "with what was left out" if diagnosis.fit.terms else "with effects (none)",
+    }
+    top = 1.05 * max(*rms.values(), floor)
+    bars = [
+        {"key": key, "name": name, "nt": rms[key], "width": round(100.0 * rms[key] / top, 2)}
+        for key, name in words.items()
+    ]
+    return {"bars": bars, "floor": floor, "mark": round(100.0 * floor / top, 2)}
+
+
+def _places(located: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Places of the mismatch, one row for those that say the same."""
+    rows: list[dict[str, Any]] = []
+    for place in located:
+        says = str(place["says"])
+        if place["kind"] != "channel":
+            says = says.rpartition(" (")[0] or says
+        else:
+            says = says.replace(" (channel ", " (").removesuffix(")") + ")"
+        if all(row["says"] != says for row in rows):
+            share, nats = float(place["share"]), float(place["significance_nats"])
+            rows.append({"says": says, "kind": place["kind"], "share": share, "nats": nats})
+    return rows[:_MOST_PLACES]
+
+
+def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
+    effect = next(effect for effect in diagnosis.effects if effect.name == entry.effect)
+    known = titles(diagnosis)
+    return {
+        "entry": entry,
+        "title": effect.title,
+        "equation": effect.equation,
+        "valid": effect.valid,
+        "source": effect.source,
+        "absorbed": effect.absorbed,
+        "driver": driver_in_words(entry.driver),
+        "share": float(entry.where["share_of_mismatch"]),
+        "members": [name for name in entry.members if name != entry.effect],
+        "rivals": [
+            {"name": name, "title": known.get(name, ""), "probability": p, "alike": name in entry.members}
+            for name, p in entry.rivals
+        ],
+        "parameters": [
+            row
+            for name, value in entry.parameters.items()
+            if not name.startswith("column")
+            for row in _parameter_rows(name, value)
+        ],
+        "time": entry.where["time_s"],
+        "frequency": ", ".join(f"{f:.4g} Hz" for f in entry.where["frequency_hz"]),
+    }
+
+
+def _parameter_rows(name: str, value: Value) -> list[dict[str, str]]:
+    """One row a vector, so that a matrix is read line by line."""
+    parts = [(name, value)]
+    if value.value.ndim == 2:
+        pairs = enumerate(zip(value.value, value.sigma, strict=True), start=1)
+        parts = [(f"{name} [{i}]", value_of(v, s, value.unit)) for i, (v, s) in pairs]
+    return [
+        {"name": label, "value": number_in_words(part), "sigma": _sigma(part), "unit": part.unit}
+        for label, part in parts
+    ]
+
+
+def _sigma(value: Value) -> str:
+    """1 sigma, or why there is none."""
+    sigma = np.atleast_1d(value.sigma)
+    if not np.isfinite(sigma).all():
+        return "held"
+    text = ", ".join(_two_digits(float(s)) for s in sigma.ravel())
+    return text if value.value.ndim == 0 else f"({text})"
+
+
+def _two_digits(number: float) -> str:
+    """Two significant digits, without an exponent up to a million."""
+    rounded = float(f"{number:.2g}")
+    return f"{rounded:.0f}" if 10.0 <= rounded < 1e6 else f"{rounded:.2g}"
+
+
+def _unknown(entry: Entry) -> dict[str, Any]:
+    where = entry.where
+    return {
+        "entry": entry,
+        "shape": where["fitted_shape"],
+        "places": _places(where["correlates_with"]),
+        "nearest": where["nearest"],
+        "time": where["time_s"],
+        "frequency": ", ".join(f"{f:.4g} Hz" for f in where["frequency_hz"]),
+    }
+
+
+def _errors(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """The nine errors before and after, with 1 sigma."""
+    before, after = diagnosis.prepared.baseline, diagnosis.fit
+    sigma = np.sqrt(np.maximum(np.diagonal(after.covariance)[:STATE_SIZE], 0.0))
+    rows = []
+    for i, name in enumerate(STATE_NAMES):
+        places, unit = (1, "nT") if i < BIAS.stop else (5, "")
+        numbers = {"before": before.x[i], "after": after.x[i], "moved": after.x[i] - before.x[i], "sigma": sigma[i]}
+        rows.append({"name": name, "unit": unit} | {key: f"{float(v):.{places}f}" for key, v in numbers.items()})
+    return rows
+
+
+def _unseen(diagnosis: Diagnosis, found: Sequence[Entry]) -> list[dict[str, str]]:
+    """What such a recording cannot show, because the nine errors take it up."""
+    named = {entry.effect for entry in found}
+    return [
+        {"name": effect.name, "title": effect.title, "says": effect.absorbed}
+        for effect in diagnosis.effects
+        if effect.absorbed and effect.name not in named
+    ]
+
+
+def _rows(diagnosis: Diagnosis) -> list[str]:
+    """The account of the rows, by kind."""
+    counts = dict(diagnosis.prepared.counts)
+    counts.pop("rows", None)
+    left_out = [f"{name}: {count}" for name, count in counts.items() if count]
+    return [*diagnosis.prepared.recording.report.lines(), *left_out]
+
+
+def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """What the recording is."""
+    scene, recording = diagnosis.prepared.problem.scene, diagnosis.prepared.recording
+    facts = [("recording", recording.name)]
+    if scene.utc:
+        begin, end = (np.datetime64(int(ns), "ns").astype("datetime64[s]") for ns in recording.time_ns[[0, -1]])
+        facts.append(("from, to (UTC)", f"{begin} to {end}"))
+    facts.append(("samples used", f"{len(scene)}, one every {scene.period_s:.3g} s"))
+    facts.append(("noise, 1 sigma per axis", f"{diagnosis.prepared.problem.noise_nt:.1f} nT"))
+    if diagnosis.spin is not None:
+        axis = ", ".join(f"{v:.3f}" for v in diagnosis.spin.axis_body.tolist())
+        facts.append(("spin", f"{diagnosis.spin.rate_rpm:.4g} rpm about ({axis}) in the body"))
+    if scene.channels:
+        facts.append(("telemetry", ", ".join(f"{c.name} ({c.quantity})" for c in scene.channels.values())))
+    return facts
