@@ -23,6 +23,7 @@ E = TypeVar("E", bound=StrEnum)
 _MAX_FILE_BYTES = 1 << 20
 _MOST_BITS = 1024  # a little more than a float holds: what is less has its field's own refusal
 _MOST_LEVELS = 32
+_MOST_DOTS = 500
 _FEW_LEVELS = "valid TOML of a few levels is accepted"
 
 
@@ -48,6 +49,8 @@ def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
 
 def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]) -> Table:
     """The same of a file's content; ``where`` it is from, and the name of the ``file`` in the faults of its keys."""
+    if _has_endless_key(raw):
+        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)])
     try:
         content = tomllib.loads(raw.decode("utf-8"))
     except RecursionError:
@@ -58,6 +61,16 @@ def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]
     if strange:
         raise error([Fault(where, *strange)])
     return Table(content, file, "", [])
+
+
+def _has_endless_key(raw: bytes) -> bool:
+    """Whether a key has hundreds of dots: the time that its parsing takes goes with their square."""
+    for line in raw.split(b"\n"):
+        parts = line.split(b"=")
+        keys = parts if line.lstrip().startswith(b"[") else parts[:-1]
+        if any(key.count(b".") > _MOST_DOTS for key in keys):
+            return True
+    return False
 
 
 def _strange(content: object) -> tuple[str, str] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -282,9 +283,12 @@ def test_a_value_without_end_is_refused_in_one_short_line(tmp_path: Path, key: s
     assert len(line) < 300 + len(str(tmp_path))
 
 
-def test_a_dotted_key_without_end_is_refused(tmp_path: Path) -> None:
-    (line,) = refusals(tmp_path, MINIMAL + "a." * 3000 + "b = 1\n")
+@pytest.mark.parametrize("form", ["{key}b = 1", "[{key}b]", "x = {{{key}b = 1}}", "  [[{key}b]]"])
+def test_a_key_of_half_a_million_dots_is_refused_at_once(tmp_path: Path, form: str) -> None:
+    begin = time.process_time()
+    (line,) = refusals(tmp_path, MINIMAL + form.format(key="a." * 500_000) + "\n")
     assert "nested too deeply" in line
+    assert time.process_time() - begin < 5.0
 
 
 def test_a_file_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:
