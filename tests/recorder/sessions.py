@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
+from magcal_service import recorder as recorder_module
 from magcal_service.checkpoints import Checkpoints
 from magcal_service.config import Config, CraftConfig, RecordConfig, SensorConfig, SpinConfig, StateConfig
 from magcal_service.links import Role, open_link
@@ -115,6 +118,16 @@ def live(
     return Live(service, node, stop, thread)
 
 
+@contextmanager
+def _patient() -> Iterator[None]:
+    with (
+        patch("os.fdatasync", lambda file: None),
+        patch("os.fsync", lambda file: None),
+        patch.object(recorder_module, "PATIENCE_S", PATIENCE_S),
+    ):
+        yield
+
+
 def record(
     folder: Path,
     messages: Sequence[Message],
@@ -123,10 +136,13 @@ def record(
     state: Path | None = None,
     **changes: float,
 ) -> list[Path]:
-    """Run a session and record it; its files in order."""
+    """Run a session and record it; its files in order.
+
+    Nothing is synchronised: with a chunk every millisecond a busy disk would take a minute for that.
+    """
     crafts = crafts or (craft(),)
     rows = None if csv is None else EstimateCsv(csv)
-    with Recorder(settings(folder, **changes), crafts) as recorder:
+    with _patient(), Recorder(settings(folder, **changes), crafts) as recorder:
         run = live(folder.name + str(id(recorder)), crafts, recorder, rows, state)
         run.send(messages)
         run.close()
