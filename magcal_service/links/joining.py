@@ -7,18 +7,59 @@ same seconds, and the ticks would close without them.
 from __future__ import annotations
 
 import heapq
-import math
 import threading
 from collections import deque
 from typing import Final
 
-from magcal_service.wire.messages import MagnetometerSample, Message
+from magcal_service.wire.messages import MagnetometerSample, Message, ReferenceSample
 
 QUIET_S: Final = 0.15
-"""What was missed is all there when, once it has begun, nothing more has come for this long [s]."""
+"""What was missed is all there when samples and references are together and nothing has come for this long [s]."""
 
 LONGEST_S: Final = 1.0
-"""Longest hold [s], from the joining: also how late the first vector of a node at many samples a second may be then."""
+"""The same for streams that never pause, counted from the joining [s]: how late their first vector may be."""
+
+ALONE_S: Final = 2.0
+"""How long samples wait for references, or references for samples, where none have come at all [s]; ..."""
+
+ALONE_QUIET_S: Final = 0.4
+"""... and how long after the last of them."""
+
+APART_S: Final = 10.0
+"""How long they wait for those of the same second, which are on their way [s]."""
+
+_APART_NS: Final = 3_000_000_000  # what a tick waits for its reference anyway
+_MOST_HELD: Final = 20_000
+
+
+class _Hold:
+    """What one craft's nodes have sent since one of them joined."""
+
+    def __init__(self, now_s: float) -> None:
+        self.messages: list[Message] = []
+        self._begun_s = self._last_s = now_s
+        self._newest_ns: dict[type[Message], int] = {}
+
+    def add(self, message: Message, now_s: float) -> None:
+        """Keep one."""
+        self.messages.append(message)
+        self._last_s = now_s
+        if isinstance(message, MagnetometerSample | ReferenceSample):
+            self._newest_ns[type(message)] = message.time_ns
+
+    def until_s(self) -> float:
+        """When it is over, as things are now [s]."""
+        if len(self.messages) >= _MOST_HELD:
+            return self._begun_s
+        if len(self._newest_ns) < 2:
+            return (
+                min(self._begun_s + ALONE_S, self._last_s + ALONE_QUIET_S)
+                if self.messages
+                else self._begun_s + LONGEST_S
+            )
+        if max(self._newest_ns.values()) - min(self._newest_ns.values()) > _APART_NS:
+            return self._begun_s + APART_S
+        return min(self._last_s + QUIET_S, max(self._begun_s + LONGEST_S, self._last_s))
 
 
 class Joining:
@@ -34,23 +75,20 @@ class Joining:
     def __init__(self, turn: int) -> None:
         self._turn = turn
         self._lock = threading.Lock()
-        self._until_s: dict[str, tuple[float, float]] = {}  # craft -> (quiet, at the latest) [s]
-        self._held: dict[str, list[Message]] = {}
+        self._holds: dict[str, _Hold] = {}
         self._ordered: dict[str, deque[Message]] = {}
 
     def begin(self, craft: str, now_s: float) -> None:
         """A node of this craft has joined; one after the other makes the hold no longer."""
         with self._lock:
-            self._until_s.setdefault(craft, (math.inf, now_s + LONGEST_S))
+            self._holds.setdefault(craft, _Hold(now_s))
 
     def keeps(self, message: Message, now_s: float) -> bool:
         """Whether a sample is kept back; ``due`` gives it later."""
         with self._lock:
-            until_s = self._until_s.get(message.craft)
-            if until_s is not None:
-                self._until_s[message.craft] = now_s + QUIET_S, until_s[1]
-        if until_s is not None:
-            self._held.setdefault(message.craft, []).append(message)
+            hold = self._holds.get(message.craft)
+        if hold is not None:
+            hold.add(message, now_s)
         elif message.craft in self._ordered:  # those before it are still on their way
             self._ordered[message.craft].append(message)
         else:
@@ -59,15 +97,14 @@ class Joining:
 
     def due(self, now_s: float) -> list[Message]:
         """What is held back no longer, a turn of each craft."""
-        if not self._until_s and not self._ordered:
+        if not self._holds and not self._ordered:
             return []
         with self._lock:
-            over = [craft for craft, until_s in self._until_s.items() if now_s >= min(until_s)]
-            for craft in over:
-                del self._until_s[craft]
-        for craft in over:
-            ordered = in_order_of_time(self._held.pop(craft, []))
-            self._ordered.setdefault(craft, deque()).extend(ordered)
+            over = [craft for craft, hold in self._holds.items() if now_s >= hold.until_s()]
+            ended = {craft: self._holds.pop(craft) for craft in over}
+        for craft, hold in ended.items():
+            if hold.messages:
+                self._ordered.setdefault(craft, deque()).extend(in_order_of_time(hold.messages))
         return [message for craft in list(self._ordered) for message in self._turn_of(craft)]
 
     def wait_s(self, now_s: float, longest_s: float) -> float:
@@ -75,7 +112,7 @@ class Joining:
         if self._ordered:
             return 0.0
         with self._lock:
-            ends_s = [min(until_s) for until_s in self._until_s.values()]
+            ends_s = [hold.until_s() for hold in self._holds.values()]
         return min([longest_s, *(max(0.0, end_s - now_s) for end_s in ends_s)])
 
     def _turn_of(self, craft: str) -> list[Message]:

@@ -109,7 +109,7 @@ class Feeder(Thread):
         """Wait until so many messages have been sent."""
         self.until(lambda: self.position >= position, f"message {position} was not sent")
 
-    def settle(self, quiet_s: float = 2.0) -> None:
+    def settle(self, quiet_s: float = 15.0) -> None:
         """Wait until everything is sent and answered, or nothing has been answered for a while."""
         self.reach(len(self.messages))
         before, since_s = -1, time.monotonic()

@@ -153,10 +153,10 @@ def _spoilt_line(outcome: Outcome, folder: Path, frames: Frames, quick: bool) ->
             node.until_heard()
             frames.on = True
             with Feeder(node, messages[:-20], RATE_HZ) as feeder:
-                feeder.settle()
+                feeder.settle(2.0)
             frames.on = False
             with Feeder(node, messages[-20:], RATE_HZ) as feeder:
-                feeder.settle()
+                feeder.settle(2.0)
                 feeder.fresh_status()
             counters = node.counters()
             outcome.fed, outcome.accepted, outcome.refused = node.sent, counters["accepted"], node.refused

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from link_messages import START_NS, free_port, gather, sample, settle
 
 from magcal_service.links import Role, open_link
-from magcal_service.links.joining import LONGEST_S, QUIET_S, Joining, in_order_of_time
+from magcal_service.links.joining import ALONE_QUIET_S, ALONE_S, APART_S, LONGEST_S, QUIET_S, Joining, in_order_of_time
 from magcal_service.wire.messages import Message, ReferenceSample
 
 SECOND_NS = 1_000_000_000
@@ -61,6 +61,19 @@ def test_a_quiet_moment_ends_the_hold() -> None:
     assert not joining.keeps(sample(2), 1.0)
 
 
+def test_samples_wait_for_the_references_of_their_seconds() -> None:
+    """While the references are behind, nothing leaves; once they are no more than the ticks' own patience, all does."""
+    joining = Joining(1000)
+    joining.begin("alpha", 0.0)
+    for number in range(100):
+        assert joining.keeps(sample(number), 0.1)
+    for number in range(96):
+        assert joining.due(0.3 + number / 20) == []
+        assert joining.keeps(reference(number), 0.3 + number / 20)
+    assert joining.keeps(reference(96), 5.1)
+    assert len(joining.due(5.1)) == 197
+
+
 def test_a_node_that_sends_nothing_again_costs_its_first_sample_a_moment() -> None:
     """The hold ends by itself, and after it a sample passes at once."""
     joining = Joining(64)
@@ -74,10 +87,33 @@ def test_a_stream_that_never_pauses_is_held_no_longer_than_the_limit() -> None:
     """At any rate the first vector comes after the longest hold."""
     joining = Joining(10_000)
     joining.begin("alpha", 0.0)
-    held = [joining.keeps(sample(number), number / 1000) for number in range(int(1000 * LONGEST_S))]
+    joining.keeps(reference(500), 0.0)
+    held = [joining.keeps(sample(500 + number % 3), number / 1000) for number in range(int(1000 * LONGEST_S))]
     assert all(held)
     joining.begin("alpha", 0.5 * LONGEST_S)
-    assert len(joining.due(LONGEST_S)) == len(held)
+    assert len(joining.due(LONGEST_S)) == len(held) + 1
+
+
+def test_a_reference_that_stays_behind_does_not_stop_the_samples() -> None:
+    """Samples wait for it for a while, and then leave without."""
+    joining = Joining(64)
+    joining.begin("alpha", 0.0)
+    joining.keeps(sample(100), 0.1)
+    joining.keeps(reference(0), 0.1)
+    assert joining.due(0.9 * APART_S) == []
+    assert joining.due(APART_S) == [reference(0), sample(100)]
+
+
+def test_samples_alone_leave_after_a_moment_and_a_stream_of_them_after_a_longer_one() -> None:
+    """Where no reference comes at all, nobody waits for it for long."""
+    joining = Joining(10_000)
+    joining.begin("alpha", 0.0)
+    joining.keeps(sample(0), 0.1)
+    assert joining.due(0.1 + ALONE_QUIET_S) == [sample(0)]
+    joining.begin("alpha", 5.0)
+    held = [joining.keeps(sample(number), 5.0 + number / 100) for number in range(int(100 * ALONE_S))]
+    assert joining.due(5.0 + 0.99 * ALONE_S) == []
+    assert len(joining.due(5.0 + ALONE_S)) == len(held)
 
 
 def test_a_long_history_leaves_in_turns_and_what_comes_meanwhile_stays_behind_it() -> None:
@@ -86,10 +122,10 @@ def test_a_long_history_leaves_in_turns_and_what_comes_meanwhile_stays_behind_it
     joining.begin("alpha", 0.0)
     for number in range(25):
         joining.keeps(sample(number), 0.0)
-    first = joining.due(LONGEST_S)
-    assert joining.keeps(sample(25), LONGEST_S)
-    assert joining.wait_s(LONGEST_S, 0.5) == 0.0
-    given = first + joining.due(LONGEST_S) + joining.due(LONGEST_S)
+    first = joining.due(ALONE_S)
+    assert joining.keeps(sample(25), ALONE_S)
+    assert joining.wait_s(ALONE_S, 0.5) == 0.0
+    given = first + joining.due(ALONE_S) + joining.due(ALONE_S)
     assert given == [sample(number) for number in range(26)]
     assert len(first) == 10
 
