@@ -83,6 +83,11 @@ class Outcome:
         """The promise of all: what is lost is what was in flight by design."""
         self.expect(self.lost == self.in_flight, f"{self.lost} samples are lost, {self.in_flight} by design")
 
+    def used(self, counters: dict[str, int]) -> None:
+        """The promise that nothing accepted is lost: every sample that was accepted had its reference and its tick."""
+        without = counters.get("no_reference", 0)
+        self.expect(without == 0, f"{without} accepted samples came to nothing for want of a reference")
+
     def row(self) -> list[str]:
         """Its line of the table."""
         recovered = "-" if self.recovered_s is None else f"{self.recovered_s:.2f} s"

@@ -83,7 +83,8 @@ def half_recording(folder: Path, quick: bool) -> Outcome:
             daemons.start()
             feeder.settle()
             feeder.fresh_status()
-        outcome.fed, outcome.accepted = node.sent, len(node.first_s)
+        outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
+        outcome.used(node.counters())
         recovered = node.counters().get("record.recovered", 0)
     (mended,) = records.glob("*.recovered.mcap")
     chunk = 4 * RATE_HZ * RECORD_FLUSH_S  # a sample, a reference, a vector and an estimate for each second of flight
@@ -122,7 +123,8 @@ def half_checkpoint(folder: Path, quick: bool) -> Outcome:
                 dropped += node.counters().get("state.dropped", 0)
             feeder.settle()
             feeder.fresh_status()
-        outcome.fed, outcome.accepted = node.sent, len(node.first_s)
+        outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
+        outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
     outcome.balance()
     outcome.expect(dropped == 2, f"{dropped} of 2 spoilt states were dropped")

@@ -28,9 +28,9 @@ def cut_network(folder: Path, quick: bool) -> Outcome:
     config = write_config(folder, f"zenoh:tcp/127.0.0.1:{port}?history=1000")
     with Daemons(config), Proxy(port) as proxy, Witness(f"zenoh:tcp/127.0.0.1:{proxy.port}") as node:
         node.until_heard()
-        with Feeder(node, stream(seconds=1200)[: 400 * (cuts + 1)], RATE_HZ) as feeder:
+        with Feeder(node, stream(seconds=1800)[: 600 * (cuts + 1)], RATE_HZ) as feeder:
             for cut in range(cuts):
-                feeder.reach(200 + 400 * cut)
+                feeder.reach(200 + 600 * cut)
                 proxy.cut.set()
                 time.sleep(1.0)
                 node.mark()
@@ -39,6 +39,7 @@ def cut_network(folder: Path, quick: bool) -> Outcome:
             feeder.settle(5.0)
             feeder.fresh_status()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
+        outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
     outcome.balance()
     outcome.notes.append(f"{cuts} cuts of 1 s; {node.sent - len(node.first_s)} vectors did not reach the node")

@@ -77,7 +77,8 @@ def kill_daemon(folder: Path, quick: bool) -> Outcome:
                 restored += node.counters().get("state.restored", 0)
             feeder.settle()
             feeder.fresh_status()
-        outcome.fed, outcome.accepted = node.sent, len(node.first_s)
+        outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
+        outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
         outcome.expect(len(node.recovered_s) == kills, f"{len(node.recovered_s)} recoveries from {kills} kills")
     outcome.balance()
@@ -127,6 +128,7 @@ def stop_daemon(folder: Path, quick: bool) -> Outcome:
             feeder.settle(5.0)
             feeder.fresh_status()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
+        outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
     outcome.balance()
     outcome.notes.append(
@@ -197,6 +199,7 @@ def restart_router(folder: Path, quick: bool) -> Outcome:
         feeder.settle(5.0)
         feeder.fresh_status()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
+        outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
     outcome.balance()
     return outcome
