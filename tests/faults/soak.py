@@ -14,8 +14,9 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from magcal_service.checkpoints import Checkpoints
@@ -63,8 +64,8 @@ def flight(ticks: int) -> Iterator[list[Message]]:
         yield [replace(one, sequence=tick % (1 << 32), time_ns=one.time_ns + later_ns) for one in base[second]]
 
 
-def soak(ticks: int, folder: Path) -> list[Figures]:
-    """Work through so many seconds; the figures after the first hour's worth and after each flight."""
+def soak(ticks: int, folder: Path, told: Callable[[list[Figures]], None]) -> list[Figures]:
+    """Work through so many seconds; the figures after the first hour's worth and each flight, told as they come."""
     craft = CraftConfig("paper", SensorConfig(noise_nt=300.0), SpinConfig(rate_rpm=7.5))
     state = StateConfig(folder)
     config = Config(f"zenoh:tcp/127.0.0.1:{free_port()}", (craft,), state=state)
@@ -81,8 +82,15 @@ def soak(ticks: int, folder: Path) -> list[Figures]:
                 service.save()
             if tick in (HOUR_TICKS, ticks) or tick % FLIGHT_S == 0:
                 figures.append(Figures.now(tick))
+                told(figures)
         assert service.pipelines["paper"].ticks.closed >= ticks - 2
     return figures
+
+
+def keep(path: Path | None, figures: list[Figures]) -> None:
+    """Write the figures so far, so that a run that is cut short is not for nothing."""
+    if path is not None:
+        path.write_text(json.dumps([asdict(one) for one in figures], indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> int:
@@ -93,7 +101,7 @@ def main() -> int:
     options = parser.parse_args()
     begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        figures = soak(max(2 * HOUR_TICKS, int(options.days * 86_400)), Path(folder))
+        figures = soak(max(2 * HOUR_TICKS, int(options.days * 86_400)), Path(folder), partial(keep, options.json))
     first, last = figures[0], figures[-1]
     growth_mb = max(one.memory_mb for one in figures) - first.memory_mb
     grown = max(one.files for one in figures) - first.files, max(one.threads for one in figures) - first.threads
@@ -102,8 +110,6 @@ def main() -> int:
         print(f"| {one.ticks} | {one.memory_mb:.2f} MB | {one.files} | {one.threads} |")
     print(f"\nlargest growth after the first hour's worth: {growth_mb:.2f} MB, {grown[0]} files, {grown[1]} threads")
     print(f"{last.ticks} ticks in {time.monotonic() - begun_s:.0f} s")
-    if options.json is not None:
-        options.json.write_text(json.dumps([one.__dict__ for one in figures], indent=1) + "\n", encoding="utf-8")
     return int(growth_mb >= MOST_GROWTH_MB or max(grown) > 0)
 
 
