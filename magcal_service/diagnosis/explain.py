@@ -15,7 +15,7 @@ from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, free_numbers, solve
 from magcal_service.model import STATE_SIZE, Array, measure
-from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
 
 ACCEPTED_NATS: Final = 12.0
 """Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
@@ -31,10 +31,13 @@ LEAST_VISIBLE: Final = 0.03
 """Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
+_LEAST_LINE_NATS: Final = 4.0
+_RIVAL_SHARE: Final = 0.05
 _MOST_TRIED: Final = 5
 _CLOSE: Final = 30
 _REPEATABLE: Final[tuple[str, ...]] = ()
 _LINES: Final = 3
+_OF_LINES: Final = ("frequency", "period", "cycle")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +154,10 @@ class Search:
         for hypothesis in self.hypotheses if among is None else among:
             if hypothesis.effect in skip:
                 continue
-            if any(number.role in ("frequency", "period") for number in hypothesis.nonlinear) and lines is None:
+            if (
+                any(number.role in ("frequency", "period", "cycle") for number in hypothesis.nonlinear)
+                and lines is None
+            ):
                 lines = self._lines(space, fit)
             candidate = self._best(hypothesis, space, fit, sigma_nt, lines)
             if candidate is not None:
@@ -161,7 +167,13 @@ class Search:
     def _lines(self, space: Workspace, fit: Fit) -> Array:
         if self.problem.is_vector:
             return np.zeros(0)
-        return strongest(self.problem.scene, space.residual, fit.unit, _LINES, self.spin_hz)
+        scene = self.problem.scene
+        found = strongest(scene, space.residual, fit.unit, _LINES, self.spin_hz)
+        if not len(found):
+            return found
+        rows = self.white(oscillation(scene.time_s, float(found[0])).along(fit.unit))
+        enough = space.gain(rows, math.sqrt(space.squares / space.count)).nats > _LEAST_LINE_NATS
+        return found if enough else found[:0]
 
     def _best(
         self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float, lines: Array | None
@@ -294,7 +306,8 @@ class Search:
         left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
-        self.close |= {candidate.hypothesis.label for candidate in close}
+        least = _RIVAL_SHARE * max((candidate.nats for candidate in close), default=0.0)
+        self.close |= {candidate.hypothesis.label for candidate in close if candidate.nats > least}
         return sorted(close, key=lambda candidate: -candidate.nats)
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
@@ -384,8 +397,10 @@ def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
 
 def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
     """Values to try first; a period may show as a line of its own or as side lines of the spin."""
-    if number.role not in ("frequency", "period"):
+    if number.role not in _OF_LINES:
         return number.grid
+    if number.role == "cycle":
+        return np.zeros(0) if lines is None or not len(lines) else number.grid
     if lines is None or not len(lines):
         return np.zeros(0)
     if number.role == "frequency":

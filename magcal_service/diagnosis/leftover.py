@@ -14,7 +14,7 @@ from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.shapes import Shape, shapes
 from magcal_service.model import Array
-from magcal_service.physics.interface import along_axes
+from magcal_service.physics.interface import oscillation
 
 SIGNIFICANT_NATS: Final = 6.0
 """Evidence for a family, after their number, from which on it is no noise: about a dozen are looked at."""
@@ -66,8 +66,7 @@ def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | N
     found = strongest(scene, space.residual, fit.unit, 1, search.spin_hz)
     if not len(found):
         return None
-    angle = 2.0 * np.pi * float(found[0]) * scene.time_s
-    rows = search.white(along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1)).along(fit.unit))
+    rows = search.white(oscillation(scene.time_s, float(found[0])).along(fit.unit))
     return float(found[0]) if space.gain(rows, sigma).nats > 0.5 * SIGNIFICANT_NATS else None
 
 

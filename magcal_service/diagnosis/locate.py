@@ -14,7 +14,7 @@ from magcal_service.diagnosis.leftover import Structure, structures
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import Array
-from magcal_service.physics.interface import along_axes
+from magcal_service.physics.interface import along_axes, oscillation
 
 _LINES: Final = 4
 
@@ -110,8 +110,7 @@ def _frequencies(search: Search, fit: Fit, excess: float) -> list[Place]:
     sigma = max(math.sqrt(space.squares / space.count), 1e-6)
     found = []
     for frequency in strongest(scene, space.residual, fit.unit, _LINES, search.spin_hz, all_lines=True).tolist():
-        angle = 2.0 * np.pi * frequency * scene.time_s
-        rows = search.white(along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1)).along(fit.unit))
+        rows = search.white(oscillation(scene.time_s, frequency).along(fit.unit))
         gain = space.gain(rows, sigma)
         words = f"a line at {frequency:.5g} Hz in the body{_coincidence(frequency, search.spin_hz, scene.period_s)}"
         found.append(

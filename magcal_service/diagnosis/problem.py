@@ -27,6 +27,9 @@ PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5
 """1 sigma of the nine errors: only keeps what the recording says nothing of from running away."""
 
+HELD: Final = ("instant", "held", "cycle")
+"""Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
+
 _ITERATIONS: Final = 12
 _CONVERGED: Final = 1e-4
 
@@ -221,7 +224,7 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
     """Columns for the nonlinear numbers, by central differences; an instant has none that means anything."""
     slopes: list[Array] = []
     for index, number in enumerate(term.hypothesis.nonlinear):
-        if number.role in ("instant", "held"):
+        if number.role in HELD:
             continue
         size = max(abs(float(term.theta[index])), 1e-3)
         step = size * 1e-4 if number.role in ("frequency", "period") else size * 1e-2
@@ -240,7 +243,7 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
 
 def free_numbers(term: Term) -> list[int]:
     """Indices of the nonlinear numbers that a refit moves."""
-    return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role not in ("instant", "held")]
+    return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role not in HELD]
 
 
 def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:

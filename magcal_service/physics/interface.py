@@ -97,7 +97,7 @@ class Nonlinear:
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
     logarithmic: steps between values are ratios.
     role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"held"`` once
-        it has been searched (the columns jump with it), or ``""``.
+        it has been searched (the columns jump with it), ``"cycle"`` the same where the residual has a line, or ``""``.
     """
 
     name: str
@@ -252,6 +252,12 @@ def along_axes(signals: Array) -> Columns:
     """Every signal of (n,) or (n, s) along each body axis."""
     each = signals[None] if signals.ndim == 1 else signals.T
     return Columns(axes=np.repeat(each[:, :, None], 3, axis=2))
+
+
+def oscillation(time_s: Array, frequency_hz: float) -> Columns:
+    """Cosine and sine at a frequency along each body axis: six amplitudes."""
+    angle = 2.0 * np.pi * frequency_hz * time_s
+    return along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def gains(field_nt: Array, signals: Array) -> Columns:

@@ -7,7 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
+from magcal_service.physics.interface import (
+    Block,
+    Columns,
+    Effect,
+    Hypothesis,
+    Nonlinear,
+    Values,
+    oscillation,
+    value_of,
+)
 from magcal_service.physics.scene import Scene
 
 
@@ -16,8 +25,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         return
 
     def columns(theta: Array) -> Columns:
-        angle = 2.0 * np.pi * float(theta[0]) * scene.time_s
-        return along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        return oscillation(scene.time_s, float(theta[0]))
 
     blocks = (Block("cosine_nt", "nT"), Block("sine_nt", "nT"))
     frequency = Nonlinear("frequency_hz", "Hz", np.empty(0), role="frequency")

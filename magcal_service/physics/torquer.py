@@ -82,8 +82,8 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),
-        Nonlinear("on_share", "1", np.array([0.25, 0.4, 0.6, 0.8]), role="held"),
-        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 12, endpoint=False), role="held"),
+        Nonlinear("on_share", "1", np.array([0.3, 0.5, 0.75]), role="held"),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False), role="held"),
     )
 
     def columns(theta: Array) -> Columns:
@@ -103,7 +103,7 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         measured = np.clip(begins - 1, 0, len(scene) - 1)  # what the controller saw before it fired
         return along_axes(-np.sign(slope[measured]) * on[:, None])
 
-    cycles = (replace(duty[0], grid=CYCLES_S * max(1.0, scene.period_s), role="held"), *duty[1:])
+    cycles = (replace(duty[0], grid=CYCLES_S * max(1.0, scene.period_s), role="cycle"), *duty[1:])
     yield Hypothesis("torquer", "inferred:detumbling", pulsed, (block,), "sign of dB/dt on a duty", cycles)
     steady = along_axes(-np.sign(slope))
     yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
