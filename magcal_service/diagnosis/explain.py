@@ -292,7 +292,7 @@ class Search:
             tried.add(candidate.hypothesis.effect)
             term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
             trial = solve(self.problem, fit.x, (*fit.terms, term))
-            if self._agrees(fit, trial):
+            if self._agrees(fit, trial) and self._is_sized(trial):
                 return trial
         return None
 
@@ -316,6 +316,15 @@ class Search:
         assert rows is not None
         gain = space.gain(rows, sigma)
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
+
+    def _is_sized(self, fit: Fit) -> bool:
+        """Whether every term, refitted with the errors, is still no larger in the residual than its physics ever is."""
+        for term in fit.terms:
+            rows = self.problem.rows(term.hypothesis.columns(term.theta), fit.unit)
+            largest = self.largest_nt.get(term.hypothesis.effect, math.inf)
+            if rows is None or float(np.sqrt(np.mean((rows @ term.amplitudes) ** 2))) > largest:
+                return False
+        return True
 
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""

@@ -14,6 +14,7 @@ _SLOWEST_PERIODS: Final = 8.0
 _SLOWEST_S: Final = 900.0
 _APART_BINS: Final = 4
 _PEAK: Final = 2.0
+_MOST_SLOTS: Final = 1 << 18
 _ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
 
 
@@ -49,7 +50,7 @@ def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Ar
 
     White noise gives six times its variance everywhere.
     """
-    slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
+    slot = _slots(scene)
     size = 1 << int(np.ceil(np.log2(2 * (int(slot[-1]) + 1))))
     products = np.stack([unit[:, i] * unit[:, j] for i in range(3) for j in range(3)], axis=1)
     right = _transform(slot, residual[:, None] * unit, size)
@@ -68,6 +69,21 @@ def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Ar
     normal += 1e-6 * trace * np.eye(6)
     power = np.einsum("fi,fi->f", vector, np.linalg.solve(normal, vector[:, :, None])[:, :, 0])
     return frequency, power
+
+
+def _slots(scene: Scene) -> NDArray[np.intp]:
+    """Place (n,) of each sample on an even grid.
+
+    Where pauses make up most of a long recording, each is cut to as many samples as there are in all stretches divided
+    by their number: phases are then those of each stretch alone, and the grid stays small however long the pauses are.
+    """
+    slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
+    if int(slot[-1]) < _MOST_SLOTS:
+        return slot
+    steps = np.diff(slot, prepend=slot[0])
+    after = scene.pauses[1:]
+    steps[after] = np.minimum(steps[after], max(len(slot) // max(len(scene.pauses), 1), 1))
+    return np.cumsum(steps).astype(np.intp)
 
 
 def is_red(scene: Scene, residual: Array, unit: Array) -> bool:

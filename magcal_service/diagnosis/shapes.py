@@ -55,7 +55,9 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
         sun = np.concatenate([scene.sun_body, np.maximum(scene.sun_body, 0.0), np.ones((len(scene), 1))], axis=1)
         yield _body(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
     if scene.position_ecef_km is not None and not problem.is_vector:
-        yield _plain("place", "the field's magnitude, by place on the Earth", _places(scene.position_ecef_km))
+        places = _places(scene.position_ecef_km)
+        if places.shape[1] > 1:
+            yield _plain("place", "the field's magnitude, by place on the Earth", places)
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
             bins = _quantiles(values)

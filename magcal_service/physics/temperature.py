@@ -49,9 +49,10 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
     """Temperature as an answer to light, in units of the swing between light and shadow.
 
     Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
-    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.
+    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  A temperature
+    that was recorded is not guessed.
     """
-    if scene.lit is None or not scene.eclipses:
+    if scene.lit is None or not scene.eclipses or any(recorded(scene, effect, act, block)):
         return
 
     def columns(theta: Array) -> Columns:

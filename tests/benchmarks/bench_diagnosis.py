@@ -1,135 +1,162 @@
-"""The published baseline of a diagnosis, and ours on the same physics: sparse regression against evidence.
+"""Every recording of a folder through the diagnosis, and what the tool did not see held against it: docs/recordings.md.
 
-The scenario is that of docs/peers.md: 550 km, 97.6 deg, a turn a minute, 50 nT, 18000 s.  Baseline figures: nine errors
-fitted on the first half, then sequentially thresholded least squares on twelve features.
+python -m tests.benchmarks.bench_diagnosis [--data ../shared/data] [--only suchai3] [--cross]
 
-    python -m tests.benchmarks.bench_diagnosis
+Photodiodes are hidden from the diagnosis throughout.
 """
 
 from __future__ import annotations
 
-import math
-import resource
-import tempfile
+import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from magcal_service.diagnosis import result
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.explain import hypotheses_of
+from magcal_service.diagnosis.prepare import scene_of
+from magcal_service.diagnosis.problem import Fit, Term, solve
+from magcal_service.diagnosis.result import entries, held_out_rms
+from magcal_service.model import Array
+from magcal_service.physics import catalogue
+from magcal_service.physics.scene import Scene
 from magcal_service.recordings.reader import read_recording
-from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import load_scenario
-from sim_sensor.simulation import Simulation
+from magcal_service.recordings.recording import Recording
 
-BASE = """
-version = 1
-description = "a case of the baseline"
-craft = "bench"
-duration_s = 18000
-seed = 11
-start = "2025-06-01T00:00:00Z"
-
-[orbit]
-altitude_km = 550
-eccentricity = 1e-4
-inclination_deg = 97.6
-
-[spin]
-axis = "z"
-direction = [1, 1, 1]
-rate_rpm = 1.0
-
-[magnetometer]
-rate_hz = 1
-noise_nt = 50
-bias_nt = [500, -300, 400]
-D = [0.01, 0.02, -0.01, 0.005, 0.003, -0.004]
-
-[position]
-rate_hz = 0.1
-"""
-
-CASES = {
-    "nothing": ("", "none", (), math.nan),
-    "solar current": (
-        """
-[[panel]]
-normal = [0, 0, 1]
-max_a = 1.0
-field_nt_per_a = [300, -150, 200]
-
-[telemetry]
-channels = ["current"]
-rate_hz = 1
-current_noise = 0.001
-""",
-        "nt_per_a",
-        (300.0, -150.0, 200.0),
-        52.8,
-    ),
-    "gain by temperature": (
-        """
-[thermal]
-hot_degc = 40
-cold_degc = -5
-time_constant_s = 1200
-start_degc = 20
-zero_degc = 20
-scale_per_k = [2e-4, 2e-4, 2e-4]
-
-[telemetry]
-channels = ["temperature"]
-rate_hz = 1
-temperature_noise = 0.05
-""",
-        "per_k",
-        (2e-4, 2e-4, 2e-4),
-        50.2,
-    ),
-    "clock 3 s off": (
-        """
-[field]
-reference_time_offset_s = 3
-""",
-        "offset_s",
-        (3.0,),
-        51.0,
-    ),
-}
-
-
-def run(name: str) -> Diagnosis:
-    """Simulate one case, record it, diagnose the recording."""
-    with tempfile.TemporaryDirectory() as folder:
-        scenario = Path(folder) / "case.toml"
-        scenario.write_text(BASE + CASES[name][0], encoding="utf-8")
-        recording = read_recording(record_simulation(Simulation(load_scenario(scenario)), Path(folder) / "out"))
-        return diagnose(recording)
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+WITNESS = "photodiodes"
+LIGHT = ("thermal_scale", "thermal_bias", "current_loop")
+SHIFTS_S = (-300, -120, -60, -30, -15, 0, 15, 30, 60, 120, 300)
 
 
 def main() -> None:
-    """Print the table."""
-    print("| injected | held-out rms before | after | floor | baseline after | named | largest error | time [s] |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name, (_, parameter, truth, baseline) in CASES.items():
-        began = time.process_time()
-        diagnosis = run(name)
-        found = result.entries(diagnosis)
-        level = result.held_out_rms(diagnosis)
-        error = "-"
-        if found and truth:
-            value = np.abs(np.atleast_1d(found[0].parameters[parameter].value).ravel())
-            error = f"{100.0 * float(np.max(np.abs(value / np.abs(np.array(truth)) - 1.0))):.2f} %"
-        names = ", ".join(entry.effect for entry in found) or "nothing"
-        print(
-            f"| {name} | {level['recalibrated']:.1f} | {level['with_effects']:.1f} | 50.0 | {baseline:.1f} | {names} "
-            f"| {error} | {time.process_time() - began:.1f} |",
-            flush=True,
-        )
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(f"\npeak memory of the process: {peak:.0f} MB")
+    """Print one Markdown row per recording, or the checks of one orbit against another."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--only", default="", help="recordings whose name holds this")
+    parser.add_argument(
+        "--cross", action="store_true", help="eclipse edges, and the panels' field on another recording"
+    )
+    options = parser.parse_args()
+    if options.cross:
+        cross(options.data / "suchai3" / "2023-08-24.toml", options.data / "suchai3" / "2023-11-13.toml")
+        return
+    print("| recording | verdict: reasons | effects (driver), share of mismatch | simulation | nine errors | effects |")
+    print("|---|---|---|---:|---:|---:|")
+    for path in sorted(options.data.glob("*/*.toml")):
+        name = f"{path.parent.name}/{path.stem}"
+        if options.only in name:
+            print(row(name, diagnose(blind(path))), flush=True)
+
+
+def blind(path: Path) -> Recording:
+    """A recording without its photodiodes."""
+    recording = read_recording(path)
+    kept = {name: channel for name, channel in recording.channels.items() if name != WITNESS}
+    return replace(recording, channels=kept)
+
+
+def row(name: str, diagnosis: Diagnosis) -> str:
+    """One recording's diagnosis."""
+    named = "; ".join(
+        f"{entry.effect} ({entry.driver}), {100 * float(entry.where['share_of_mismatch']):.2g} %"
+        for entry in entries(diagnosis)
+    )
+    held = held_out_rms(diagnosis)
+    levels = " | ".join("-" if value is None else f"{value:.0f}" for value in held.values())
+    return f"| {name} | {diagnosis.verdict}: {', '.join(diagnosis.reasons) or '-'} | {named} | {levels} |"
+
+
+def light_fit(diagnosis: Diagnosis) -> Fit:
+    """Nine errors and those of the effects found that sunlight drives."""
+    terms = [term for term in diagnosis.fit.terms if term.hypothesis.effect in LIGHT]
+    return solve(diagnosis.prepared.problem, diagnosis.fit.x, terms)
+
+
+def shadow_moved(diagnosis: Diagnosis, fit: Fit, seconds: float) -> float:
+    """Held-out rms [nT] of the same effects where the Earth's shadow is ``seconds`` later than the model has it."""
+    scene = diagnosis.prepared.problem.scene
+    assert scene.lit is not None
+    moved = replace(scene)
+    moved.__dict__["lit"] = np.interp(scene.time_s - seconds, scene.time_s, scene.lit)
+    problem = replace(diagnosis.prepared.problem, scene=moved)
+    forms = {hypothesis.label: hypothesis for hypothesis in hypotheses_of(catalogue(), problem)}
+    terms = [Term(forms[t.hypothesis.label], t.theta, t.amplitudes) for t in fit.terms]
+    return solve(problem, fit.x, terms).held_out_rms_nt
+
+
+def dark_edges(path: Path) -> tuple[Array, Array]:
+    """When the shadow begins and ends [s from the first sample]: by the model, and by the photodiodes."""
+    recording = read_recording(path).sorted_unique()
+    time_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
+    scene = scene_of(recording)
+    assert scene.lit is not None
+    light = np.asarray(recording.channels[WITNESS].values).sum(axis=1)
+    dark = _longest(light <= 0.05 * np.percentile(light, 95))
+    shadow = _longest(scene.lit < 0.5)
+    return time_s[list(shadow)], time_s[list(dark)]
+
+
+def _longest(flags: NDArray[np.bool_]) -> tuple[int, int]:
+    """First row of the longest run of true flags, and the row after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    starts, ends = edges[::2], edges[1::2]
+    best = int(np.argmax(ends - starts))
+    return int(starts[best]), min(int(ends[best]), len(flags) - 1)
+
+
+def panels(scene: Scene, axis: Array | None = None, turned_rad: float = 0.0) -> Array:
+    """(n, 6) light on faces +x +y +z -x -y -z; ``turned_rad``: as if the Sun stood elsewhere about an axis."""
+    assert scene.sun_body is not None
+    assert scene.lit is not None
+    sun = scene.sun_body
+    if axis is not None:
+        across = np.cross(axis, sun)
+        along = np.outer(sun @ axis, axis)
+        sun = along + np.cos(turned_rad) * (sun - along) + np.sin(turned_rad) * across
+    faces: Array = np.concatenate([np.maximum(sun, 0.0), np.maximum(-sun, 0.0)], axis=1) * scene.lit[:, None]
+    return faces
+
+
+def panel_field(diagnosis: Diagnosis, fit: Fit) -> Array:
+    """(6, 3) field of each face in full sun [nT] as found; zero for a face that the recording says nothing of."""
+    term = next(t for t in fit.terms if t.hypothesis.variant == "every panel its own circuit")
+    used = np.std(panels(diagnosis.prepared.problem.scene), axis=0) > 0.02
+    field = np.zeros((6, 3))
+    field[used] = term.amplitudes.reshape(-1, 3)
+    return field
+
+
+def frozen(other: Diagnosis, field: Array, share: float = 1.0, turned_deg: float = 0.0) -> float:
+    """Held-out rms [nT] of nine errors on another recording with a frozen field of the panels (6, 3) taken off."""
+    problem, spin = other.prepared.problem, other.prepared.spin
+    assert spin is not None
+    light = panels(problem.scene, spin.axis_body, np.radians(turned_deg))
+    scene = replace(problem.scene, field_nt=problem.scene.field_nt - share * light @ field)
+    return solve(replace(problem, scene=scene), other.prepared.baseline.x).held_out_rms_nt
+
+
+def cross(path: Path, other_path: Path) -> None:
+    """The checks that decide, one line each."""
+    began = time.process_time()
+    first, second = diagnose(blind(path)), diagnose(blind(other_path))
+    fit = light_fit(first)
+    print(f"effects by light alone: {[term.hypothesis.label for term in fit.terms]}")
+    print(f"held out {first.prepared.baseline.held_out_rms_nt:.0f} -> {fit.held_out_rms_nt:.0f} nT")
+    model, seen = dark_edges(path)
+    print(f"shadow by the model {model} s, photodiodes dark {seen} s")
+    for seconds in SHIFTS_S:
+        print(f"shadow moved by {seconds} s: held out {shadow_moved(first, fit, seconds):.0f} nT")
+    field = panel_field(first, fit)
+    print(f"{other_path.stem}: nine errors, held out {second.prepared.baseline.held_out_rms_nt:.0f} nT")
+    for share in (-1.0, 0.5, 1.0, 1.5):
+        print(f"frozen panels of {path.stem} times {share}: held out {frozen(second, field, share):.0f} nT")
+    for turned in range(45, 360, 45):
+        print(f"the same with the Sun turned by {turned} deg: held out {frozen(second, field, 1.0, turned):.0f} nT")
+    print(f"{time.process_time() - began:.0f} s")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,52 @@
+"""A craft in orbit, diagnosed without its photodiodes and then held against them, and against another day."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from magcal_service.diagnosis.problem import Fit
+from tests.benchmarks.bench_diagnosis import DATA, blind, dark_edges, frozen, light_fit, panel_field, shadow_moved
+
+ORBIT, LATER = DATA / "suchai3" / "2023-08-24.toml", DATA / "suchai3" / "2023-11-13.toml"
+
+pytestmark = [
+    pytest.mark.skipif(not ORBIT.exists(), reason="the recording suchai3/2023-08-24 is not in ../shared/data"),
+]
+
+
+@cache
+def orbit() -> tuple[Diagnosis, Fit]:
+    """One orbit of SUCHAI-3, and its fit with the effects of sunlight alone."""
+    diagnosis = diagnose(blind(ORBIT))
+    return diagnosis, light_fit(diagnosis)
+
+
+def test_an_orbit_is_explained_by_heat_and_panels() -> None:
+    """Without its photodiodes the orbit is named a gain that follows temperature and currents of the panels."""
+    diagnosis, fit = orbit()
+    assert diagnosis.verdict is Verdict.NAMED
+    assert {term.hypothesis.effect for term in fit.terms} == {"thermal_scale", "current_loop"}
+    assert fit.held_out_rms_nt < 0.2 * diagnosis.prepared.baseline.held_out_rms_nt
+
+
+def test_the_shadow_stands_where_the_photodiodes_saw_it() -> None:
+    """The field alone is explained best with the shadow where it is, and the photodiodes are dark just then."""
+    diagnosis, fit = orbit()
+    model, seen = dark_edges(ORBIT)
+    assert np.abs(model - seen).max() < 15.0
+    assert fit.held_out_rms_nt < min(shadow_moved(diagnosis, fit, seconds) for seconds in (-60.0, 60.0))
+
+
+def test_panels_of_one_day_help_on_another() -> None:
+    """The panels' field of August, frozen, helps in November, and more than with the Sun anywhere else."""
+    if not LATER.exists():
+        pytest.skip("the recording suchai3/2023-11-13 is not in ../shared/data")
+    later = diagnose(blind(LATER))
+    field = panel_field(*orbit())
+    helped = frozen(later, field)
+    assert helped < 0.85 * later.prepared.baseline.held_out_rms_nt
+    assert helped < min(frozen(later, field, turned_deg=turned) for turned in range(45, 360, 45))
