@@ -17,6 +17,8 @@ TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
 SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
 """What is heated first: nothing between, a panel, a structure."""
 
+_AGAINST_GUESSING: Final = 5.0
+
 _LEAST_SWING_K: Final = 0.05
 
 Act = Callable[[Array], Columns]
@@ -49,10 +51,10 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
     """Temperature as an answer to light, in units of the swing between light and shadow.
 
     Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
-    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  A temperature
-    that was recorded is not guessed.
+    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  Where a
+    temperature was recorded, guessing another one has odds against it.
     """
-    if scene.lit is None or not scene.eclipses or any(recorded(scene, effect, act, block)):
+    if scene.lit is None or not scene.eclipses:
         return
 
     def columns(theta: Array) -> Columns:
@@ -69,5 +71,6 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
             Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),
             Nonlinear("skin_s", "s", SKINS_S),
         ),
+        odds=_AGAINST_GUESSING if any(recorded(scene, effect, act, block)) else 0.0,
         constants={"mean_light": scene.mean_light},
     )

@@ -42,7 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The diagnosis of a recording whose temperature channel has a hostile name."""
     descriptor = recorded("hot-electronics", 6000.0, tmp_path_factory.mktemp("hostile"))
     text = descriptor.read_text(encoding="utf-8")
-    renamed = re.sub(r"^"temperature" = ", lambda _: json.dumps(HOSTILE, ensure_ascii=False) + " = ", text, flags=re.M)
+    renamed = re.sub(
+        r'^"?temperature"? = ', lambda _: json.dumps(HOSTILE, ensure_ascii=False) + " = ", text, flags=re.M
+    )
     assert renamed != text
     descriptor.write_text(renamed, encoding="utf-8")
     out = tmp_path_factory.mktemp("out")
