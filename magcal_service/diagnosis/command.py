@@ -11,6 +11,7 @@ from typing import Final
 
 from magcal_service.calibrate import refuse_hopeless
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.report.page import Origin, check_packages, report
 from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
@@ -21,6 +22,7 @@ from magcal_service.recordings.reader import read_recording
 
 JSON: Final = "diagnosis.json"
 REPORT: Final = "report.html"
+PHYSICS: Final = "physics.toml"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +79,7 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     files = [_write(request.out / JSON, content)]
     origin = _origin(request, recording.descriptor.path, recording.descriptor.samples)
     files.append(_write(request.out / REPORT, report(diagnosis, found, content, origin)))
+    files.append(_write(request.out / PHYSICS, write_model(diagnosis, found, recording.name)))
     lines = [*recording.report.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
     return Outcome(diagnosis, found, tuple(files), tuple(lines))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,17 @@ def test_a_diagnosis_is_done_and_says_each_step_on_stderr(done: Done) -> None:
     assert "..." not in done.out.splitlines()[0]
 
 
+def test_the_three_files_are_written(done: Done, folder: Path) -> None:
+    assert done.code == 0
+    assert {path.name for path in folder.iterdir()} == {"diagnosis.json", "report.html", "physics.toml"}
+
+
+def test_the_physics_file_holds_the_nine_errors_and_every_effect(content: dict[str, Any], folder: Path) -> None:
+    physics = tomllib.loads((folder / "physics.toml").read_text(encoding="utf-8"))
+    assert physics["errors"]["bias_nt"] == content["fit"]["bias_nt"]
+    assert all(effect["effect"] in str(physics) for effect in content["effects"])
+
+
 def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, folder: Path) -> None:
     lines = done.out.splitlines()
     assert len(lines) <= 16
@@ -56,7 +68,7 @@ def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, fold
     assert any(line.startswith("  thermal_bias: ") for line in lines)
     assert any(line.startswith("held-out rms: ") and "noise floor 100.0 nT" in line for line in lines)
     assert any(line.startswith("bias: a static calibration was off by ") for line in lines)
-    assert str(folder / "diagnosis.json") in lines[-1]
+    assert all(str(folder / name) in lines[-1] for name in ("diagnosis.json", "report.html", "physics.toml"))
 
 
 def typed(value: object) -> object:

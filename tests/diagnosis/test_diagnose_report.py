@@ -14,7 +14,7 @@ from diagnosis_runs import diagnose, recorded
 
 from magcal_service.diagnosis.words import chance, odds, percent, strength
 
-HOSTILE = "<script>alert(1)</script> $\\frac{1}$ {{ 7 * 7 }} \U0001f9f2"
+HOSTILE = "<script>x</script> {{7}}$\\fr{\U0001f9f2"
 
 
 class Page(HTMLParser):
@@ -42,9 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The diagnosis of a recording whose temperature channel has a hostile name."""
     descriptor = recorded("hot-electronics", 6000.0, tmp_path_factory.mktemp("hostile"))
     text = descriptor.read_text(encoding="utf-8")
-    renamed = re.sub(
-        r'^"?temperature"? = ', lambda _: json.dumps(HOSTILE, ensure_ascii=False) + " = ", text, flags=re.M
-    )
+    renamed = text.replace('"temperature" = ', json.dumps(HOSTILE, ensure_ascii=False) + " = ")
     assert renamed != text
     descriptor.write_text(renamed, encoding="utf-8")
     out = tmp_path_factory.mktemp("out")
@@ -105,7 +103,8 @@ def test_the_report_has_verdict_and_numbers_of_the_json(page: Page, folder: Path
 def test_the_report_says_how_to_repeat_it(page: Page, folder: Path) -> None:
     assert "magcal diagnose " in page.text
     assert f"--out {folder}" in page.text
-    assert len(re.findall(r"\b[0-9a-f]{64}\b", page.text)) == 2
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    assert len(set(re.findall(r"<code>([0-9a-f]{64})</code>", html))) == 2
 
 
 def test_a_result_that_must_not_be_trusted_says_so_on_top(tmp_path: Path) -> None:

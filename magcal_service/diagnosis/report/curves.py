@@ -102,17 +102,19 @@ def _of_term(diagnosis: Diagnosis, term: Term, before: Array, after: Array) -> A
     field = term.hypothesis.columns(term.theta).field(term.amplitudes)
     if not field.any():
         grown = np.asarray(term.hypothesis.columns(term.theta).growth(term.amplitudes))
-        x, label = grown, f"what {term.hypothesis.effect} predicts [nT]"
+        x, label = grown, "what it predicts [nT]"
         weight, y_label = np.ones(len(x)), "mean residual [nT]"
     else:
         axis = _direction(field)
         weight = fit.unit @ axis
         driver = _driver(term, scene)
-        x, label = driver or (field @ axis, f"what {term.hypothesis.effect} predicts [nT]")
+        x, label = driver or (field @ axis, "what it predicts [nT]")
         y_label = f"field along ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) [nT]"
     number, centres = _ranges(x)
     means = [_means(number, len(centres), weight, rows) for rows in (before, after)]
-    caption = f"Against {_words(label)}: the disturbance in the body, other effects taken off, with 1 sigma."
+    caption = (
+        f"{term.hypothesis.effect} against {_words(label)}: the field in the body, other effects off, with 1 sigma."
+    )
     return Against(label, y_label, caption, centres, *means[0], *means[1])
 
 
