@@ -75,9 +75,7 @@ def _parser() -> argparse.ArgumentParser:
 
     diagnose = commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain")
     diagnose.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
-    diagnose.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for its three files"
-    )
+    diagnose.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for its three files")
     diagnose.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
     diagnose.add_argument("--craft", metavar="NAME", help=_WHOSE)
     diagnose.set_defaults(command=_diagnose)
