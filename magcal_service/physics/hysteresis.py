@@ -62,12 +62,16 @@ EFFECT = Effect(
     name="hysteresis",
     title="permeable parts remember the field",
     equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
-    units={"share": "1", "share_matrix": "1", "half_width": "1"},
+    units={"share": "1", "share_matrix": "1", "half_width": "1", "scale_nt": "nT"},
     prior=(10.0, 2000.0),
     valid="one play operator stands for the part's spread of them; sampled several times a turn",
     confused_with=("cubic_response", "response_lag", "axis_skew"),
     separated_by="the two branches: the same field approached from both sides",
     source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
-    says=("Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",),
+    says=(
+        "Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",
+        "Permeable rods remember {share_matrix} of the field's turns, a row for each axis, with a half width of "
+        "{half_width} of the largest.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
