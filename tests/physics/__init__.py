@@ -1,1 +1,0 @@
-"""The catalogue of effects, and the drivers that it works out for itself."""

@@ -1,0 +1,193 @@
+"""The turn of a craft, its rate and its coning, found in vectors of a known motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.model import Array, measure
+from magcal_service.physics import effect_named
+from magcal_service.physics.interface import Finding
+from magcal_service.physics.scene import Scene
+from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from tests.physics.scenes import AXIS_BODY, AXIS_ECI, NOISE_NT, PERIOD_S, RATE_RAD_S, X, scene, triad, turning, view
+
+RPM = math.pi / 30.0
+PHASE = RATE_RAD_S * scene().time_s + 0.3
+
+
+def angle_deg(one: Array, other: Array) -> float:
+    """Angle between two directions."""
+    return math.degrees(math.asin(min(1.0, float(np.linalg.norm(np.cross(one, other))))))
+
+
+def moved(attitude: Array, noise_nt: float = NOISE_NT, seed: int = 5) -> Scene:
+    """The scene with another attitude (n, 3, 3), noise in its vectors."""
+    assert scene().reference_eci_nt is not None
+    body = np.einsum("nij,nj->ni", attitude, scene().reference_eci_nt)
+    body = body + np.random.default_rng(seed).normal(0.0, 1.0, body.shape) * noise_nt
+    return replace(scene(), calibrated_nt=body, clean_field_nt=measure(X, body), field_nt=measure(X, body))
+
+
+def spin(of: Scene, axis: Array | None = AXIS_BODY, rate: float | None = RATE_RAD_S) -> SpinSolution:
+    """The solution, which has to be there."""
+    found = solve_spin(of, axis, rate)
+    assert found is not None
+    return found
+
+
+def turned(phase: Array) -> Scene:
+    """The craft at other angles about its axis."""
+    return moved(turning(AXIS_BODY, AXIS_ECI, phase))
+
+
+def test_axis_and_rate_are_those_of_the_motion() -> None:
+    """At 80 nT both axes come out to 0.05 deg and the rate to 1e-6 of itself."""
+    found = spin(turned(PHASE))
+    assert angle_deg(found.axis_body, AXIS_BODY) < 0.05
+    assert angle_deg(found.axis_eci, AXIS_ECI) < 0.05
+    assert found.axis_body @ AXIS_BODY > 0.0
+    assert found.rate_rad_s == pytest.approx(RATE_RAD_S, rel=1e-6)
+    assert found.rate_rpm == pytest.approx(RATE_RAD_S / RPM, rel=1e-6)
+
+
+def test_attitude_is_that_of_the_motion() -> None:
+    """Body from ECI is right to a tenth of a degree at every sample, and a rotation."""
+    found = spin(turned(PHASE)).body_from_eci
+    assert scene().body_from_eci is not None
+    change = np.einsum("nij,nkj->nik", found, scene().body_from_eci)
+    angles = np.degrees(np.arccos(np.clip((np.trace(change, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)))
+    assert float(angles.max()) < 0.1
+    assert np.einsum("nij,nkj->nik", found, found) == pytest.approx(np.broadcast_to(np.eye(3), found.shape), abs=1e-9)
+
+
+def test_phase_is_unwrapped_and_smooth() -> None:
+    """Phases grow by the motion's, to 2 mrad smoothed; single samples scatter by the noise across the axis."""
+    found = spin(turned(PHASE))
+    assert np.abs(np.diff(found.phase_rad - PHASE)).max() < 1e-4
+    scatter = np.std(found.raw_phase_rad - found.phase_rad)
+    assert scatter == pytest.approx(np.sqrt(np.mean((NOISE_NT / found.across_nt) ** 2)), rel=0.1)
+
+
+def test_sign_follows_the_nominal_axis() -> None:
+    """About the opposite of the axis the craft turns the other way."""
+    found = spin(turned(PHASE), -AXIS_BODY, -RATE_RAD_S)
+    assert angle_deg(found.axis_body, AXIS_BODY) < 0.05
+    assert found.axis_body @ AXIS_BODY < 0.0
+    assert found.rate_rad_s == pytest.approx(-RATE_RAD_S, rel=1e-6)
+
+
+def test_without_a_nominal_axis_the_rate_is_positive() -> None:
+    """The axis is then the one about which the craft turns right-handed."""
+    found = spin(turned(-PHASE), None, None)
+    assert found.rate_rad_s == pytest.approx(RATE_RAD_S, rel=1e-6)
+    assert found.axis_body @ AXIS_BODY < 0.0
+
+
+def test_nominal_rate_tells_an_alias() -> None:
+    """A craft that turns once more between samples looks the same; the nominal rate says which it is."""
+    fast = RATE_RAD_S + 2.0 * math.pi / PERIOD_S
+    of = turned(fast * scene().time_s + 0.3)
+    assert spin(of, AXIS_BODY, 0.98 * fast).rate_rad_s == pytest.approx(fast, rel=1e-6)
+    assert spin(of, AXIS_BODY, None).rate_rad_s == pytest.approx(RATE_RAD_S, rel=1e-5)
+
+
+def test_a_tumbling_craft_has_no_spin() -> None:
+    """Where no axis is fixed in both body and space there is no solution."""
+    wobble = turning(np.array([0.0, 0.6, 0.8]), np.array([0.8, 0.0, 0.6]), 0.013 * scene().time_s)
+    tumbling = np.einsum("nij,njk->nik", turning(AXIS_BODY, AXIS_ECI, PHASE), wobble)
+    assert solve_spin(moved(tumbling), None, None) is None
+
+
+def test_without_a_vector_there_is_no_spin() -> None:
+    """A magnitude alone says nothing of attitude."""
+    assert solve_spin(replace(scene(), reference_eci_nt=None), AXIS_BODY, RATE_RAD_S) is None
+
+
+def test_gap_does_not_lose_the_turns() -> None:
+    """After twenty minutes without samples the phase goes on within 5 mrad of the motion's."""
+    of, keep = turned(PHASE), (scene().time_s < 3000.0) | (scene().time_s > 4200.0)
+    assert of.reference_eci_nt is not None
+    cut = Scene(
+        of.time_s[keep],
+        of.origin_ns,
+        True,
+        of.field_nt[keep],
+        of.calibrated_nt[keep],
+        of.clean_field_nt[keep],
+        of.magnitude_nt[keep],
+        of.reference_eci_nt[keep],
+    )
+    off = spin(cut).phase_rad - PHASE[keep]
+    assert float(np.ptp(off)) < 5e-3
+
+
+def find(name: str, of: Scene, rate: float | None = RATE_RAD_S) -> Finding | None:
+    """What an effect of the attitude says, given the spin of its own scene."""
+    effect = effect_named(name)
+    assert effect.find is not None
+    solved = solve_spin(of, AXIS_BODY, rate)
+    return effect.find(replace(view(of), spin=solved, nominal_axis=AXIS_BODY, nominal_rate_rad_s=rate))
+
+
+def number(finding: Finding | None, name: str) -> float:
+    """A parameter's value."""
+    assert finding is not None
+    return float(finding.parameters[name].value)
+
+
+def test_a_despin_is_measured() -> None:
+    """Rate at the first sample and its change come back within three of their own sigmas."""
+    change = -2.5e-7
+    found = find("spin_rate", turned(PHASE + 0.5 * change * scene().time_s ** 2))
+    assert found is not None
+    for name, truth in (("rate_rpm", RATE_RAD_S / RPM), ("rate_rpm_per_s", change / RPM)):
+        value = found.parameters[name]
+        assert abs(float(value.value) - truth) < 3.0 * float(value.sigma), name
+        assert float(value.sigma) < 0.05 * abs(truth)
+
+
+def test_a_rate_that_is_not_the_stated_one_is_told() -> None:
+    """Three per cent off the descriptor's rate is a finding, and the true rate is in it."""
+    found = find("spin_rate", turned(1.03 * PHASE))
+    assert number(found, "rate_rpm") == pytest.approx(1.03 * RATE_RAD_S / RPM, rel=1e-4)
+    assert number(found, "nominal_rpm") == pytest.approx(RATE_RAD_S / RPM, rel=1e-9)
+
+
+def coning(angle: float, rate_rad_s: float) -> Scene:
+    """The body's axis moves about the momentum, which is fixed in space, at a rate of its own in the body."""
+    along = rate_rad_s * scene().time_s
+    first, second, axis = triad(AXIS_BODY)
+    momentum = axis + math.tan(angle) * (np.cos(along)[:, None] * first + np.sin(along)[:, None] * second)
+    momentum /= np.linalg.norm(momentum, axis=1)[:, None]
+    # the smallest turn of the body that brings its axis onto the momentum
+    tilt = np.cross(axis, momentum)
+    dot = momentum @ axis
+    cross = np.zeros((len(tilt), 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        cross[:, i, j], cross[:, j, i] = -tilt[:, k], tilt[:, k]
+    rotation = np.eye(3) + cross + cross @ cross / (1.0 + dot)[:, None, None]
+    return moved(rotation @ turning(AXIS_BODY, AXIS_ECI, PHASE))
+
+
+def test_nutation_is_measured() -> None:
+    """A cone of 1.5 deg at 0.019 rad/s in the body comes back to 0.02 deg and 2 thousandths of the rate."""
+    found = find("nutation", coning(math.radians(1.5), 0.019))
+    assert number(found, "angle_deg") == pytest.approx(1.5, abs=0.02)
+    assert number(found, "rate_rad_s") == pytest.approx(0.019, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["nutation", "spin_rate"])
+def test_a_steady_turn_is_no_finding(name: str) -> None:
+    """Five craft that turn steadily at the stated rate neither nutate nor change."""
+    for seed in range(5):
+        assert find(name, moved(turning(AXIS_BODY, AXIS_ECI, PHASE), seed=50 + seed)) is None
+
+
+def test_a_despin_is_no_nutation_and_a_nutation_no_despin() -> None:
+    """Each of the two keeps quiet about the other."""
+    assert find("nutation", turned(PHASE - 1.25e-7 * scene().time_s ** 2)) is None
+    assert find("spin_rate", coning(math.radians(1.5), 0.019)) is None

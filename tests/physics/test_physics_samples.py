@@ -1,0 +1,230 @@
+"""Effects that show in the samples themselves or in the noise: lattices, stops, frozen axes, memory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.model import Array
+from magcal_service.physics import effect_named
+from magcal_service.physics.coloured_noise import autoregression, body_correlation, long_memory
+from magcal_service.physics.hysteresis import play
+from magcal_service.physics.interface import Finding
+from magcal_service.physics.quantisation import step_of
+from magcal_service.physics.torquer import remembered
+from magcal_service.physics.view import View, runs
+from tests.physics.scenes import NOISE_NT, scene, spoiled, view
+
+NOISY = scene(NOISE_NT)
+
+
+def find(name: str, seen: View) -> Finding | None:
+    """What an effect finds."""
+    effect = effect_named(name)
+    assert effect.find is not None
+    return effect.find(seen)
+
+
+def stirred(seed: int, count: int = 4000) -> Array:
+    """White noise (n,), unit sigma."""
+    return np.random.default_rng(seed).normal(size=count)
+
+
+@pytest.mark.parametrize("step", [0.5, 12.0, 73.3])
+def test_step_of_a_lattice(step: float) -> None:
+    """The step of rounded values is found to a thousandth, with an offset and missing levels."""
+    values = np.round(30.0 * stirred(1)) * step + 0.31
+    assert step_of(values) == pytest.approx(step, rel=1e-3)
+
+
+def test_no_step_where_there_is_no_lattice() -> None:
+    """Values that were not rounded, a constant, and two levels have no step."""
+    assert step_of(800.0 * stirred(2)) == 0.0
+    assert step_of(np.full(100, 4.2)) == 0.0
+    assert step_of(np.array([1.0, 2.0] * 50)) == 0.0
+
+
+def test_no_step_where_levels_are_not_even() -> None:
+    """A few hundred levels at random places are no lattice."""
+    levels = np.sort(np.random.default_rng(3).uniform(-1000.0, 1000.0, 300))
+    assert step_of(np.random.default_rng(4).choice(levels, 4000)) == 0.0
+
+
+def test_quantisation_is_found_with_its_step() -> None:
+    """Samples rounded to 150 nT at 80 nT of noise: the step, and q / sqrt 12 of noise."""
+    found = find("quantisation", view(spoiled(np.round(NOISY.field_nt / 150.0) * 150.0, NOISY)))
+    assert found is not None
+    assert float(found.parameters["lsb_nt"].value) == pytest.approx(150.0, rel=1e-3)
+    assert float(found.parameters["added_noise_nt"].value) == pytest.approx(150.0 / math.sqrt(12.0), rel=1e-3)
+
+
+def test_a_step_far_below_the_noise_is_no_finding() -> None:
+    """Samples written to 1 nT at 80 nT of noise are as good as any."""
+    assert find("quantisation", view(spoiled(np.round(NOISY.field_nt), NOISY))) is None
+
+
+def test_stuck_axis_is_found_with_its_stretch() -> None:
+    """One axis frozen over 90 samples: axis, value, times, and those rows spoiled, no others."""
+    field = np.array(NOISY.field_nt)
+    field[700:790, 1] = field[700, 1]
+    found = find("stuck_axis", view(spoiled(field, NOISY)))
+    assert found is not None
+    assert found.spoiled is not None
+    assert np.flatnonzero(found.spoiled).tolist() == list(range(700, 790))
+    assert found.parameters["axis"].value.tolist() == [0.0, 1.0, 0.0]
+    assert float(found.parameters["value_nt"].value) == field[700, 1]
+    assert float(found.parameters["from_s"].value) == NOISY.time_s[700]
+    assert float(found.parameters["to_s"].value) == NOISY.time_s[789]
+
+
+def test_a_short_repetition_is_no_stuck_axis() -> None:
+    """Ten equal samples happen, and a craft that stands still repeats all axes."""
+    field = np.array(NOISY.field_nt)
+    field[700:710, 1] = field[700, 1]
+    assert find("stuck_axis", view(spoiled(field, NOISY))) is None
+    field = np.array(NOISY.field_nt)
+    field[700:800] = field[700]
+    assert find("stuck_axis", view(spoiled(field, NOISY))) is None
+
+
+def test_saturation_is_found_with_its_limit() -> None:
+    """An axis that ends at 22 uT: axis, limit, share, and the clipped rows spoiled, no others."""
+    field = np.array(NOISY.field_nt)
+    limit = float(np.percentile(np.abs(field[:, 2]), 96))
+    field[:, 2] = np.clip(field[:, 2], -limit, limit)
+    found = find("saturation", view(spoiled(field, NOISY)))
+    assert found is not None
+    assert found.spoiled is not None
+    clipped = np.abs(field[:, 2]) == limit
+    assert np.array_equal(found.spoiled, clipped)
+    assert found.parameters["axis"].value.tolist() == [0.0, 0.0, 1.0]
+    assert float(found.parameters["limit_nt"].value) == limit
+    assert float(found.parameters["share_of_samples"].value) == pytest.approx(clipped.mean())
+
+
+def test_a_lattice_is_no_stop() -> None:
+    """Rounded samples come again and again at the ends of the range, but no oftener there than beside."""
+    assert find("saturation", view(spoiled(np.round(NOISY.field_nt / 400.0) * 400.0, NOISY))) is None
+
+
+@pytest.mark.parametrize("name", ["quantisation", "stuck_axis", "saturation", "coloured_noise"])
+def test_clean_samples_are_no_finding(name: str) -> None:
+    """White noise on sound samples is nothing to any of them, in five recordings."""
+    for seed in range(5):
+        noise = NOISE_NT * np.random.default_rng(20 + seed).normal(size=(len(NOISY), 3))
+        assert find(name, view(spoiled(scene().field_nt + noise, NOISY))) is None
+
+
+def coloured(correlation: float, seed: int) -> View:
+    """Noise fixed in the body with a memory of one sample, seen along the field."""
+    white = np.random.default_rng(seed).normal(size=(len(scene()), 3))
+    noise = np.empty_like(white)
+    noise[0] = white[0]
+    for row in range(1, len(white)):
+        noise[row] = correlation * noise[row - 1] + math.sqrt(1.0 - correlation**2) * white[row]
+    residual = NOISE_NT * np.einsum("ni,ni->n", noise, scene().unit)
+    return replace(view(scene()), residual_nt=residual)
+
+
+def test_coloured_noise_is_found_with_its_correlation() -> None:
+    """A memory of 0.6 in the body comes back to 0.06, though the turning field hides it from the residual itself."""
+    for seed in range(5):
+        found = find("coloured_noise", coloured(0.6, seed))
+        assert found is not None
+        assert float(found.parameters["correlation"].value) == pytest.approx(0.6, abs=0.06)
+        assert float(found.parameters["level_nt"].value) == pytest.approx(NOISE_NT, rel=0.1)
+
+
+def test_white_noise_has_no_correlation_in_the_body() -> None:
+    """A residual without memory gives zero to three of its sigmas."""
+    for seed in range(5):
+        assert abs(body_correlation(coloured(0.0, 30 + seed))) < 3.0 * 2.0 / math.sqrt(len(scene()))
+
+
+def first_order_noise(correlation: float, seed: int, count: int = 6000) -> Array:
+    """x_k = correlation x_(k-1) + white."""
+    white, found = stirred(seed, count).tolist(), [0.0]
+    for part in white[1:]:
+        found.append(correlation * found[-1] + part)
+    return np.array(found)
+
+
+def test_autoregression_finds_the_coefficient() -> None:
+    """Of a first-order process the first coefficient is the correlation, the others are nothing, the gain is known."""
+    coefficients, nats = autoregression(first_order_noise(0.7, 1))
+    assert float(coefficients[0]) == pytest.approx(0.7, abs=0.04)
+    assert float(np.abs(coefficients[1:]).max()) < 0.06
+    assert nats == pytest.approx(-0.5 * 6000 * math.log(1.0 - 0.49), rel=0.1)
+
+
+def test_autoregression_gains_nothing_over_white_noise() -> None:
+    """Eight coefficients cost more than they bring."""
+    assert max(autoregression(stirred(40 + seed))[1] for seed in range(10)) < 0.0
+
+
+def test_autoregression_does_not_reach_over_pauses() -> None:
+    """Rows after a pause are predicted from no row before it."""
+    noise = first_order_noise(0.7, 2)
+    noise[3000:] += 1e6
+    jump = autoregression(noise - np.where(np.arange(6000) < 3000, 0.0, 1e6), np.array([0, 3000]))[0]
+    free = autoregression(np.concatenate([noise[:3000], noise[3000:] - 1e6]), np.array([0, 3000]))[0]
+    assert jump == pytest.approx(free, abs=1e-9)
+    assert float(jump[0]) == pytest.approx(0.7, abs=0.04)
+
+
+def pink(seed: int, count: int = 16384) -> Array:
+    """Noise with a power that falls as 1 / f, by its spectrum."""
+    spectrum = np.fft.rfft(stirred(seed, count))
+    frequency = np.fft.rfftfreq(count)
+    frequency[0] = frequency[1]
+    return np.asarray(np.fft.irfft(spectrum / np.sqrt(frequency), count))
+
+
+def whitened(noise: Array, coefficients: Array) -> Array:
+    """What a prediction from the past leaves, after the first rows."""
+    left = np.array(noise)
+    kernel = np.concatenate([[1.0], -coefficients])
+    return np.asarray(np.convolve(left, kernel)[len(kernel) : len(left)])
+
+
+def test_long_memory_whitens_noise_that_falls_as_one_over_f() -> None:
+    """Low frequencies hold twenty times more than high ones before, and at most 1.6 times after."""
+    noise = pink(3)
+
+    def slope(values: Array) -> float:
+        power = np.abs(np.fft.rfft(values)) ** 2
+        return float(power[1 : len(power) // 50].mean() / power[len(power) // 2 :].mean())
+
+    left = whitened(noise, long_memory(noise))
+    assert slope(noise) > 20.0
+    assert 0.6 < slope(left) < 1.6
+
+
+def test_long_memory_finds_a_short_one_too() -> None:
+    """Of a first-order process the first coefficient is the correlation and what is left is the driving noise."""
+    noise = first_order_noise(0.6, 4)
+    coefficients = long_memory(noise)
+    assert float(coefficients[0]) == pytest.approx(0.6, abs=0.05)
+    assert float(np.std(whitened(noise, coefficients))) == pytest.approx(1.0, abs=0.04)
+
+
+def test_play_follows_once_its_slack_is_used_up() -> None:
+    """Up to 3, back to 1, down to -3 with a slack of 1: the branches differ by twice the slack."""
+    values = np.array([0.0, 1.0, 2.0, 3.0, 2.5, 1.0, 0.0, -3.0])[:, None]
+    assert play(values, 1.0)[:, 0].tolist() == [0.0, 0.0, 1.0, 2.0, 2.0, 2.0, 1.0, -2.0]
+
+
+def test_a_core_remembers_the_sign_of_its_last_command() -> None:
+    """Zero before the first command, then the last sign, through pauses."""
+    moment = np.array([[0.0], [0.0], [0.2], [0.0], [0.0], [-0.1], [0.001], [0.0], [0.2]])
+    assert remembered(scene(), moment, 0.2)[:, 0].tolist() == [0.0, 0.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, 1.0]
+
+
+def test_runs_are_first_and_last_plus_one() -> None:
+    """Stretches of a flag, at the ends too."""
+    flag = np.array([True, True, False, True, False, False, True])
+    assert runs(flag) == [(0, 2), (3, 4), (6, 7)]
+    assert runs(np.zeros(3, dtype=bool)) == []

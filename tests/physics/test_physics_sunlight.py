@@ -1,0 +1,109 @@
+"""The Sun, its shadow and answers to it, against closed forms and a second implementation."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from magcal_service.model import Array
+from magcal_service.physics.sunlight import first_order, hold_over_nan, sun_eci, sunlit
+from sim_sensor.sunlight import lit_fraction, sun_direction_eci
+from tests.physics.scenes import ORIGIN_NS, orbit_eci_km
+
+
+def test_against_the_simulators_sun() -> None:
+    """Two low-precision theories of the Sun, Meeus's and the Almanac's, agree to 0.02 deg over twenty years."""
+    utc_s = np.linspace(1_262_304_000.0, 1_893_456_000.0, 4001)
+    other = sun_direction_eci(np.rint(utc_s * 1e9).astype(np.int64))
+    apart = np.degrees(np.linalg.norm(sun_eci(utc_s) - other, axis=1))
+    assert float(apart.max()) < 0.02
+
+
+def test_sun_is_at_the_node_at_the_equinox() -> None:
+    """On 2025-03-20T09:01 UTC the Sun crosses the equator northwards, along +x of date."""
+    equinox = sun_eci(np.array([1_742_461_260.0]))[0]
+    assert np.degrees(np.arccos(equinox[0])) < 0.03
+
+
+def test_shadow_edges_against_the_simulators() -> None:
+    """Over 16 h in low orbit both see the same eclipses, each edge within 8 s: one takes the Earth as a sphere."""
+    time_s = np.arange(0.0, 57_600.0, 1.0)
+    time_ns = ORIGIN_NS + np.rint(time_s * 1e9).astype(np.int64)
+    place = orbit_eci_km(time_s)
+    ours = sunlit(place, sun_eci(time_ns * 1e-9)) > 0.5
+    other = lit_fraction(time_ns, place) > 0.5
+    edges, others = np.flatnonzero(np.diff(ours)), np.flatnonzero(np.diff(other))
+    assert len(edges) == len(others) >= 18
+    assert int(np.abs(edges - others).max()) <= 8
+
+
+def test_shadow_of_a_craft_behind_the_earth() -> None:
+    """Straight behind the Earth it is dark, before it and beside it light, and half at the limb."""
+    sun = np.tile([1.0, 0.0, 0.0], (4, 1))
+    place = np.array([[-7000.0, 0.0, 0.0], [7000.0, 0.0, 0.0], [-3000.0, 9000.0, 0.0], [-3000.0, 6378.137, 0.0]])
+    assert sunlit(place, sun) == pytest.approx([0.0, 1.0, 1.0, 0.5], abs=1e-9)
+
+
+def test_shadow_is_flat_at_the_poles() -> None:
+    """Over a pole the limb is 21 km lower than at the equator."""
+    sun = np.tile([1.0, 0.0, 0.0], (2, 1))
+    limb = 6378.137 * (1.0 - 1.0 / 298.257)
+    place = np.array([[-3000.0, 0.0, limb], [-3000.0, limb, 0.0]])
+    assert sunlit(place, sun) == pytest.approx([0.5, 0.0], abs=1e-4)
+
+
+def uneven(seed: int, count: int) -> Array:
+    """Rising times (n,) with steps from 0.2 to 30 s."""
+    return np.cumsum(np.random.default_rng(seed).uniform(0.2, 30.0, count))
+
+
+def test_first_order_answers_a_step_with_an_exponential() -> None:
+    """After a step from 0 to 1 the answer is 1 - exp(-t / tau), whatever the samples' spacing."""
+    time_s = uneven(1, 400)
+    found = first_order(time_s, np.ones(400), 300.0, 0.0)
+    assert found == pytest.approx(-np.expm1(-(time_s - time_s[0]) / 300.0), abs=1e-12)
+
+
+def test_first_order_answers_a_ramp_late_by_its_time_constant() -> None:
+    """A ramp gives t - tau (1 - exp(-t / tau)), exactly."""
+    time_s = uneven(2, 300)
+    elapsed = time_s - time_s[0]
+    found = first_order(time_s, elapsed, 200.0)
+    assert found == pytest.approx(elapsed + 200.0 * np.expm1(-elapsed / 200.0), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("tau_s", [4.0, 90.0, 5000.0])
+def test_first_order_against_an_integrator(tau_s: float) -> None:
+    """A drive of two columns, linear between uneven samples, is answered as scipy's integrator answers it."""
+    time_s = uneven(3, 60)
+    drive = np.random.default_rng(4).normal(size=(60, 2))
+
+    def slope(t: float, y: Array) -> Array:
+        return (np.array([np.interp(t, time_s, column) for column in drive.T]) - y) / tau_s
+
+    # restarted at each sample, where the drive has a corner
+    expected = [np.array([0.5, -1.0])]
+    for first, last in pairwise(time_s.tolist()):
+        expected.append(solve_ivp(slope, (first, last), expected[-1], rtol=1e-8, atol=1e-10).y[:, -1])
+    found = first_order(time_s, drive, tau_s, np.array([0.5, -1.0]))
+    assert found == pytest.approx(np.array(expected), abs=1e-6)
+
+
+def test_first_order_of_one_column_is_that_of_many() -> None:
+    """The fast way for (n,) and the general one for (n, k) agree, and start at the drive's own value."""
+    time_s = uneven(5, 200)
+    drive = np.sin(time_s / 50.0)
+    one, many = first_order(time_s, drive, 70.0), first_order(time_s, drive[:, None], 70.0)
+    assert one == pytest.approx(many[:, 0], abs=1e-14)
+    assert one[0] == drive[0]
+
+
+def test_gaps_of_telemetry_are_bridged() -> None:
+    """NaN becomes what lies between its neighbours, ends are held, a column without a number becomes 0."""
+    nan = np.nan
+    values = np.array([[nan, nan, 1.0], [2.0, nan, nan], [nan, nan, nan], [6.0, nan, 4.0], [nan, nan, 5.0]])
+    expected = [[2.0, 0.0, 1.0], [2.0, 0.0, 2.0], [4.0, 0.0, 3.0], [6.0, 0.0, 4.0], [6.0, 0.0, 5.0]]
+    assert hold_over_nan(values) == pytest.approx(np.array(expected))
