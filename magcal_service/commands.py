@@ -5,12 +5,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Final
 
 from magcal_service.checkpoints import Checkpoints
+from magcal_service.config import physics_of
+from magcal_service.errors import InputRefusedError
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.messages import Command, CommandReply
+
+_FILE: Final = re.compile(r"[A-Za-z0-9_-]{1,64}\.toml")
 
 
 class Commander:
@@ -52,6 +57,24 @@ class Commander:
             pipeline.tell("rolled_back", f"to checkpoint {name!r}", command.source)
         return refusal
 
+    def _load_physics(self, command: Command, pipeline: Pipeline) -> str:
+        """Only files beside the configured one are read: a command names a file, never a folder."""
+        configured = pipeline.config.physics
+        if configured is None:
+            return 'no physics file is configured; give physics = "physics.toml" in [[craft]]'
+        name, given = command.arguments.get("name", configured.path.name), dict(command.arguments)
+        if not isinstance(name, str) or not _FILE.fullmatch(name) or set(given) - {"name"}:
+            return (
+                f"arguments {given!r}: nothing, or name = a file ending in .toml beside {configured.path}, is accepted"
+            )
+        try:
+            loaded = physics_of(configured.path.with_name(name))
+        except InputRefusedError as error:
+            return str(error)
+        pipeline.load_physics(loaded.text)
+        pipeline.tell("physics_loaded", name, command.source)
+        return ""
+
     def _shutdown(self, command: Command, pipeline: Pipeline) -> str:
         pipeline.tell("shutdown", "command", command.source)
         self._shut_down()
@@ -70,6 +93,7 @@ class Commander:
 COMMANDS: Final[dict[str, Callable[[Commander, Command, Pipeline], str]]] = {
     "checkpoint": Commander._checkpoint,
     "rollback": Commander._rollback,
+    "load_physics": Commander._load_physics,
     "shutdown": Commander._shutdown,
 }
 """Name -> what it does; it gives back why the command is refused, empty where it was carried out."""

@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from magcal_service.errors import ConfigError, Fault, LinkAddressError
+from magcal_service.errors import ConfigError, Fault, InputRefusedError, LinkAddressError
 from magcal_service.links import check_address
 from magcal_service.typed_toml import Table, nearest, open_toml
 from magcal_service.wire.fields import NAME
@@ -26,6 +26,7 @@ __all__ = [
     "FilterConfig",
     "HealthConfig",
     "OutputConfig",
+    "PhysicsConfig",
     "RecordConfig",
     "SensorConfig",
     "SpinConfig",
@@ -35,6 +36,7 @@ __all__ = [
     "TrustConfig",
     "default_craft",
     "load_config",
+    "physics_of",
 ]
 
 VERSION = 1
@@ -250,6 +252,14 @@ class HealthConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class PhysicsConfig:
+    """A ``physics.toml`` that is compensated live: where it is, and what it said when it was read."""
+
+    path: Path
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
@@ -259,6 +269,7 @@ class CraftConfig:
     filter: FilterConfig = FilterConfig()
     ticks: TickConfig = TickConfig()
     trust: TrustConfig = TrustConfig()
+    physics: PhysicsConfig | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,6 +349,7 @@ def _read_craft(table: Table, seen: set[str], methods: Collection[str]) -> Craft
     seen.add(name)
     craft = CraftConfig(
         name=name,
+        physics=_read_physics(table),
         sensor=_read_plain(table.table("sensor"), SensorConfig),
         spin=_read_spin(table.table("spin")),
         filter=_read_filter(table.table("filter"), methods),
@@ -346,6 +358,27 @@ def _read_craft(table: Table, seen: set[str], methods: Collection[str]) -> Craft
     )
     table.finish()
     return craft
+
+
+def _read_physics(table: Table) -> PhysicsConfig | None:
+    """The model is read and checked with the configuration; its faults are the configuration's."""
+    text = table.text("physics", "", accepted="a file written by magcal diagnose")
+    if not text.strip():
+        if isinstance(table.content.get("physics"), str):
+            table.refuse("physics", text, "a file written by magcal diagnose is accepted; leave it out for none")
+        return None
+    try:
+        return physics_of(Path(text))
+    except InputRefusedError as error:
+        table.faults.extend(error.faults)
+        return None
+
+
+def physics_of(path: Path) -> PhysicsConfig:
+    """Read a ``physics.toml``; raises InputRefusedError with every fault in it."""
+    from magcal_service.physics.model_file import read_model, text_of  # the catalogue is loaded where it is asked for
+
+    return PhysicsConfig(path, text_of(read_model(path)))
 
 
 def _read_plain(table: Table | None, kind: type[T]) -> T:

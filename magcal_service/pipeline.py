@@ -14,11 +14,13 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.config import CraftConfig, FilterConfig
-from magcal_service.errors import DecodeError
+from magcal_service.errors import DecodeError, InputRefusedError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.events import Event
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
+from magcal_service.physics.compensation import Compensation
+from magcal_service.physics.model_file import parse_model
 from magcal_service.snapshot import Saved, SnapshotError, restored
 from magcal_service.ticks import Tick, TickAssembler
 from magcal_service.trust import NOT_STARTED, Reason, TrustMonitor
@@ -51,7 +53,7 @@ A turning craft dips into saturation once a turn: its sensor is sound only when 
 """
 
 COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
-ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "shutdown")
+ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "load_physics", "shutdown")
 """Those of ``commands`` included."""
 
 _WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
@@ -83,6 +85,8 @@ class Pipeline(Saved):
     _learned_s: float | None
     _thawed: bool
     _process_noise: tuple[float, float] | None
+    _physics: str
+    compensation: Compensation | None
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -103,12 +107,33 @@ class Pipeline(Saved):
         self._thawed = False  # ticks have passed unused since the estimator's last one
         self._process_noise = None  # of bias [nT/sqrt(s)] and D [1/sqrt(s)], where a command has set it
         self._events: list[Event] = []
+        self._physics = ""
+        self.compensation = None
+        if config.physics is not None:
+            self._compensate_by(config.physics.text)
+
+    def _compensate_by(self, physics: str) -> None:
+        """Take over the text of a ``physics.toml``; raises InputRefusedError where it is none."""
+        self.compensation = Compensation(parse_model(physics.encode()))
+        self._physics = physics
+        self.ticks.wait_longer(self.compensation.wait_s)
+
+    def load_physics(self, physics: str) -> None:
+        """Compensate by another model from now on; what was learned under the one before is of no use."""
+        self._compensate_by(physics)
+        self._reset()
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Take over an exported state, with the verdict that follows from it."""
         noise = saved.get("_process_noise") if isinstance(saved, dict) else None
         if noise is not None:
             self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
+        physics = saved.get("_physics") if isinstance(saved, dict) else None
+        if isinstance(physics, str) and physics != self._physics:
+            try:
+                self._compensate_by(physics)
+            except InputRefusedError as error:
+                raise SnapshotError(f"{where}._physics: {error}") from None
         super().restore_state(saved, where, given)
         self._take_over()
         self._check_publishable(where)
@@ -170,11 +195,15 @@ class Pipeline(Saved):
             case MagnetometerSample():
                 return self._sample(message)
             case ReferenceSample():
-                self.ticks.add_reference(message)
+                self.ticks.add_reference(self.compensation.reference(message) if self.compensation else message)
             case PositionSample():
                 self.counters["position"] += 1
+                if self.compensation is not None:
+                    self.compensation.position(message)
             case TelemetrySample():
                 self.counters["telemetry"] += 1
+                if self.compensation is not None:
+                    self.compensation.telemetry(message)
                 self.counters["rate"] += self.ticks.add_rate(message)
             case Command():
                 return [self._command(message)]
@@ -191,13 +220,25 @@ class Pipeline(Saved):
         return [self._tick(tick) for tick in self.ticks.flush()]
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
-        refused = self.ticks.add(sample)
+        refused = self.ticks.refuse(sample)
         if refused:
             return self._refused(sample, refused)
+        measured, sample = sample, self._corrected(sample)
+        self.ticks.take(measured, sample)
         self._recover()
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
         return [self._calibrated(sample)]
+
+    def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
+        """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and said."""
+        if self.compensation is None:
+            return sample
+        corrected = self.compensation.correct(sample)
+        missing = self.compensation.missing
+        self.counters.update(f"uncompensated.{effect}" for effect in missing)
+        self.monitor.observe_driver(bool(missing))
+        return corrected
 
     def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
         """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
@@ -381,6 +422,8 @@ class Pipeline(Saved):
         """One line: verdict, reasons, ticks."""
         reasons = f" ({', '.join(self.trust.reasons)})" if self.trust.reasons else ""
         state = "frozen, " if self.frozen else ""
+        if self.compensation is not None and self.compensation.missing:
+            state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
         return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:

@@ -130,7 +130,7 @@ class TickAssembler(Saved):
         self.counters = Counter()
         self._gap_ns = round(config.gap_s * SECOND_NS)
         self._late_ns = round(config.late_s * SECOND_NS)
-        self._hold_ns = round(config.hold_s * SECOND_NS)
+        self._configured_hold_ns = self._hold_ns = round(config.hold_s * SECOND_NS)
         self._jump_ns = round(config.step_confirm_s * SECOND_NS)
         max_gap_ns = round(config.reference_max_gap_s * SECOND_NS)
         self.rates = RateTrack(max_gap_ns)
@@ -159,6 +159,10 @@ class TickAssembler(Saved):
         """Elapsed time of the newest accepted sample [s]."""
         return self._newest_ns * 1e-9
 
+    def wait_longer(self, seconds: float) -> None:
+        """References come so much later than the configuration knows [s]: their tags are shifted."""
+        self._hold_ns = self._configured_hold_ns + round(seconds * SECOND_NS)
+
     def add_reference(self, sample: ReferenceSample) -> None:
         """Take a reference sample; what is wrong with it is counted."""
         self.references.add(sample)
@@ -169,10 +173,20 @@ class TickAssembler(Saved):
 
     def add(self, sample: MagnetometerSample) -> str:
         """Take a magnetometer sample; the (counted) reason where it is refused, empty where it is accepted."""
+        reason = self.refuse(sample)
+        if not reason:
+            self.take(sample, sample)
+        return reason
+
+    def refuse(self, sample: MagnetometerSample) -> str:
+        """The (counted) reason why a sample is not to be taken, empty where it is; then ``take`` has to follow."""
         reason = self._refusal(sample)
         if reason:
             self.counters[reason] += 1
-            return reason
+        return reason
+
+    def take(self, sample: MagnetometerSample, corrected: MagnetometerSample) -> None:
+        """Take a sample that was not refused; what was measured is remembered, ``corrected`` goes into the tick."""
         self._votes.clear()
         elapsed_ns = sample.time_ns - self._base_ns
         if elapsed_ns < self._newest_ns:
@@ -180,12 +194,11 @@ class TickAssembler(Saved):
         elif elapsed_ns - self._newest_ns > self._gap_ns:
             self.counters["gap"] += 1
         self._newest_ns = max(self._newest_ns, elapsed_ns)
-        insort(self._open, (elapsed_ns, sample), key=_elapsed)
+        insort(self._open, (elapsed_ns, corrected), key=_elapsed)
         self._recent[sample.time_ns] = sample.field_body_nt
         if len(self._recent) > _REMEMBERED:
             del self._recent[next(iter(self._recent))]
         self.counters["accepted"] += 1
-        return ""
 
     def _refusal(self, sample: MagnetometerSample) -> str:
         if not any(sample.field_body_nt):

@@ -47,6 +47,7 @@ class Reason(StrEnum):
     NO_REFERENCE = "no_reference"
     STUCK = "stuck"
     AXIS_STUCK = "axis_stuck"
+    DRIVER_MISSING = "driver_missing"
     SATURATED = "saturated"
     FROZEN = "frozen"
     STALE = "stale"
@@ -80,6 +81,8 @@ REMEDIES: Final = {
     Reason.FROZEN: "nothing is learned since the command freeze: resume",
     Reason.STALE: "the estimate has met no sample for more than an orbit: resume, or look after sensor and reference",
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
+    Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, so it is not compensated: bring "
+    "the channel, position or reference back, or take the effect out of the file",
 }
 
 _GATES: Final = {
@@ -165,6 +168,7 @@ class TrustMonitor(Saved):
     _aliased: float
     _unpaired_s: float
     _fault: Reason | None
+    _driver_missing: bool
     _sudden_share: float
     _frozen: bool
     _unchecked_s: float
@@ -191,6 +195,7 @@ class TrustMonitor(Saved):
         self._aliased = 0.0
         self._unpaired_s = 0.0
         self._fault = None
+        self._driver_missing = False
         self._sudden_share = 0.0
         self._frozen = False
         self._unchecked_s = 0.0
@@ -275,6 +280,10 @@ class TrustMonitor(Saved):
         self._unpaired_s = 0.0
         self._frozen = True
 
+    def observe_driver(self, missing: bool) -> None:
+        """Whether an effect that is to be compensated could not be, for want of its driver."""
+        self._driver_missing = missing
+
     def observe_fault(self, fault: Reason | None) -> None:
         """What is wrong with the sensor from now on; None: nothing any more."""
         self._fault = fault
@@ -341,6 +350,7 @@ class TrustMonitor(Saved):
                 (settled and self._rejected_share > levels.rejected_share) or self._sudden_share > levels.sudden_share,
             ),
             (Reason.STALE, self._is_stale()),
+            (Reason.DRIVER_MISSING, self._driver_missing),
             (Reason.SPIN_ALIASING, self._is_aliased()),
             (Reason.SPIN_CONTRADICTED, estimate.spin_given_up),
             (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self._magnitude.mean),

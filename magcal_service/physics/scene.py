@@ -189,7 +189,7 @@ class Scene:
     @cached_property
     def rate_body(self) -> Array | None:
         """(n, 3) angular rate [rad/s], body, from the attitude or a gyro channel; None without either."""
-        if self.body_from_eci is not None and self.period_s < 30.0:
+        if self.body_from_eci is not None and self.period_s < 30.0 and self.mean_rate_rad_s is None:
             return _rate_of(self.body_from_eci, self)
         for channel in self.of_quantity("angular rate"):
             if channel.values.shape[1] == 3:

@@ -81,7 +81,7 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
     misfit = w @ axis_body - reference @ axis_eci
     if float(np.sqrt(np.mean(misfit**2))) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
         return None
-    turn, strength = _turns(w, reference, axis_body, axis_eci)
+    turn, strength = turns_of(w, reference, axis_body, axis_eci)
     rate = _rate(scene, turn, nominal_rate_rad_s)
     if rate is None:
         return None
@@ -91,7 +91,7 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
     raw, smooth = _phases(scene, turn, strength, rate)
     if raw is None or smooth is None:
         return None
-    attitude = _attitude(axis_body, axis_eci, smooth)
+    attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength)
 
@@ -108,7 +108,7 @@ def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
     return body / sizes[0], inertial / sizes[1]
 
 
-def _turns(w: Array, reference: Array, axis_body: Array, axis_eci: Array) -> tuple[Array, Array]:
+def turns_of(w: Array, reference: Array, axis_body: Array, axis_eci: Array) -> tuple[Array, Array]:
     """exp(i phase) of each sample (n,), complex, and the part of the reference across the axis (n,) [nT]."""
     b1, b2 = across(axis_body)
     i1, i2 = across(axis_eci)
@@ -212,7 +212,7 @@ def _through_knots(time_s: Array, values: Array, weight: Array, count: int) -> A
     return result
 
 
-def _attitude(axis_body: Array, axis_eci: Array, phase: Array) -> Array:
+def attitude_of(axis_body: Array, axis_eci: Array, phase: Array) -> Array:
     """(n, 3, 3) body from ECI: inertial triad -> turned by -phase about the axis -> body triad."""
     body = np.stack([*across(axis_body), axis_body])
     inertial = np.stack([*across(axis_eci), axis_eci])

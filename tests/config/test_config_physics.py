@@ -1,0 +1,46 @@
+"""``[[craft]] physics``: the file is read and checked with the configuration, and its example in the docs is one."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from magcal_service.config import load_config
+from magcal_service.errors import ConfigError
+from magcal_service.physics.model_file import parse_model, text_of
+from magcal_service.state import config_digest
+
+DOC = (Path(__file__).resolve().parents[2] / "docs/physics-file.md").read_text(encoding="utf-8")
+EXAMPLE = re.findall(r"```toml\n(.*?)```", DOC, flags=re.DOTALL)[0]
+
+
+def written(tmp_path: Path, physics: str, value: str | None = None) -> Path:
+    (tmp_path / "physics.toml").write_text(physics, encoding="utf-8")
+    path = tmp_path / "daemon.toml"
+    named = repr(str(tmp_path / "physics.toml")) if value is None else value
+    path.write_text(f'version = 1\n[[craft]]\nname = "demo"\nphysics = {named}\n', encoding="utf-8")
+    return path
+
+
+def test_the_documents_example_is_read_with_the_configuration(tmp_path: Path) -> None:
+    """Its text is in the configuration, so that a checkpoint under another model is not taken up."""
+    craft = load_config(written(tmp_path, EXAMPLE)).crafts[0]
+    assert craft.physics is not None
+    assert craft.physics.text == text_of(parse_model(EXAMPLE.encode()))
+    other = load_config(written(tmp_path, EXAMPLE.replace("8.0, -6.0", "8.5, -6.0"))).crafts[0]
+    assert config_digest(other) != config_digest(craft)
+
+
+def test_its_faults_are_the_configurations(tmp_path: Path) -> None:
+    """An unknown effect is refused with the nearest name."""
+    with pytest.raises(ConfigError, match=r"physics.toml: effect\[0\].name: .*did you mean 'thermal_bias'"):
+        load_config(written(tmp_path, EXAMPLE.replace('"thermal_bias"', '"thermal_bais"')))
+
+
+@pytest.mark.parametrize("value", ["1", '""', '"no such.toml"'])
+def test_what_is_no_file_is_refused(tmp_path: Path, value: str) -> None:
+    """A number, an empty text, a file that is not there."""
+    with pytest.raises(ConfigError):
+        load_config(written(tmp_path, EXAMPLE, value))

@@ -1,0 +1,243 @@
+"""Live compensation: what a model holds is taken off as samples come, and what cannot be is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.commands import Commander
+from magcal_service.model import Array, d_matrix
+from magcal_service.physics.compensation import OF_REFERENCE, Compensation, stale_after_s
+from magcal_service.physics.forward import effects_on
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.model_file import ModelTerm, PhysicsModel, text_of
+from magcal_service.pipeline import Pipeline
+from magcal_service.wire.messages import (
+    Command,
+    Frame,
+    MagnetometerSample,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+    Vector,
+    Verdict,
+)
+from sim_sensor.scenario import Scenario
+from tests.physics.given_scene import X, flight
+from tests.physics.live_models import NOISE_NT, THERMAL, craft, hot, last_estimate, model_of, physics, stream
+from tests.physics.test_model_file import drawn, forms, ids
+
+UNITS = {"temperature": "degC", "current": "A", "magnetic moment": "A m2", "angular rate": "rad/s", "counts": "counts"}
+LIVE_ROWS = 250
+NEEDS_COURSE = ("inferred:detumbling",)
+
+
+def common(row: int) -> dict[str, object]:
+    scene = flight()
+    time_ns = scene.origin_ns + round(float(scene.time_s[row]) * 1e9)
+    return {"craft": "hot", "source": "test", "sequence": row, "time_ns": time_ns}
+
+
+def triple(values: Array) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def feed(compensation: Compensation, row: int) -> tuple[ReferenceSample, MagnetometerSample]:
+    """Everything that the flight has at one row, in the order of a link; the reference and the sample that come out."""
+    scene, shared = flight(), common(row)
+    for name, channel in scene.channels.items():
+        unit = UNITS.get(channel.quantity, "1")
+        values = tuple(channel.values[row].tolist())
+        compensation.telemetry(TelemetrySample(**shared, channel=name, unit=unit, values=values))  # type: ignore[arg-type]
+    assert scene.position_ecef_km is not None
+    assert scene.reference_eci_nt is not None
+    place = triple(scene.position_ecef_km[row])
+    compensation.position(PositionSample(**shared, position_km=place, frame=Frame.ECEF))  # type: ignore[arg-type]
+    field = triple(scene.reference_eci_nt[row])
+    reference = ReferenceSample(**shared, field_nt=field, frame=Frame.ECI)  # type: ignore[arg-type]
+    sample = MagnetometerSample(**shared, field_body_nt=triple(scene.field_nt[row]))  # type: ignore[arg-type]
+    return compensation.reference(reference), compensation.correct(sample)
+
+
+def whole(term: ModelTerm) -> PhysicsModel:
+    return model_of(term, origin_ns=flight().origin_ns, x=X)
+
+
+LIVE = [h for h in forms() if h.effect not in OF_REFERENCE and h.driver not in NEEDS_COURSE and "Sun" not in h.variant]
+SUN = ("inferred:array_current", "inferred:sun_direction")
+
+
+@pytest.mark.parametrize("hypothesis", [h for h in LIVE if h.driver not in SUN], ids=ids)
+def test_what_is_taken_off_live_is_what_the_recording_would_be_given(hypothesis: Hypothesis) -> None:
+    """Sample by sample, with every driver on the link, each form does what it does to the whole scene."""
+    term, _, _ = drawn(hypothesis)
+    early = {name: value for name, value in {"at_s": 200.0, "knee": 0.2}.items() if name in term.nonlinear}
+    term = replace(term, nonlinear={**term.nonlinear, **early})  # so that it acts within these rows
+    if hypothesis.effect == "axis_skew":  # delays of one size: z alone hardly changes on this craft
+        term = replace(term, amplitudes={"after_x_s": np.array([0.01, 0.01])})
+    model = whole(term)
+    scene = replace(flight(), body_from_eci=None)  # a rate as the gyro tells it, as on the link
+    body, _ = effects_on(scene, model)
+    compensation = Compensation(model)
+    taken = np.zeros((LIVE_ROWS, 3))
+    for row in range(LIVE_ROWS):
+        _, sample = feed(compensation, row)
+        assert compensation.missing == ()
+        taken[row] = (np.eye(3) + d_matrix(X)) @ (scene.field_nt[row] - np.array(sample.field_body_nt))
+    largest = np.abs(body[:LIVE_ROWS]).max()
+    assert np.abs(taken - body[:LIVE_ROWS]).max() < 1e-3 * largest  # dH/dt along the field is left out of a slope
+
+
+REFERENCES = ("external_field[storm]", "position_offset[three axes, growing along]", "reference_epoch")
+
+
+@pytest.mark.parametrize("hypothesis", [h for h in forms() if h.label in REFERENCES], ids=ids)
+def test_a_reference_gets_the_magnitude_that_acts(hypothesis: Hypothesis) -> None:
+    """Its vector grows along its own direction by what the model says, to 1 % of the largest growth."""
+    term, _, _ = drawn(hypothesis)
+    model = whole(term)
+    _, growth = effects_on(flight(), model)
+    compensation = Compensation(model)
+    rows = [0, 1, 2, 3, 1500, 1501, 1502, 1503]
+    for row in rows:
+        reference, _ = feed(compensation, row)
+        if row % 1500 > 2:  # the direction of flight takes two positions
+            grown = float(np.linalg.norm(reference.field_nt)) - flight().magnitude_nt[row]
+            assert abs(grown - growth[row]) < 0.01 * np.abs(growth).max()
+
+
+def test_a_time_offset_moves_the_references_tag() -> None:
+    """A reference that holds 2 s later is wanted 2 s earlier, drift included; the ticks wait as much longer."""
+    term = ModelTerm("time_offset", "none", "with drift", {"offset_s": np.array(2.0), "drift_ppm": np.array(1000.0)})
+    compensation = Compensation(whole(term))
+    reference, _ = feed(compensation, 500)
+    assert reference.time_ns == common(500)["time_ns"] - 3 * 10**9  # type: ignore[operator]
+    assert compensation.wait_s == 2.0
+
+
+def strong() -> Scenario:
+    """The hot board with five times its coefficients, cooling and warming within the run."""
+    scenario = hot()
+    thermal = scenario.effects.thermal
+    assert thermal is not None
+    hotter = replace(thermal, bias_nt_per_k=(40.0, -30.0, 60.0), time_constant_s=600.0, start_degc=50.0)
+    return replace(scenario, effects=replace(scenario.effects, thermal=hotter))
+
+
+STRONG = (replace(THERMAL[0], amplitudes={"nt_per_k": np.array([40.0, -30.0, 60.0])}), THERMAL[1])
+
+
+@pytest.fixture(scope="module")
+def compensated() -> Pipeline:
+    scenario = strong()
+    pipeline = Pipeline(craft("hot", physics(*STRONG, origin_ns=scenario.start_ns)))
+    last_estimate(pipeline, stream(scenario, 2500.0))
+    return pipeline
+
+
+def test_the_estimate_is_right_at_the_noise_with_the_model_and_wrong_without(compensated: Pipeline) -> None:
+    """Without it the bias is off by the heat, a thousand nT; with it it is right and trusted, and the rms the noise's."""
+    truth = np.array([5000.0, 1000.0, 4000.0])
+    raw = last_estimate(Pipeline(craft("hot", None)), stream(strong(), 2500.0))
+    assert np.abs(np.array(raw.bias_nt) - truth).max() > 500.0
+    estimate = compensated.estimator.estimate()
+    sigma = np.sqrt(np.diagonal(estimate.covariance))[:3]
+    assert np.abs((estimate.x[:3] - truth) / sigma).max() < 4.0
+    assert compensated.trust.verdict is Verdict.TRUSTED
+    assert compensated.monitor.residual_rms_nt == pytest.approx(NOISE_NT, rel=0.08)  # of 300 samples: 2 sigma
+
+
+def test_the_published_vector_is_the_corrected_one() -> None:
+    """The answer to a sample is the calibrated vector of what is left of it."""
+    scenario = strong()
+    with_model = Pipeline(craft("hot", physics(*STRONG, origin_ns=scenario.start_ns)))
+    without = Pipeline(craft("hot", None))
+    messages = stream(scenario, 2500.0)[:4]
+    first = [next(a for m in messages for a in p.answer(m)) for p in (with_model, without)]
+    away = np.array(first[1].field_body_nt) - np.array(first[0].field_body_nt)  # type: ignore[attr-defined]
+    expected = 30.0 * np.array([40.0, -30.0, 60.0])  # 50 degC against 20
+    field = np.array(next(m for m in messages if isinstance(m, MagnetometerSample)).field_body_nt)
+    expected -= 30.0 * 2e-4 * field
+    assert away == pytest.approx(
+        np.linalg.solve(np.eye(3) + d_matrix(model_of(origin_ns=0).x), expected), abs=20.0
+    )  # a tenth of a kelvin of the channel is 7 nT
+
+
+def test_a_missing_channel_is_said_and_counted_and_the_sample_left_alone() -> None:
+    """Once the temperature is silent for longer than it may be, its effects are named and nothing is guessed."""
+    scenario = hot()
+    pipeline = Pipeline(craft("hot", physics(*THERMAL, origin_ns=scenario.start_ns)))
+    messages = stream(scenario, 400.0)
+    silent_from_ns = scenario.start_ns + 200 * 10**9
+    kept = [m for m in messages if not (isinstance(m, TelemetrySample) and m.time_ns >= silent_from_ns)]
+    estimate = last_estimate(pipeline, tuple(kept))
+    assert "driver_missing" in estimate.reasons
+    assert 179 <= pipeline.counters["uncompensated.thermal_bias"] <= 180  # from 30 s after the last value, at 190 s
+    assert "thermal_bias, thermal_scale" in pipeline.summary()
+
+
+@pytest.mark.parametrize(("pace_s", "stale_s"), [(0.1, 2.0), (10.0, 30.0), (600.0, 120.0)])
+def test_a_channel_is_stale_after_three_of_its_own_intervals(pace_s: float, stale_s: float) -> None:
+    """But not before 2 s, and not after 2 minutes."""
+    assert stale_after_s(pace_s) == pytest.approx(stale_s)
+
+
+def test_a_stream_that_begins_later_waits_until_an_inferred_temperature_is_known() -> None:
+    """The state of something warm is not known at once: it is compensated after three time constants."""
+    hypothesis = next(h for h in forms() if h.driver == "inferred:temperature" and h.effect == "thermal_bias")
+    term = replace(drawn(hypothesis)[0], nonlinear={"time_constant_s": 200.0, "skin_s": 0.0})
+    compensation = Compensation(whole(term))
+    missing = [feed(compensation, row) and bool(compensation.missing) for row in range(100, 450)]
+    assert missing == [row <= 300 for row in range(350)]
+
+
+def test_a_restored_pipeline_goes_on_bit_for_bit(compensated: Pipeline) -> None:
+    """What a compensation carries from sample to sample is in the state."""
+    hypothesis = next(h for h in forms() if h.effect == "hysteresis")
+    model = whole(drawn(hypothesis)[0])
+    one, two = Compensation(model), Compensation(model)
+    for row in range(50):
+        feed(one, row)
+    two.restore_state(one.export_state())
+    assert [feed(one, row) for row in range(50, 80)] == [feed(two, row) for row in range(50, 80)]
+    again = Pipeline(compensated.config)
+    again.restore_state(compensated.export_state())
+    assert again.export_state() == compensated.export_state()
+
+
+def test_a_command_loads_another_model_from_beside_the_configured_one(tmp_path: Path) -> None:
+    """It begins anew under the new model, which is in the state from then on; other folders are refused."""
+    scenario = hot()
+    config = physics(THERMAL[0], origin_ns=scenario.start_ns)
+    pipeline = Pipeline(craft("hot", replace(config, path=tmp_path / "physics.toml")))
+    other = text_of(model_of(*THERMAL, origin_ns=scenario.start_ns))
+    (tmp_path / "second.toml").write_text(other, encoding="utf-8")
+    commander = Commander(None, lambda: None)
+
+    def ask(**arguments: object) -> str:
+        command = Command(
+            craft="hot",
+            source="desk",
+            sequence=0,
+            time_ns=0,
+            name="load_physics",
+            arguments=arguments,  # type: ignore[arg-type]
+        )
+        reply = commander.carry_out(command, pipeline)
+        assert reply is not None
+        return "" if reply.accepted else reply.text
+
+    assert "beside" in ask(name="../second.toml")
+    assert "No such file" in ask(name="third.toml")
+    assert ask(name="second.toml") == ""
+    assert [event.what for event in pipeline.take_events()] == ["physics_loaded"]
+    assert pipeline.compensation is not None
+    assert len(pipeline.compensation.model.terms) == 2
+    again = Pipeline(pipeline.config)
+    again.restore_state(pipeline.export_state())
+    assert again.compensation is not None
+    assert len(again.compensation.model.terms) == 2
