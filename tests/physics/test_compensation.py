@@ -140,7 +140,7 @@ def compensated() -> Pipeline:
 
 
 def test_the_estimate_is_right_at_the_noise_with_the_model_and_wrong_without(compensated: Pipeline) -> None:
-    """Without it the bias is off by the heat, a thousand nT; with it it is right and trusted, and the rms the noise's."""
+    """Without it the bias is off by the heat, a thousand nT; with it it is right and trusted, at the noise."""
     truth = np.array([5000.0, 1000.0, 4000.0])
     raw = last_estimate(Pipeline(craft("hot", None)), stream(strong(), 2500.0))
     assert np.abs(np.array(raw.bias_nt) - truth).max() > 500.0
