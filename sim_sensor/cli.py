@@ -20,6 +20,7 @@ from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
+from magcal_service.physics.model_file import PhysicsModel, read_model
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
 from sim_sensor.flow import WindowedLink
@@ -82,6 +83,9 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--craft", type=_craft, metavar="NAME", help="name of the craft (default: the scenario's)")
     parser.add_argument("--seed", type=_seed, metavar="S", help="seed (default: the scenario's)")
     parser.add_argument("--duration", type=_duration, metavar="S", help="simulated seconds (default: the scenario's)")
+    parser.add_argument(
+        "--physics", type=Path, metavar="FILE", help="a physics.toml whose errors and effects are added"
+    )
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
@@ -127,7 +131,11 @@ def _seed(text: str) -> int:
 
 
 def _simulation(options: argparse.Namespace) -> Simulation:
-    return Simulation(_scenario(options), options.seed, options.duration)
+    return Simulation(_scenario(options), options.seed, options.duration, _model(options))
+
+
+def _model(options: argparse.Namespace) -> PhysicsModel | None:
+    return None if options.physics is None else read_model(options.physics)
 
 
 def _list(options: argparse.Namespace) -> None:
@@ -157,7 +165,7 @@ def _run(options: argparse.Namespace) -> None:
         report = _send(simulation, link, options.speed, stop, view)
         view.summary(report, link)
     if options.record is not None:
-        part = Simulation(_scenario(options), options.seed, _length_s(simulation, report, stop))
+        part = Simulation(_scenario(options), options.seed, _length_s(simulation, report, stop), simulation.model)
         _recorded(part, options.record, "--record")
 
 

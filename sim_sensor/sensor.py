@@ -102,7 +102,13 @@ def disturbance_nt(effects: Effects, craft: Craft, elapsed_s: Floats) -> Floats:
 
 
 def measured_nt(
-    sensor: Sensor, effects: Effects, craft: Craft, elapsed_s: Floats, ambient_body_nt: Floats, noise_nt: Floats
+    sensor: Sensor,
+    effects: Effects,
+    craft: Craft,
+    elapsed_s: Floats,
+    ambient_body_nt: Floats,
+    noise_nt: Floats,
+    added_nt: Floats | float = 0.0,
 ) -> Floats:
     """The sensor's output B (n, 3) [nT].
 
@@ -111,12 +117,13 @@ def measured_nt(
     elapsed_s: times of the samples (n,) [s].
     ambient_body_nt: A H after the response lag (n, 3) [nT].
     noise_nt: eps (n, 3) [nT].
+    added_nt: d (n, 3) [nT] beside that of ``effects``.
     """
     bias, D = errors_at(sensor, effects.steps, elapsed_s)
     if effects.thermal is not None:
         excess_k = craft.temperature_degc(elapsed_s) - effects.thermal.zero_degc
         D[:, :3] += np.outer(excess_k, effects.thermal.scale_per_k)
-    right = ambient_body_nt + bias + disturbance_nt(effects, craft, elapsed_s) + noise_nt
+    right = ambient_body_nt + bias + disturbance_nt(effects, craft, elapsed_s) + added_nt + noise_nt
     output = np.linalg.solve(np.eye(3) + symmetric(D), right[..., None])[..., 0]
     if sensor.full_scale_nt > 0.0:
         output = np.clip(output, -sensor.full_scale_nt, sensor.full_scale_nt)

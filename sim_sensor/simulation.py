@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.physics.model_file import PhysicsModel
 from magcal_service.wire.messages import (
     Frame,
     MagnetometerSample,
@@ -23,8 +24,9 @@ from magcal_service.wire.messages import (
     ReferenceSample,
     TelemetrySample,
 )
-from sim_sensor import faults, sensor, streams
+from sim_sensor import faults, physics, sensor, streams
 from sim_sensor.faults import Emission
+from sim_sensor.physics import AddedPhysics
 from sim_sensor.scenario import UNITS, Channel, ReferenceForm, Scenario, resolve
 from sim_sensor.streams import Stream
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci
@@ -67,14 +69,29 @@ class Simulation:
     scenario: what to simulate; its random parts are drawn here (see ``truth``).
     seed: the seed; the scenario's own where None.
     duration_s: length [s]; the scenario's own where None.
+    model: a ``physics.toml`` whose nine errors take the place of the scenario's, and whose effects are added to it.
+
+    Raises ConfigError where the scenario lacks what drives an effect of the model.
     """
 
-    def __init__(self, scenario: Scenario, seed: int | None = None, duration_s: float | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int | None = None,
+        duration_s: float | None = None,
+        model: PhysicsModel | None = None,
+    ) -> None:
         self.seed = scenario.seed if seed is None else seed
-        self.truth = resolve(scenario, self.seed)
+        self.model = model
+        drawn = resolve(scenario, self.seed)
+        self.truth = drawn if model is None else physics.with_errors(drawn, model)
         """The scenario with nothing left to chance: the nine errors, the spin, the orbit.  Never sent."""
         self.duration_s = scenario.duration_s if duration_s is None else duration_s
         self._newest_field: tuple[Times, Floats] | None = None
+        if model is not None:  # refused now rather than on the way
+            self._added(
+                AddedPhysics(model, self.truth.telemetry.channels), self.times_ns(self.truth.sensor.rate_hz)[:3]
+            )
 
     def times_ns(self, rate_hz: float, offset_s: float = 0.0) -> Times:
         """Source times (n,) UTC [ns] of a sensor at ``rate_hz``, from the start to the end of the run."""
@@ -91,10 +108,11 @@ class Simulation:
         scenario = self.truth
         rng = streams.generator(self.seed, Stream.MAGNETOMETER)
         times = self.times_ns(scenario.sensor.rate_hz)
+        added = None if self.model is None else AddedPhysics(self.model, scenario.telemetry.channels)
         for first in range(0, len(times), _BLOCK):
             part = times[first : first + _BLOCK]
             noise = rng.standard_normal((len(part), 3)) * np.array(scenario.sensor.noise_nt)
-            yield self._block(part, noise)
+            yield self._block(part, noise, added)
 
     def arrays(self) -> Block:
         """The whole run as one block."""
@@ -112,7 +130,21 @@ class Simulation:
             return self._true_eci_nt(times_ns)
         return self.truth.field.reference_eci_nt(self.truth.orbit, times_ns)
 
-    def _block(self, times_ns: Times, noise_nt: Floats) -> Block:
+    def _added(self, added: AddedPhysics, times_ns: Times) -> tuple[Floats, Floats]:
+        """Body field (n, 3) and growth of the magnitude (n,) [nT] of the model's effects."""
+        times = added.overlapping(times_ns)
+        elapsed_s = self.elapsed_s(times)
+        scene = physics.scene_of(
+            added.model,
+            times,
+            self._reference_eci_nt(times),
+            self.truth.spin.body_from_eci(elapsed_s),
+            self.truth.orbit.position_eci_km(times),
+            {channel: self._values(channel, elapsed_s) for channel in self.truth.telemetry.channels},
+        )
+        return added.on(scene, len(times_ns))
+
+    def _block(self, times_ns: Times, noise_nt: Floats, added: AddedPhysics | None) -> Block:
         scenario, elapsed_s = self.truth, self.elapsed_s(times_ns)
         true_eci = self._true_eci_nt(times_ns)
         attitude = scenario.spin.body_from_eci(elapsed_s)
@@ -120,7 +152,11 @@ class Simulation:
         response = ambient
         if scenario.sensor.lag_s > 0.0:
             response = sensor.lagged(self._delayed_field(times_ns, true_eci), elapsed_s, scenario.sensor.lag_s)
-        measured = sensor.measured_nt(scenario.sensor, scenario.effects, self, elapsed_s, response, noise_nt)
+        field_nt: Floats | float = 0.0
+        if added is not None:
+            field_nt, growth = self._added(added, times_ns)
+            response = response * (1.0 + growth / np.linalg.norm(true_eci, axis=1))[:, None]
+        measured = sensor.measured_nt(scenario.sensor, scenario.effects, self, elapsed_s, response, noise_nt, field_nt)
         bias, D = sensor.errors_at(scenario.sensor, scenario.effects.steps, elapsed_s)
         return Block(times_ns, measured, ambient, true_eci, attitude, bias, D)
 
@@ -241,9 +277,16 @@ class Simulation:
 
     def channel(self, channel: Channel) -> tuple[Times, Floats]:
         """Times (n,) [ns] and values (n, k) of a telemetry channel that the scenario sends, noise included."""
-        plan, effects = self.truth.telemetry, self.truth.effects
+        plan = self.truth.telemetry
         times = self.times_ns(plan.rate_hz)
-        at_s = self.elapsed_s(times)
+        values = self._values(channel, self.elapsed_s(times))
+        noise = dict(zip(plan.channels, plan.noise, strict=True))[channel]
+        rng = streams.generator(self.seed, Stream[channel.name])
+        return times, values + noise * rng.standard_normal(values.shape)
+
+    def _values(self, channel: Channel, at_s: Floats) -> Floats:
+        """Values (n, k) of a telemetry channel at elapsed times (n,) [s], without noise."""
+        effects = self.truth.effects
         if channel is Channel.TEMPERATURE:
             values = self.temperature_degc(at_s)[:, None]
         elif channel is Channel.CURRENT:
@@ -255,9 +298,7 @@ class Simulation:
             values = self.sun_body(at_s) * (self.lit(at_s) > 0.5)[:, None]
         else:
             values = self.truth.spin.rate_body_rad_s(at_s)
-        noise = dict(zip(plan.channels, plan.noise, strict=True))[channel]
-        rng = streams.generator(self.seed, Stream[channel.name])
-        return times, values + noise * rng.standard_normal(values.shape)
+        return values
 
     def _telemetry(self) -> list[Iterator[Emission]]:
         return [self._channel(channel) for channel in self.truth.telemetry.channels]

@@ -7,6 +7,7 @@ import json
 import math
 from pathlib import Path
 
+from magcal_service.physics.model_file import text_of
 from magcal_service.recordings.timestamps import ns_to_iso8601
 from sim_sensor.simulation import Simulation
 
@@ -36,6 +37,7 @@ def truth_record(simulation: Simulation) -> dict[str, object]:
         "orbit": {"kind": type(truth.orbit).__name__, **dataclasses.asdict(truth.orbit)},
         "field": dataclasses.asdict(truth.field),
         "effects": dataclasses.asdict(truth.effects),
+        "physics": None if simulation.model is None else text_of(simulation.model),
         "faults": [dataclasses.asdict(fault) for fault in truth.faults],
     }
 

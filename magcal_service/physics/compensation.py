@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
@@ -241,7 +242,7 @@ class Compensation(Saved):
             mean_rate_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
         )
 
-    def _place(self, times_ns: list[int]) -> Array | None:
+    def _place(self, times_ns: list[int]) -> NDArray[np.float64] | None:
         """Positions (n, 3) along the line through the last two, or None."""
         if not self._places or abs(times_ns[-1] - self._places[-1].time_ns) * 1e-9 > _POSITION_S:
             return None

@@ -1,0 +1,97 @@
+"""A ``physics.toml`` added to a scenario: its nine errors, and its effects on the scenario's own drivers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_service import geomagnetic
+from magcal_service.errors import ConfigError, Fault
+from magcal_service.model import BIAS, D_ALL, measure
+from magcal_service.physics.forward import DriverMissingError, MisfitError, at_origin, bind, described
+from magcal_service.physics.model_file import PhysicsModel
+from magcal_service.physics.scene import Memory, Scene, Telemetry
+from magcal_service.units import CHANNEL_UNITS
+from sim_sensor.scenario import UNITS, Channel, Scenario
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+
+def with_errors(scenario: Scenario, model: PhysicsModel) -> Scenario:
+    """The scenario with the model's nine errors."""
+    bx, by, bz = model.x[BIAS].tolist()
+    d11, d22, d33, d12, d13, d23 = model.x[D_ALL].tolist()
+    return replace(scenario, sensor=replace(scenario.sensor, bias_nt=(bx, by, bz), D=(d11, d22, d33, d12, d13, d23)))
+
+
+class AddedPhysics:
+    """Effects of a model along one run, block after block.
+
+    Parameters
+    ----------
+    model: from ``physics.toml``.
+    channels: names of the scenario's telemetry, for what is refused.
+    """
+
+    def __init__(self, model: PhysicsModel, channels: tuple[Channel, ...]) -> None:
+        self.model = model
+        self._channels = channels
+        self._memories = [Memory() for _ in model.terms]
+        self._last_ns: int | None = None
+
+    def overlapping(self, times_ns: Times) -> Times:
+        """The times of a block with the last time of the block before in front: an effect with a past goes on there."""
+        return times_ns if self._last_ns is None else np.concatenate([[self._last_ns], times_ns]).astype(np.int64)
+
+    def on(self, scene: Scene, rows: int) -> tuple[Floats, Floats]:
+        """Body field (n, 3) and growth of the magnitude (n,) [nT] on the last ``rows`` of a scene.
+
+        Raises ConfigError where the scenario lacks what drives an effect.
+        """
+        body, growth = np.zeros((rows, 3)), np.zeros(rows)
+        placed = at_origin(scene, self.model)
+        for term, memory in zip(self.model.terms, self._memories, strict=True):
+            try:
+                field, magnitude = bind(term, placed, memory).disturbance()
+            except DriverMissingError:
+                known = ", ".join(channel.value for channel in self._channels) or "none"
+                accepted = (
+                    f"the scenario has nothing that drives it; its telemetry: {known}; position is needed for light"
+                )
+                raise ConfigError([Fault(f"physics: {term.effect}.driver", described(term), accepted)]) from None
+            except MisfitError as error:
+                raise ConfigError([Fault(f"physics: {term.effect}", str(error), "numbers that fit the form")]) from None
+            body += field[-rows:]
+            growth += np.broadcast_to(magnitude, len(scene))[-rows:]
+        self._last_ns = int(scene.time_ns[-1])
+        return body, growth
+
+
+def scene_of(
+    model: PhysicsModel,
+    times_ns: Times,
+    reference_eci_nt: Floats,
+    body_from_eci: Floats,
+    position_eci_km: Floats,
+    channels: dict[Channel, Floats],
+) -> Scene:
+    """What the catalogue sees of a block: the field without noise, and drivers without theirs."""
+    ambient = (body_from_eci @ reference_eci_nt[..., None])[..., 0]
+    clean = measure(model.x, ambient)
+    units = {channel: CHANNEL_UNITS[UNITS[channel]].quantity for channel in channels}
+    return Scene(
+        time_s=(times_ns - times_ns[0]) * 1e-9,
+        origin_ns=int(times_ns[0]),
+        utc=True,
+        field_nt=clean,
+        calibrated_nt=ambient,
+        clean_field_nt=clean,
+        magnitude_nt=np.linalg.norm(reference_eci_nt, axis=1),
+        reference_eci_nt=reference_eci_nt,
+        position_ecef_km=geomagnetic.ecef_from_eci(times_ns, position_eci_km),
+        channels={c.value: Telemetry(c.value, units[c], values) for c, values in channels.items()},
+        body_from_eci=body_from_eci,
+    )

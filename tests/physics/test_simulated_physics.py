@@ -1,0 +1,87 @@
+"""The circle: a recording is diagnosed, its physics.toml goes back into the simulator, and the two are alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.handover import write_model
+from magcal_service.diagnosis.result import entries
+from magcal_service.errors import ConfigError
+from magcal_service.physics import effect_named
+from magcal_service.physics.model_file import parse_model, read_model, text_of
+from magcal_service.recordings.reader import read_recording
+from sim_sensor.cli import main
+from sim_sensor.recorder import record_simulation
+from sim_sensor.scenario import Scenario, load_scenario
+from sim_sensor.simulation import Simulation
+from tests.physics.live_models import THERMAL, hot, model_of
+from tests.physics.test_model_file import drawn, forms
+
+DURATION_S = 6000.0
+LOOKED_FOR = tuple(effect_named(name) for name in ("thermal_bias", "thermal_scale", "bias_drift"))
+
+
+def cold() -> Scenario:
+    """The hot board with its temperature, and nothing that follows it."""
+    scenario = hot()
+    thermal = scenario.effects.thermal
+    assert thermal is not None
+    harmless = replace(thermal, bias_nt_per_k=(0.0, 0.0, 0.0), scale_per_k=(0.0, 0.0, 0.0))
+    return replace(scenario, effects=replace(scenario.effects, thermal=harmless))
+
+
+def diagnosed(simulation: Simulation, directory: Path) -> Diagnosis:
+    return diagnose(read_recording(record_simulation(simulation, directory)), effects=LOOKED_FOR)
+
+
+def test_a_diagnosis_put_back_into_the_simulator_gives_the_recording_again(tmp_path: Path) -> None:
+    """Same effect, parameters within 3.5 sigma of each other, and one residual of the nine errors alone, to 2 %."""
+    first = diagnosed(Simulation(hot(), 11, DURATION_S), tmp_path / "first")
+    text = write_model(first, entries(first), "first")
+    second = diagnosed(Simulation(cold(), 12, DURATION_S, parse_model(text.encode())), tmp_path / "second")
+    named = [[term.hypothesis.label for term in found.fit.terms] for found in (first, second)]
+    assert "thermal_bias by channel:temperature" in named[0]
+    assert sorted(named[0]) == sorted(named[1])
+    for one in entries(first):
+        other = next(entry for entry in entries(second) if entry.effect == one.effect)
+        for name, value in one.parameters.items():
+            if np.isfinite(value.sigma).all():
+                sigma = np.hypot(value.sigma, other.parameters[name].sigma)
+                assert (np.abs(value.value - other.parameters[name].value) < 3.5 * sigma).all()
+    rms = [found.prepared.baseline.rms_nt for found in (first, second)]
+    assert rms[1] == pytest.approx(rms[0], rel=0.02)
+
+
+@pytest.mark.parametrize("effect", ["hysteresis", "bias_drift", "cubic_response"])
+def test_a_run_in_blocks_has_what_the_whole_has(effect: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects with a past, and those that count time, go on from block to block."""
+    term = drawn(next(h for h in forms() if h.effect == effect))[0]
+    scenario = replace(cold(), sensor=replace(cold().sensor, noise_nt=(0.0, 0.0, 0.0)))
+    model = model_of(term, origin_ns=scenario.start_ns)
+    whole = Simulation(scenario, 1, 600.0, model).arrays().measured_nt
+    monkeypatch.setattr("sim_sensor.simulation._BLOCK", 100)
+    assert Simulation(scenario, 1, 600.0, model).arrays().measured_nt == pytest.approx(whole, abs=1e-6)
+
+
+def test_what_is_added_is_what_the_model_says() -> None:
+    """The thermal model on a board without its own coefficients measures what the board with them measures."""
+    own, added = Simulation(hot(), 1, 900.0), Simulation(cold(), 1, 900.0, model_of(*THERMAL, origin_ns=0))
+    assert added.arrays().measured_nt == pytest.approx(
+        own.arrays().measured_nt, abs=1.0
+    )  # a (T - T0) D B: second order
+
+
+def test_a_scenario_without_the_driver_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line names the effect, its driver, and the telemetry that there is; the exit code is 2."""
+    path = tmp_path / "physics.toml"
+    path.write_text(text_of(model_of(*THERMAL, origin_ns=0)), encoding="utf-8")
+    arguments = ["record", "--scenario", "paper", "--duration", "60", "--out", str(tmp_path), "--physics", str(path)]
+    assert main(arguments) == 2
+    assert "physics: thermal_bias.driver: \"'channel:temperature'\" is refused" in capsys.readouterr().err
+    with pytest.raises(ConfigError):
+        Simulation(load_scenario("paper"), 1, 60.0, read_model(path))
