@@ -83,7 +83,8 @@ def _slots(scene: Scene) -> NDArray[np.intp]:
     steps = np.diff(slot, prepend=slot[0])
     after = scene.pauses[1:]
     steps[after] = np.minimum(steps[after], max(len(slot) // max(len(scene.pauses), 1), 1))
-    return np.cumsum(steps).astype(np.intp)
+    places: NDArray[np.intp] = np.cumsum(steps, dtype=np.intp)
+    return places
 
 
 def is_red(scene: Scene, residual: Array, unit: Array) -> bool:
