@@ -77,7 +77,7 @@ def _slots(scene: Scene) -> NDArray[np.intp]:
     Where pauses make up most of a long recording, each is cut to as many samples as there are in all stretches divided
     by their number: phases are then those of each stretch alone, and the grid stays small however long the pauses are.
     """
-    slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
+    slot: NDArray[np.intp] = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
     if int(slot[-1]) < _MOST_SLOTS:
         return slot
     steps = np.diff(slot, prepend=slot[0])

@@ -89,7 +89,8 @@ def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
     def by_share(entry: Entry) -> float:
         return -float(entry.where["share_of_mismatch"])
 
-    named = sorted([*fields, *samples], key=by_share) + sorted(others, key=by_share)
+    order = (*IN_ATTITUDE, *IN_NOISE)  # a craft that nutates has a rate that seems to change, too
+    named = sorted([*fields, *samples], key=by_share) + sorted(others, key=lambda e: order.index(e.effect))
     if diagnosis.verdict is Verdict.UNKNOWN:
         return (_unknown(diagnosis), *named)
     return tuple(named)

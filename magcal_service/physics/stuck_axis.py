@@ -7,10 +7,14 @@ from typing import Final
 import numpy as np
 
 from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.quantisation import step_of
 from magcal_service.physics.view import View, runs
 
 SHORTEST: Final = 25
 """Samples with one value; the others have to move by twenty noise sigmas meanwhile."""
+
+_COARSE_SHORTEST: Final = 400
+"""The same where an axis moves in steps larger than the noise, and stays on one for a while when the field turns."""
 
 _MOTION_SIGMAS: Final = 20.0
 
@@ -20,11 +24,13 @@ def _find(view: View) -> Finding | None:
     spoiled = np.zeros(len(field), dtype=bool)
     longest: tuple[int, int, int] = (0, 0, 0)
     for axis in range(3):
+        coarse = step_of(field[:, axis]) > view.noise_nt
+        shortest = _COARSE_SHORTEST if coarse else SHORTEST
         same = np.concatenate([[False], np.diff(field[:, axis]) == 0.0])
         for first, end in runs(same):
             begin = first - 1
             others = np.delete(field[begin:end], axis, axis=1)
-            if end - begin < SHORTEST or float(np.ptp(others, axis=0).max()) < _MOTION_SIGMAS * view.noise_nt:
+            if end - begin < shortest or float(np.ptp(others, axis=0).max()) < _MOTION_SIGMAS * view.noise_nt:
                 continue
             spoiled[begin:end] = True
             if end - begin > longest[1] - longest[0]:
