@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.set_defaults(command=_diagnose)
 
     study = commands.add_parser("study", help="Monte-Carlo studies of the estimators")
-    study.add_argument("name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates")
+    study.add_argument("name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, blind")
     study.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
     study.add_argument("--seed", type=int, default=1, metavar="S", help="of the whole study (default: 1)")
     study.add_argument("--json", type=Path, metavar="FILE", help="write tables, figures and curves here")
