@@ -42,7 +42,8 @@ def main() -> None:
     )
     options = parser.parse_args()
     if options.cross:
-        cross(options.data / "suchai3" / "2023-08-24.toml", options.data / "suchai3" / "2023-11-13.toml")
+        others = [options.data / "suchai3" / f"{name}.toml" for name in ("2023-11-13", "2024-passes")]
+        cross(options.data / "suchai3" / "2023-08-24.toml", others)
         return
     print("| recording | verdict: reasons | effects (driver), share of mismatch | simulation | nine errors | effects |")
     print("|---|---|---|---:|---:|---:|")
@@ -139,10 +140,10 @@ def frozen(other: Diagnosis, field: Array, share: float = 1.0, turned_deg: float
     return solve(replace(problem, scene=scene), other.prepared.baseline.x).held_out_rms_nt
 
 
-def cross(path: Path, other_path: Path) -> None:
+def cross(path: Path, others: list[Path]) -> None:
     """The checks that decide, one line each."""
     began = time.process_time()
-    first, second = diagnose(blind(path)), diagnose(blind(other_path))
+    first = diagnose(blind(path))
     fit = light_fit(first)
     print(f"effects by light alone: {[term.hypothesis.label for term in fit.terms]}")
     print(f"held out {first.prepared.baseline.held_out_rms_nt:.0f} -> {fit.held_out_rms_nt:.0f} nT")
@@ -151,12 +152,22 @@ def cross(path: Path, other_path: Path) -> None:
     for seconds in SHIFTS_S:
         print(f"shadow moved by {seconds} s: held out {shadow_moved(first, fit, seconds):.0f} nT")
     field = panel_field(first, fit)
-    print(f"{other_path.stem}: nine errors, held out {second.prepared.baseline.held_out_rms_nt:.0f} nT")
-    for share in (-1.0, 0.5, 1.0, 1.5):
-        print(f"frozen panels of {path.stem} times {share}: held out {frozen(second, field, share):.0f} nT")
-    for turned in range(45, 360, 45):
-        print(f"the same with the Sun turned by {turned} deg: held out {frozen(second, field, 1.0, turned):.0f} nT")
+    print(f"faces in full sun: at most {np.abs(field).max():.0f} nT")
+    for other in others:
+        compare(diagnose(blind(other)), field, f"{other.stem}, panels of {path.stem} frozen")
     print(f"{time.process_time() - began:.0f} s")
+
+
+def compare(other: Diagnosis, field: Array, name: str) -> None:
+    """The panels' field of one recording on another, and what that one finds by itself."""
+    print(f"{name}: nine errors, held out {other.prepared.baseline.held_out_rms_nt:.0f} nT")
+    for share in (-1.0, 0.5, 1.0, 1.5):
+        print(f"{name} times {share}: held out {frozen(other, field, share):.0f} nT")
+    for turned in range(45, 360, 45):
+        print(f"{name}, the Sun turned by {turned} deg: held out {frozen(other, field, 1.0, turned):.0f} nT")
+    own = [term for term in other.fit.terms if term.hypothesis.effect == "current_loop"]
+    for term in own:
+        print(f"{name}: its own faces in full sun: at most {np.abs(term.amplitudes).max():.0f} nT")
 
 
 if __name__ == "__main__":
