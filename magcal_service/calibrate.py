@@ -14,7 +14,16 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.checkpoints import MISFITS, Checkpoints
-from magcal_service.config import Config, CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig, TickConfig
+from magcal_service.config import (
+    Config,
+    CraftConfig,
+    FilterConfig,
+    PhysicsConfig,
+    SensorConfig,
+    SpinConfig,
+    StateConfig,
+    TickConfig,
+)
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method
@@ -272,10 +281,11 @@ def _whole_recording(residuals: Residuals, craft: CraftConfig) -> Sequence[Reaso
 
 
 def residuals_of(recording: Recording, x: Array, craft: CraftConfig) -> Residuals:
-    """Residual levels of a recording before and after calibration with x (9,)."""
+    """Residual levels of a recording before and after calibration with x (9,), and by ``physics.toml`` where given."""
     usable = recording.sorted_unique()
     field, magnitude = usable.field_body_nt, usable.reference.magnitude_nt
-    after = scalar_residual(x, field, magnitude)
+    corrected, grown = (field, magnitude) if craft.physics is None else _compensated(usable, craft.physics)
+    after = scalar_residual(x, corrected, grown)
     noise = craft.sensor.noise_nt
     return Residuals(
         before=rms(scalar_residual(np.zeros(STATE_SIZE), field, magnitude)),
@@ -283,6 +293,21 @@ def residuals_of(recording: Recording, x: Array, craft: CraftConfig) -> Residual
         noise_floor=noise if noise is not None else noise_floor(usable.time_ns, after),
         held_out=_held_out(field, magnitude, craft),
     )
+
+
+def _compensated(usable: Recording, physics: PhysicsConfig) -> tuple[Array, Array]:
+    """B (n, 3) without what the model holds and |H| (n,) as it should be; as recorded where a driver is absent."""
+    from magcal_service.diagnosis.prepare import cleaned, scene_of  # the catalogue is loaded where it is asked for
+    from magcal_service.physics.forward import DriverMissingError, effects_on
+    from magcal_service.physics.model_file import parse_model
+
+    model = parse_model(physics.text.encode())
+    try:
+        body, growth = effects_on(cleaned(scene_of(usable), model.x), model)
+    except DriverMissingError:
+        return usable.field_body_nt, usable.reference.magnitude_nt
+    disturbance = np.linalg.solve(np.eye(3) + d_matrix(model.x), body.T).T
+    return usable.field_body_nt - disturbance, usable.reference.magnitude_nt + growth
 
 
 def _held_out(field: Array, magnitude: Array, craft: CraftConfig) -> float | None:

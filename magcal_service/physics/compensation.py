@@ -47,6 +47,9 @@ _STALE_PACES: Final = 3.0
 _STALE_S: Final = (2.0, 120.0)
 """A channel is stale after three of its own intervals, but not before the first and not after the second."""
 
+_SLOW: Final = {"temperature": 30.0}
+"""What changes slowly is held so long at least [s]: minutes of time constant make it tenths of a kelvin."""
+
 _POSITION_S: Final = 120.0
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
@@ -236,7 +239,7 @@ class Compensation(Saved):
             channels={
                 name: Telemetry(name, held.quantity, np.tile(np.array(held.values), (len(rows), 1)))
                 for name, held in self._channels.items()
-                if abs(now_ns - held.time_ns) * 1e-9 <= stale_after_s(held.pace_s)
+                if abs(now_ns - held.time_ns) * 1e-9 <= stale_after_s(held.pace_s, held.quantity)
             },
             body_from_eci=attitude,
             mean_rate_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
@@ -308,6 +311,6 @@ class Compensation(Saved):
         return total if math.isfinite(total) else 0.0
 
 
-def stale_after_s(pace_s: float) -> float:
-    """Age [s] beyond which a channel that comes every ``pace_s`` is no driver any more."""
-    return min(max(_STALE_PACES * pace_s, _STALE_S[0]), _STALE_S[1])
+def stale_after_s(pace_s: float, quantity: str) -> float:
+    """Age [s] beyond which a channel of a quantity that comes every ``pace_s`` is no driver any more."""
+    return min(max(_STALE_PACES * pace_s, _SLOW.get(quantity, _STALE_S[0])), _STALE_S[1])

@@ -180,10 +180,13 @@ def test_a_missing_channel_is_said_and_counted_and_the_sample_left_alone() -> No
     assert "thermal_bias, thermal_scale" in pipeline.summary()
 
 
-@pytest.mark.parametrize(("pace_s", "stale_s"), [(0.1, 2.0), (10.0, 30.0), (600.0, 120.0)])
-def test_a_channel_is_stale_after_three_of_its_own_intervals(pace_s: float, stale_s: float) -> None:
-    """But not before 2 s, and not after 2 minutes."""
-    assert stale_after_s(pace_s) == pytest.approx(stale_s)
+@pytest.mark.parametrize(
+    ("pace_s", "quantity", "stale_s"),
+    [(0.1, "current", 2.0), (10.0, "current", 30.0), (600.0, "current", 120.0), (1.0, "temperature", 30.0)],
+)
+def test_a_channel_is_stale_after_three_of_its_own_intervals(pace_s: float, quantity: str, stale_s: float) -> None:
+    """But not before 2 s, a temperature not before 30 s, and none after 2 minutes."""
+    assert stale_after_s(pace_s, quantity) == pytest.approx(stale_s)
 
 
 def test_a_stream_that_begins_later_waits_until_an_inferred_temperature_is_known() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.cli import main as magcal
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.result import entries
@@ -85,3 +86,33 @@ def test_a_scenario_without_the_driver_is_refused_by_name(tmp_path: Path, capsys
     assert "physics: thermal_bias.driver: \"'channel:temperature'\" is refused" in capsys.readouterr().err
     with pytest.raises(ConfigError):
         Simulation(load_scenario("paper"), 1, 60.0, read_model(path))
+
+
+def test_a_replay_with_the_model_comes_to_the_noise_and_without_it_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command, with a configuration that names the file: rms within 2 % of the noise, trusted, exit code 0."""
+    scenario = hot()
+    thermal = scenario.effects.thermal
+    assert thermal is not None
+    strong = replace(thermal, bias_nt_per_k=(80.0, -60.0, 120.0), time_constant_s=3000.0)
+    strong_scenario = replace(scenario, effects=replace(scenario.effects, thermal=strong))
+    path = record_simulation(Simulation(strong_scenario, 2, DURATION_S), tmp_path)
+    bias = replace(THERMAL[0], amplitudes={"nt_per_k": np.array(strong.bias_nt_per_k)})
+    model = model_of(bias, THERMAL[1], origin_ns=scenario.start_ns)
+    (tmp_path / "physics.toml").write_text(text_of(model), encoding="utf-8")
+    lines = {}
+    for name, physics in (("without", ""), ("with", f'physics = "{tmp_path / "physics.toml"}"\n')):
+        config = tmp_path / f"{name}.toml"
+        head = f'version = 1\n[[craft]]\nname = "hot"\n{physics}'
+        config.write_text(f"{head}[craft.sensor]\nnoise_nt = 100.0\n[craft.spin]\nrate_rpm = 7.5\n", encoding="utf-8")
+        code = magcal(["replay", str(path), "--config", str(config)])
+        lines[name] = capsys.readouterr().out
+        after = float(lines[name].partition(" nT before, ")[2].partition(" nT after")[0])
+        if name == "with":
+            assert code == 0
+            assert after == pytest.approx(100.0, rel=0.02)
+        else:
+            assert code == 3
+            assert after > 150.0
+    assert "verdict: trusted" in lines["with"]
