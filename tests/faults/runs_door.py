@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,7 +12,7 @@ from magcal_service.links import Role, open_link
 from magcal_service.wire.messages import Command, MagnetometerSample
 from tests.faults.bench import Daemons, Feeder, Witness
 from tests.faults.faults import Fault, Outcome
-from tests.security.rogue_links import expire, make_certificates, shipped
+from tests.security.rogue_links import PATIENCE_S, Blunt, expire, make_certificates, shipped
 from tests.service.service_processes import free_port, stream, write_config
 
 RATE_HZ = 200.0
@@ -36,12 +38,22 @@ class Guarded:
         """Somebody sends until the status counts it under this name."""
         address = f"zenoh:tls/127.0.0.1:{self.port}?config={config}"
         with open_link(address, Role.NODE, crafts=["paper"]) as rogue:
-            for number in range(10_000):
-                rogue.send(what(number))
-                rogue.receive(0.05)
-                if self.denied(name):
-                    return
-        raise TimeoutError(f"{name} is not counted: {self.node.counters()}")
+            self._until_denied(name, lambda number: rogue.send(what(number)))
+
+    def put(self, config: Path, name: str, what: Callable[[int], Command | MagnetometerSample]) -> None:
+        """The same of somebody who is let in and puts what no rule allows."""
+        with Blunt(self.port, config) as rogue:
+            self._until_denied(name, lambda number: rogue.put(what(number)))
+
+    def _until_denied(self, name: str, send: Callable[[int], None]) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        for number in itertools.count():
+            send(number)
+            time.sleep(0.05)
+            if self.denied(name):
+                return
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"{name} is not counted: {self.node.counters()}")
 
 
 @contextlib.contextmanager
@@ -95,8 +107,8 @@ def rogue(folder: Path, quick: bool) -> Outcome:
         foreign = make_certificates(folder / "foreign")
         (foreign / "ca.pem").write_bytes((daemon.certificates / "ca.pem").read_bytes())
         daemon.knock(daemon.client("magcal-feeder", foreign), "wrong_certificate", _sample)
-        daemon.knock(daemon.client("magcal-viewer"), "sample", _sample)
-        daemon.knock(daemon.client("magcal-feeder"), "command", _command)
+        daemon.put(daemon.client("magcal-viewer"), "sample", _sample)
+        daemon.put(daemon.client("magcal-feeder"), "command", _command)
         counters = daemon.node.counters()
         outcome.expect(not counters.get("commands"), "a command of one who may not was carried out")
     return outcome

@@ -10,14 +10,20 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Self
+
+import zenoh
 
 from magcal_service.links import Link, Role, open_link
+from magcal_service.wire.codec import encode
+from magcal_service.wire.keys import key_of
 from magcal_service.wire.messages import Command, MagnetometerSample, Message, Status
 from sim_sensor.daemon_process import DaemonProcess
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
-PATIENCE_S = 30.0
-CRAFT = '\n[[craft]]\nname = "demo"\n[output]\nstatus_period_s = 1.0\n'
+PATIENCE_S = 60.0
+STATUS_PERIOD_S = 1.0
+CRAFT = f'\n[[craft]]\nname = "demo"\n[output]\nstatus_period_s = {STATUS_PERIOD_S}\n'
 
 
 def free_port() -> int:
@@ -44,7 +50,10 @@ def expire(certificates: Path, folder: Path, name: str = "magcal-feeder") -> Pat
     sign = ["openssl", "x509", "-req", "-CA", certificates / "ca.pem", "-CAkey", certificates / "ca.key", "-days", "0"]
     sign += ["-set_serial", "77", "-extfile", folder / "extensions", "-out", folder / f"{name}.pem"]
     subprocess.run(sign, check=True, capture_output=True, timeout=60, input=csr)
-    time.sleep(2.0)  # its last second has to be over
+    check = ["openssl", "x509", "-checkend", "0", "-noout", "-in", folder / f"{name}.pem"]
+    while subprocess.run(check, check=False, capture_output=True, timeout=60).returncode == 0:
+        time.sleep(0.1)
+    time.sleep(1.1)  # its last second has to be over
     return folder
 
 
@@ -104,6 +113,12 @@ class Door:
             assert time.monotonic() < deadline, f"{told}: {self.counters}\n{self.log.read_text()[-2000:]}"
             self.listen()
 
+    def rest(self) -> None:
+        """Listen for two periods of the status: what was sent before has been counted."""
+        deadline = time.monotonic() + 2.5 * STATUS_PERIOD_S
+        while time.monotonic() < deadline:
+            self.listen()
+
     def denied(self, name: str) -> int:
         """What the status has counted as ``link.denied.<name>``."""
         return self.counters.get(f"link.denied.{name}", 0)
@@ -135,6 +150,31 @@ def caller(door: Door, config: Path, role: Role) -> Iterator[Link]:
     """Somebody at the door with a zenoh configuration."""
     with open_link(f"zenoh:tls/127.0.0.1:{door.port}?config={config}", role, crafts=["demo"]) as link:
         yield link
+
+
+class Blunt:
+    """One who puts straight on the wire, at a port of 127.0.0.1, with a zenoh configuration.
+
+    A node's link would not do for what a rule denies: its publisher asks who subscribes, is shown nobody, and puts
+    nothing more, so that what reaches the daemon is what was put before the answer came.
+    """
+
+    def __init__(self, port: int, config: Path) -> None:
+        settings = zenoh.Config.from_file(config)
+        settings.insert_json5("mode", '"client"')
+        settings.insert_json5("connect/endpoints", json.dumps([f"tls/127.0.0.1:{port}"]))
+        settings.insert_json5("connect/timeout_ms", str(int(1000 * PATIENCE_S)))
+        self._session = zenoh.open(settings)
+
+    def put(self, message: Message) -> None:
+        """Put one message on its key."""
+        self._session.put(key_of(message), encode(message))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def knock_raw(port: int, data: bytes) -> None:

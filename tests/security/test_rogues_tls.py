@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rogue_links import Door, caller, command, door, expire, knock_raw, make_certificates, sample, shipped
+from rogue_links import Blunt, Door, caller, command, door, expire, knock_raw, make_certificates, sample, shipped
 
-from magcal_service.links import Link, Role
+from magcal_service.links import Role
 from magcal_service.wire.messages import CommandReply, Message
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
@@ -77,39 +77,35 @@ def test_one_who_speaks_no_tls_at_all(tls: Door) -> None:
     tls.until("the handshake is not counted", lambda: tls.denied("handshake") > before)
 
 
-def denied(tls: Door, rogue: Link, name: str, *messages: Message) -> None:
+def denied(tls: Door, config: Path, name: str, *messages: Message) -> None:
     """Messages of somebody who has connected are counted as denied, each once."""
-    tls.until("the rogue is not connected", lambda: rogue.counters["up"] == 1)
     before = tls.denied(name)
-    for message in messages:
-        rogue.send(message)
-    tls.until(f"{name} is not counted", lambda: tls.denied(name) - before >= len(messages))
+    with Blunt(tls.port, config) as rogue:
+        for message in messages:
+            rogue.put(message)
+        tls.until(f"{name} is not counted", lambda: tls.denied(name) - before >= len(messages))
+        tls.rest()
     assert tls.denied(name) - before == len(messages)
 
 
 def test_a_viewer_that_feeds(tls: Door, certificates: Path) -> None:
     """A right certificate without the permission to feed: five samples, five denials, none accepted."""
     samples = accepted(tls)
-    with caller(tls, client(certificates, "magcal-viewer"), Role.NODE) as rogue:
-        denied(tls, rogue, "sample", *(sample(number) for number in range(5)))
+    denied(tls, client(certificates, "magcal-viewer"), "sample", *(sample(number) for number in range(5)))
     assert accepted(tls) == samples
 
 
 def test_a_feeder_that_commands(tls: Door, certificates: Path) -> None:
     """A right certificate without the permission to command: counted, and nobody is answered."""
-    with caller(tls, client(certificates), Role.NODE) as rogue:
-        denied(tls, rogue, "command", command(1), command(2))
+    denied(tls, client(certificates), "command", command(1), command(2))
     assert not [message for message in tls.heard if isinstance(message, CommandReply)]
 
 
 def test_a_certificate_that_no_rule_knows(tls: Door, certificates: Path) -> None:
     """A certificate of the right authority whose name has no role is counted, and so is what it sends."""
-    before = tls.denied("no_role"), tls.denied("other")
-    with caller(tls, client(certificates, "magcal-service"), Role.NODE) as rogue:
-        tls.until("the rogue is not connected", lambda: rogue.counters["up"] == 1)
-        rogue.send(command(3))
-        tls.until("nothing is counted", lambda: tls.denied("other") > before[1])
-    assert tls.denied("no_role") == before[0] + 1
+    before = tls.denied("no_role")
+    denied(tls, client(certificates, "magcal-service"), "other", command(3))
+    assert tls.denied("no_role") == before + 1
     assert not [message for message in tls.heard if isinstance(message, CommandReply)]
 
 
@@ -126,7 +122,6 @@ def test_a_feeder_that_feeds_is_not_counted_as_denied(tls: Door, certificates: P
 
 def test_the_log_names_who_was_denied(tls: Door, certificates: Path) -> None:
     """The first denial of a kind is a warning with the certificate's name and the key."""
-    with caller(tls, client(certificates, "magcal-viewer"), Role.VIEWER) as rogue:
-        denied(tls, rogue, "command", command(9))
+    denied(tls, client(certificates, "magcal-viewer"), "command", command(9))
     assert "CertCommonName(magcal-" in tls.log.read_text()
     assert "magcal/v1/demo/command" in tls.log.read_text()
