@@ -63,6 +63,7 @@ class Health:
                 "accepted": pipeline.ticks.counters["accepted"],
                 "ticks": pipeline.ticks.counters["ticks"],
                 "residual_rms_nt": round(pipeline.monitor.residual_rms_nt, 1),
+                "model": str(pipeline.watch.finding or ""),
             }
             for pipeline in pipelines
         }
@@ -130,6 +131,12 @@ class Health:
             ("innovation_ratio", "Mean normalised innovation squared.", lambda craft: craft.monitor.innovation),
             ("rejected_ratio", "Share of samples stopped by the gate.", lambda craft: craft.monitor.rejected_share),
         )
+        doubts: list[tuple[Labels, float]] = [
+            ({"craft": craft.config.name, "effect": effect}, found.nats if found is not None else 0.0)
+            for craft, found in ((craft, craft.watch.finding) for craft in crafts)
+            for effect in (("none",) if found is None else found.effects)
+        ]
+        metrics.add("model_doubt_nats", "gauge", "Evidence for what the model leaves out, by what it looks like.", doubts)
         for name, text, value in gauges:
             each: list[tuple[Labels, float]] = [({"craft": craft.config.name}, value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)

@@ -19,6 +19,7 @@ from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.events import Event
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
+from magcal_service.model_watch import ModelWatch
 from magcal_service.physics.compensation import Compensation
 from magcal_service.physics.model_file import parse_model
 from magcal_service.snapshot import Saved, SnapshotError, restored
@@ -51,6 +52,19 @@ FAULTS: Final = {
 
 A turning craft dips into saturation once a turn: its sensor is sound only when it has not for a while.
 """
+
+WATCHED: Final = {
+    Reason.MODEL_DOUBTFUL,
+    Reason.INCONSISTENT,
+    Reason.STRUCTURED_RESIDUAL,
+    Reason.DRIFTING_RESIDUAL,
+    Reason.MANY_REJECTED,
+    Reason.SPIN_CONTRADICTED,
+}
+"""Reasons under which a window of the watch may begin: they may be what it explains."""
+
+UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
+"""Reasons under which ticks are kept from the watch.  Its window outlives a new start: it has errors of its own."""
 
 COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
 ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "load_physics", "shutdown")
@@ -87,6 +101,7 @@ class Pipeline(Saved):
     _process_noise: tuple[float, float] | None
     _physics: str
     compensation: Compensation | None
+    watch: ModelWatch
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -109,6 +124,7 @@ class Pipeline(Saved):
         self._events: list[Event] = []
         self._physics = ""
         self.compensation = None
+        self.watch = ModelWatch(config.filter.gate_sigma)
         if config.physics is not None:
             self._compensate_by(config.physics.text)
 
@@ -158,6 +174,7 @@ class Pipeline(Saved):
     def roll_back(self, to: Pipeline) -> None:
         """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
         self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
+        self.watch = to.watch
         self._thawed, self._fault = True, ""
         self._learned_s, self._walk = to._learned_s, to._walk
         self._take_over()
@@ -198,10 +215,12 @@ class Pipeline(Saved):
                 self.ticks.add_reference(self.compensation.reference(message) if self.compensation else message)
             case PositionSample():
                 self.counters["position"] += 1
+                self.watch.drivers.position(message)
                 if self.compensation is not None:
                     self.compensation.position(message)
             case TelemetrySample():
                 self.counters["telemetry"] += 1
+                self.watch.drivers.telemetry(message)
                 if self.compensation is not None:
                     self.compensation.telemetry(message)
                 self.counters["rate"] += self.ticks.add_rate(message)
@@ -321,7 +340,22 @@ class Pipeline(Saved):
         self._tell_phase(self._state, state)
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self.monitor.observe(tick, outcome, state)
+        self._watch_model(tick)
         self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
+
+    def _watch_model(self, tick: Tick) -> None:
+        """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is told."""
+        reasons = set(self.trust.reasons)
+        if reasons & UNWATCHED or not (self.watch.is_open or reasons <= WATCHED):
+            return
+        if not self.watch.push(tick, self._state, walks=self._walk is not None):
+            return
+        finding = self.watch.finding
+        self.monitor.observe_model(finding is not None)
+        if finding is None:
+            self.tell("model_agrees", "a whole window of the watch has found nothing")
+        else:
+            self.tell("model_doubtful", str(finding))
 
     def _tell_phase(self, before: StateEstimate, now: StateEstimate) -> None:
         if now.restarts != before.restarts:
@@ -332,6 +366,7 @@ class Pipeline(Saved):
     def _reset(self) -> None:
         self.estimator.reset()
         self.monitor.reset()
+        self.watch.reset()
         self._state, self.trust = self.estimator.estimate(), NOT_STARTED
         self._fault, self._learned_s = "", None
 
@@ -424,6 +459,8 @@ class Pipeline(Saved):
         state = "frozen, " if self.frozen else ""
         if self.compensation is not None and self.compensation.missing:
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
+        if self.watch.finding is not None:
+            state += f"model doubtful: {self.watch.finding}; run: magcal diagnose RECORDING; "
         return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:

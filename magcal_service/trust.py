@@ -38,6 +38,7 @@ class Reason(StrEnum):
     INCONSISTENT = "inconsistent"
     STRUCTURED_RESIDUAL = "structured_residual"
     DRIFTING_RESIDUAL = "drifting_residual"
+    MODEL_DOUBTFUL = "model_doubtful"
     MANY_REJECTED = "many_rejected"
     RESTARTED = "restarted"
     SPIN_ALIASING = "spin_aliasing"
@@ -66,6 +67,8 @@ REMEDIES: Final = {
     Reason.STRUCTURED_RESIDUAL: "the residual is not white noise, so physics is missing: diagnose a recording",
     Reason.DRIFTING_RESIDUAL: "the residual wanders over minutes, so the errors change: set process_noise, or diagnose "
     "a recording",
+    Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: diagnose a "
+    "recording, load its physics.toml",
     Reason.MANY_REJECTED: "look for spikes, a wrong noise_nt, or a step in the errors",
     Reason.RESTARTED: "the samples contradicted the estimate and it started anew: wait until it has settled",
     Reason.SPIN_ALIASING: "the sample period is close to a multiple of half the spin period: change one of them",
@@ -169,6 +172,7 @@ class TrustMonitor(Saved):
     _unpaired_s: float
     _fault: Reason | None
     _driver_missing: bool
+    _model_doubtful: bool
     _sudden_share: float
     _frozen: bool
     _unchecked_s: float
@@ -196,6 +200,7 @@ class TrustMonitor(Saved):
         self._unpaired_s = 0.0
         self._fault = None
         self._driver_missing = False
+        self._model_doubtful = False
         self._sudden_share = 0.0
         self._frozen = False
         self._unchecked_s = 0.0
@@ -284,6 +289,10 @@ class TrustMonitor(Saved):
         """Whether an effect that is to be compensated could not be, for want of its driver."""
         self._driver_missing = missing
 
+    def observe_model(self, doubtful: bool) -> None:
+        """Whether the residual follows something that the model leaves out (``model_watch``)."""
+        self._model_doubtful = doubtful
+
     def observe_fault(self, fault: Reason | None) -> None:
         """What is wrong with the sensor from now on; None: nothing any more."""
         self._fault = fault
@@ -345,6 +354,7 @@ class TrustMonitor(Saved):
                 settled and self.residual_rms_nt > self.config.trust.residual_ratio * floor_nt,
             ),
             (Reason.DRIFTING_RESIDUAL, len(self._blocks) >= 10 and self._block_ratio > levels.block_ratio),
+            (Reason.MODEL_DOUBTFUL, self._model_doubtful),
             (
                 Reason.MANY_REJECTED,
                 (settled and self._rejected_share > levels.rejected_share) or self._sudden_share > levels.sudden_share,
