@@ -31,7 +31,7 @@ DRIVING: Final = ("temperature", "current", "magnetic moment", "sun")
 _WARMTH_S: Final = 1200.0  # of electronics in a small craft: 300 to 3600
 _LIGHT_S: Final = 10.0  # between two looks at the shadow
 _MOST_CHANNELS: Final = 8
-_MOST_DRIVERS: Final = 12
+_MOST_DRIVERS: Final = 16
 _KEPT: Final = 64  # values of a channel: more than come while a tick waits to be closed
 
 
@@ -107,7 +107,7 @@ class DriverTrack(Saved):
         self._light = [*self._light[-1:], (sample.time_ns, lit, warmth)]
 
     def drivers(self) -> list[Driver]:
-        """Those that are known now, in the order in which their channels came first; 12 at most."""
+        """Those that are known now, in the order in which their channels came first; 16 at most."""
         found = [
             Driver(name, series.quantity, column)
             for name, series in self._channels.items()

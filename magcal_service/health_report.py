@@ -136,7 +136,9 @@ class Health:
             for craft, found in ((craft, craft.watch.finding) for craft in crafts)
             for effect in (("none",) if found is None else found.effects)
         ]
-        metrics.add("model_doubt_nats", "gauge", "Evidence for what the model leaves out, by what it looks like.", doubts)
+        metrics.add(
+            "model_doubt_nats", "gauge", "Evidence for what the model leaves out, by what it looks like.", doubts
+        )
         for name, text, value in gauges:
             each: list[tuple[Labels, float]] = [({"craft": craft.config.name}, value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)

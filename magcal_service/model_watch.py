@@ -42,8 +42,8 @@ TICKS: Final = 5120
 FIRST_LOOK: Final = 3 * BLOCK
 
 _YEAR_S: Final = 31_557_600.0
-_TESTS: Final = 100
-"""Tests in one look at the most: drivers and their channels, courses, 30 steps, 30 lines."""
+_TESTS: Final = 150
+"""Tests in one look at the most: 16 drivers and their channels, courses, 58 steps, 31 lines, 13 memories."""
 
 ALARM_NATS: Final = math.log(_YEAR_S / BLOCK * _TESTS / FALSE_PER_YEAR)
 """Significance from which an explanation is told: -ln of a false alarm's probability in one test."""
@@ -51,10 +51,10 @@ ALARM_NATS: Final = math.log(_YEAR_S / BLOCK * _TESTS / FALSE_PER_YEAR)
 _BINS: Final = CHUNK // 2 + 1
 _BIN_WEIGHT: Final = np.r_[0.5, np.ones(_BINS - 2), 0.5]  # the first and the last bin have one number, the others two
 _NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of are not taken out of it
-_OWN: Final = 4  # columns without a driver: cubes of the reading 3, slope of the magnitude 1
+_OWN: Final = 7  # columns without a driver: cubes of the reading 3, what is beyond its largest 3, slope of |H| 1
 _FAR_NT: Final = 5e4
 _WIDER: Final = 4.0  # than the filter's gate: what jumps out of that is still to be told
-_TWICE: Final = 2.0
+_UNKNOWN_SHARE: Final = 1.25
 _FLAT: Final = 10  # times that an axis has to repeat its largest reading for a flat top
 _BEND: Final = {"temperature": 2, WARMTH: 2}  # drivers of bias and of scale; the others: of bias alone
 _BY: Final = {
@@ -93,13 +93,13 @@ class Finding:
 def likely(explanations: list[Explanation], samples: int) -> list[Explanation]:
     """Those that chance does not explain and that cannot be told apart, the best first; the unknown one alone.
 
-    Something that nothing accounts for is called so only where it is more than twice what the best name explains.
+    It is called unknown where the best name leaves more than a fifth of the evidence without one.
     """
     found = [one for one in explanations if one.significance() > ALARM_NATS]
     found.sort(key=lambda one: -one.score(samples))
     named = [one for one in found if one.effects != (UNKNOWN,)]
     unknown = [one for one in found if one.effects == (UNKNOWN,)]
-    if unknown and (not named or unknown[0].score(samples) > _TWICE * named[0].score(samples)):
+    if unknown and (not named or unknown[0].score(samples) > _UNKNOWN_SHARE * named[0].score(samples)):
         return unknown[:1]
     return [one for one in named if one.score(samples) > named[0].score(samples) - CLASS_NATS]
 
@@ -276,8 +276,10 @@ class ModelWatch(Saved):
 
     def _columns_of(self) -> Iterator[tuple[tuple[str, ...], str, list[int], int]]:
         """Names, driver, columns behind the nine errors, and how many of their kind, of each explanation by columns."""
-        yield ("saturation" if max(self._topped) >= _FLAT else "cubic_response",), "", [0, 1, 2], 1
-        yield ("time_offset", "position_offset"), "", [3], 1
+        yield ("cubic_response",), "", [0, 1, 2], 1
+        if max(self._topped) >= _FLAT:
+            yield ("saturation",), "", [3, 4, 5], 1
+        yield ("time_offset", "position_offset"), "", [6], 1
         at, channels = _OWN, dict[str, list[int]]()
         for driver, void in zip(self._drivers, self._void, strict=True):
             along, bend = [at, at + 1, at + 2], _BEND.get(driver.quantity, 1)
@@ -300,7 +302,8 @@ class ModelWatch(Saved):
         sensitivity = np.einsum("ni,nij->nj", unit, field_jacobian(b_hat))
         residual = np.linalg.norm(field + field @ d_matrix(self._x) - self._x[BIAS], axis=1) - magnitude
         slope = np.gradient(magnitude, np.maximum.accumulate(table[:, 0] + 1e-6 * np.arange(len(table))))
-        parts = [sensitivity, unit * (b_hat / _FAR_NT) ** 3, slope[:, None]]
+        beyond = np.sign(b_hat) * np.maximum(np.abs(b_hat) - np.array(self._reach), 0.0)
+        parts = [sensitivity, unit * (b_hat / _FAR_NT) ** 3, unit * beyond, slope[:, None]]
         for index, driver in enumerate(self._drivers):
             along = unit * table[:, 5 + index, None]
             parts.append(along)

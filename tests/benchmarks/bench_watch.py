@@ -54,7 +54,7 @@ def false_alarms(windows: int, seed: int) -> None:
         for _ in range(min(PER_FLIGHT, windows - number * PER_FLIGHT)):
             watch, most = ModelWatch(5.0), 0.0
             estimate = settled(clean.x, noise_nt, rng)
-            for count, tick in enumerate(clean.ticks(rng, watch.drivers), 1):
+            for count, tick in enumerate(clean.ticks(clean.noise(rng), watch.drivers), 1):
                 if count == TICKS:
                     break
                 if watch.push(tick, estimate, walks=False):
@@ -68,11 +68,15 @@ def false_alarms(windows: int, seed: int) -> None:
             worst.append(most)
     tests = sum(map(len, tested.values()))
     print(f"{len(worst)} windows, {looks} looks, {tests} tests; findings: {told}")
-    print(f"threshold {ALARM_NATS:.1f}; largest significance in a window (corrected for tries within a test): "
-          f"median {np.median(worst):.1f}, largest {max(worst):.1f}")
+    print(
+        f"threshold {ALARM_NATS:.1f}; largest significance in a window (corrected for tries within a test): "
+        f"median {np.median(worst):.1f}, largest {max(worst):.1f}"
+    )
     every = np.concatenate([np.array(values) for values in tested.values()])
     for level in LEVELS:
-        print(f"share of tests beyond {level:.0f}: {np.mean(every > level):.2e}, e^-{level:.0f} = {math.exp(-level):.2e}")
+        print(
+            f"share of tests beyond {level:.0f}: {np.mean(every > level):.2e}, e^-{level:.0f} = {math.exp(-level):.2e}"
+        )
     for name, values in sorted(tested.items(), key=lambda item: -float(np.mean(np.array(item[1]) > 4.0)))[:8]:
         print(f"  {name}: beyond 4: {np.mean(np.array(values) > 4.0):.2e}, largest {max(values):.1f}")
     print(f"expected a year by the threshold: at most {FALSE_PER_YEAR:g}")

@@ -42,7 +42,7 @@ def flight(
     rate_rpm: float = 7.5,
     noise_nt: float = NOISE_NT,
     full_scale_nt: float = 0.0,
-    lag_s: float = 0.0,
+    towards: tuple[float, float, float] | None = None,
 ) -> Scenario:
     """The paper's craft with a thermometer, four panels, a coil, a Sun sensor and a receiver on board."""
     scenario = load_scenario("paper")
@@ -62,8 +62,14 @@ def flight(
     steps = (Step(step_at_s, (0.6 * step_nt, -0.6 * step_nt, 0.5 * step_nt)),) if step_nt else ()
     return replace(
         scenario,
-        spin=replace(scenario.spin, rate_rad_s=rate_rpm * math.tau / 60.0),
-        sensor=replace(scenario.sensor, noise_nt=(noise_nt,) * 3, full_scale_nt=full_scale_nt, lag_s=lag_s),
+        spin=replace(
+            scenario.spin,
+            rate_rad_s=rate_rpm * math.tau / 60.0,
+            direction_eci=scenario.spin.direction_eci
+            if towards is None
+            else _times(1.0 / math.hypot(*towards), towards),
+        ),
+        sensor=replace(scenario.sensor, noise_nt=(noise_nt,) * 3, full_scale_nt=full_scale_nt),
         effects=replace(scenario.effects, thermal=thermal, panels=panels, torquer=torquer, steps=steps),
         position=PositionPlan(rate_hz=0.1),
         telemetry=TelemetryPlan(
@@ -135,9 +141,12 @@ class Clean:
         corrected = block.ambient_body_nt
         return cls(scenario, corrected, np.linalg.norm(block.true_eci_nt, axis=1), block.times_ns, x, others)
 
-    def ticks(self, rng: np.random.Generator, drivers: DriverTrack) -> Iterator[Tick]:
-        """Ticks with new noise; the drivers are told what was sent before each of them."""
-        noise = rng.standard_normal(self.field_nt.shape) * np.array(self.scenario.sensor.noise_nt)
+    def noise(self, rng: np.random.Generator) -> np.ndarray:
+        """White noise (n, 3) [nT], body."""
+        return rng.standard_normal(self.field_nt.shape) * np.array(self.scenario.sensor.noise_nt)
+
+    def ticks(self, noise: np.ndarray, drivers: DriverTrack) -> Iterator[Tick]:
+        """Ticks with noise, or more than noise (n, 3) [nT]; the drivers are told what was sent before each of them."""
         measured = measure(self.x, self.field_nt + noise)
         waiting = iter(self.messages)
         message = next(waiting, None)
