@@ -75,6 +75,7 @@ class Calibration:
     trusted, verdict, reasons: as the service judged at the end, with what the whole recording adds.
     samples, ticks: rows in the recording, ticks used.
     counters: what happened to the samples, by kind.
+    model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     """
 
     method: str
@@ -86,6 +87,7 @@ class Calibration:
     ticks: int
     residuals: Residuals
     counters: dict[str, int]
+    model_doubt: str
 
     @property
     def trusted(self) -> bool:
@@ -98,7 +100,7 @@ class Calibration:
         return REMEDIES[self.reasons[0]] if self.reasons else ""
 
     def as_json(self) -> str:
-        """The contract's JSON, with ``verdict``, ``remedy``, ``held_out`` and ``counters`` added."""
+        """The contract's JSON, with ``verdict``, ``remedy``, ``held_out``, ``counters`` and ``model_doubt`` added."""
         sigma = np.sqrt(np.diagonal(self.covariance))
         content: dict[str, Any] = {
             "method": self.method,
@@ -118,6 +120,7 @@ class Calibration:
                 "held_out": self.residuals.held_out,
             },
             "counters": self.counters,
+            "model_doubt": self.model_doubt,
         }
         return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
@@ -270,6 +273,7 @@ def calibrate_recording(recording: Recording, method: str = "ukf") -> Calibratio
         ticks=pipeline.ticks.counters["ticks"],
         residuals=residuals,
         counters=dict(pipeline.ticks.counters + pipeline.counters),
+        model_doubt=pipeline.model_doubt,
     )
 
 

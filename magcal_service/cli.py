@@ -156,8 +156,9 @@ def _replay(options: argparse.Namespace) -> int:
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
         f"(noise floor {residuals.noise_floor:.1f} nT)"
     )
-    print(_verdict(result.pipeline.trust.verdict, result.pipeline.trust.reasons, result.pipeline.trust.remedy))
-    return DONE if result.pipeline.trust.verdict == "trusted" else NOT_TRUSTED
+    trust, model = result.pipeline.trust, result.pipeline.model_doubt
+    print(_verdict(trust.verdict, trust.reasons, trust.remedy, model))
+    return DONE if trust.verdict == "trusted" else NOT_TRUSTED
 
 
 def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
@@ -182,11 +183,11 @@ def _counts(recording: Recording, result: Replay) -> str:
     return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])
 
 
-def _verdict(verdict: str, reasons: Sequence[str], remedy: str) -> str:
+def _verdict(verdict: str, reasons: Sequence[str], remedy: str, model: str) -> str:
     text = f"verdict: {verdict}"
     if reasons:
         text += f" ({', '.join(reasons)})"
-    return f"{text}\nremedy: {remedy}" if remedy else text
+    return "\n".join(filter(None, (text, model, remedy and f"remedy: {remedy}")))
 
 
 def _calibrate(options: argparse.Namespace) -> int:
@@ -251,7 +252,7 @@ def _table(result: Calibration) -> str:
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after; "
         f"noise floor {residuals.noise_floor:.1f} nT; held out: {held_out}"
     )
-    lines.append(_verdict(result.verdict, result.reasons, result.remedy))
+    lines.append(_verdict(result.verdict, result.reasons, result.remedy, result.model_doubt))
     return "\n".join(lines)
 
 

@@ -175,12 +175,14 @@ class TrustConfig:
     sigma_bias_nt: largest 1-sigma of any bias [nT].
     sigma_D: largest 1-sigma of any element of D [-].
     residual_ratio: largest rms residual, in units of the sensor's noise [-].
+    watch: whether the residual is watched for physics that is left out (``model_watch``).
     """
 
     min_ticks: int = field(default=300, metadata=_within(10, 1_000_000))
     sigma_bias_nt: float = field(default=100.0, metadata=_within(0.1, 10_000.0))
     sigma_D: float = field(default=0.005, metadata=_within(1e-6, 0.5))
     residual_ratio: float = field(default=1.5, metadata=_within(1.0, 100.0))
+    watch: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ class Health:
                 "accepted": pipeline.ticks.counters["accepted"],
                 "ticks": pipeline.ticks.counters["ticks"],
                 "residual_rms_nt": round(pipeline.monitor.residual_rms_nt, 1),
-                "model": str(pipeline.watch.finding or ""),
+                "model_doubt": pipeline.model_doubt,
             }
             for pipeline in pipelines
         }
@@ -136,9 +136,7 @@ class Health:
             for craft, found in ((craft, craft.watch.finding) for craft in crafts)
             for effect in (("none",) if found is None else found.effects)
         ]
-        metrics.add(
-            "model_doubt_nats", "gauge", "Evidence for what the model leaves out, by what it looks like.", doubts
-        )
+        metrics.add("model_doubt_nats", "gauge", "Evidence for what the model leaves out, by its looks.", doubts)
         for name, text, value in gauges:
             each: list[tuple[Labels, float]] = [({"craft": craft.config.name}, value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)

@@ -346,7 +346,7 @@ class Pipeline(Saved):
     def _watch_model(self, tick: Tick) -> None:
         """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is told."""
         reasons = set(self.trust.reasons)
-        if reasons & UNWATCHED or not (self.watch.is_open or reasons <= WATCHED):
+        if not self.config.trust.watch or reasons & UNWATCHED or not (self.watch.is_open or reasons <= WATCHED):
             return
         if not self.watch.push(tick, self._state, walks=self._walk is not None):
             return
@@ -459,9 +459,15 @@ class Pipeline(Saved):
         state = "frozen, " if self.frozen else ""
         if self.compensation is not None and self.compensation.missing:
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
-        if self.watch.finding is not None:
-            state += f"model doubtful: {self.watch.finding}; run: magcal diagnose RECORDING; "
+        if self.model_doubt:
+            state += f"{self.model_doubt}; "
         return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
+
+    @property
+    def model_doubt(self) -> str:
+        """What the model seems to leave out, and where to go with it; empty where nothing is found."""
+        found = self.watch.finding
+        return "" if found is None else f"model doubtful: {found}; run: magcal diagnose RECORDING"
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
         """Health of this craft; ``counters`` are the link's, added to the craft's own."""

@@ -82,17 +82,26 @@ def log_tail(x: float, degrees: int) -> float:
     return math.log(total) - half
 
 
+def inverse_root(squares: Array) -> Array:
+    """R (k, r) with R R' the inverse of a matrix of squares and products (k, k); what it hardly holds is left out."""
+    scale = np.sqrt(np.maximum(np.diagonal(squares), 1e-300))
+    values, vectors = np.linalg.eigh(squares / np.outer(scale, scale))
+    good = values > _NULL * values[-1]
+    root: Array = vectors[:, good] / np.sqrt(values[good]) / scale[:, None]
+    return root
+
+
 def without(sums: Array, count: int = STATE_SIZE) -> Array:
     """Sums of squares and products (k, k) of columns after the first ``count`` of them have been fitted to the others.
 
     A column of which nothing is left becomes zero; the last one is the residual.
     """
-    scale = np.sqrt(np.maximum(np.diagonal(sums)[:count], 1e-300))
-    values, vectors = np.linalg.eigh(sums[:count, :count] / np.outer(scale, scale))
-    good = values > _NULL * values[-1]
-    half = (vectors[:, good] / np.sqrt(values[good])).T @ (sums[:count, count:] / scale[:, None])
-    rest: Array = sums[count:, count:] - half.T @ half
-    hidden = np.diagonal(rest) <= _LEAST_SEEN * np.diagonal(sums)[count:]
+    half = inverse_root(sums[:count, :count]).T @ sums[:count, count:]
+    return _seen(sums[count:, count:] - half.T @ half, np.diagonal(sums)[count:])
+
+
+def _seen(rest: Array, before: Array) -> Array:
+    hidden = np.diagonal(rest) <= _LEAST_SEEN * before
     hidden[-1] = False
     rest[hidden] = rest[:, hidden] = 0.0
     return rest
@@ -110,7 +119,7 @@ def of_columns(rest: Array, columns: list[int], samples: int) -> float:
     return gain(rest[np.ix_(chosen, chosen)], samples)
 
 
-def of_course(blocks: Array, part: slice, basis: Array, samples: int) -> float:
+def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Array | None = None) -> float:
     """Gain of letting some of the nine errors follow a course over the blocks [nats].
 
     Parameters
@@ -119,19 +128,19 @@ def of_course(blocks: Array, part: slice, basis: Array, samples: int) -> float:
     part: which of the nine errors.
     basis: values of the course's functions in each block (m, q).
     samples: how many in all.
+    root: ``inverse_root`` of the nine errors' own part of the sum of the blocks, where it is known.
     """
-    total = blocks.sum(axis=0)
-    size, count = part.stop - part.start, basis.shape[1]
-    cross = np.einsum("bq,bik->qki", basis, blocks[:, :, part]).reshape(size * count, STATE_SIZE + 1)
-    own = np.einsum("bq,br,bik->qirk", basis, basis, blocks[:, part, part]).reshape(size * count, size * count)
-    sums = np.block(
-        [
-            [total[:STATE_SIZE, :STATE_SIZE], cross[:, :STATE_SIZE].T, total[:STATE_SIZE, STATE_SIZE:]],
-            [cross[:, :STATE_SIZE], own, cross[:, STATE_SIZE:]],
-            [total[STATE_SIZE:, :STATE_SIZE], cross[:, STATE_SIZE:].T, total[STATE_SIZE:, STATE_SIZE:]],
-        ]
-    )
-    return gain(without(sums), samples)
+    total, count, functions = blocks.sum(axis=0), len(blocks), basis.shape[1]
+    root = inverse_root(total[:STATE_SIZE, :STATE_SIZE]) if root is None else root
+    size = functions * (part.stop - part.start)
+    cross = (basis.T @ blocks[:, part, :].reshape(count, -1)).reshape(size, STATE_SIZE + 1)
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(count, -1).T @ blocks[:, part, part].reshape(count, -1)
+    own = products.reshape(functions, functions, size // functions, -1).transpose(0, 2, 1, 3).reshape(size, size)
+    sums = np.empty((size + 1, size + 1))
+    sums[:size, :size], sums[:size, size] = own, cross[:, STATE_SIZE]
+    sums[size] = [*cross[:, STATE_SIZE].tolist(), float(total[STATE_SIZE, STATE_SIZE])]
+    half = root.T @ np.column_stack([cross[:, :STATE_SIZE].T, total[:STATE_SIZE, STATE_SIZE]])
+    return gain(_seen(sums - half.T @ half, np.diagonal(sums)), samples)
 
 
 def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
@@ -141,19 +150,20 @@ def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
     """
     count, number = len(blocks), np.arange(len(blocks))
     phase = (times - times.mean()) / max(float(np.ptp(times)), 1e-9)
+    root = inverse_root(blocks.sum(axis=0)[:STATE_SIZE, :STATE_SIZE])
     found = []
     for what, part in (("bias", BIAS), ("scale", D_SCALE)):
-        line = of_course(blocks, part, phase[:, None], samples)
+        line = of_course(blocks, part, phase[:, None], samples, root)
         found.append(Explanation((f"{what}_drift",), "", line, 3))
         if count >= 8:
-            curve = of_course(blocks, part, np.stack([phase, phase**2, phase**3], axis=1), samples)
+            curve = of_course(blocks, part, np.stack([phase, phase**2, phase**3], axis=1), samples, root)
             found.append(Explanation((f"{what}_drift",), "", curve, 9))
-        steps = [of_course(blocks, part, (number >= k)[:, None] * 1.0, samples) for k in range(1, count)]
+        steps = [of_course(blocks, part, (number >= k)[:, None] * 1.0, samples, root) for k in range(1, count)]
         found.append(Explanation((f"{what}_step",), "", max(steps), 3, count - 1))
         # within a block, which then has a value of its own
-        steps = [of_course(blocks, part, _apart(number, k), samples) for k in range(1, count - 1)]
+        steps = [of_course(blocks, part, _apart(number, k), samples, root) for k in range(1, count - 1)]
         found.append(Explanation((f"{what}_step",), "", max(steps), 6, count - 2))
-    free = of_course(blocks, BIAS, np.eye(count)[:, 1:], samples)
+    free = of_course(blocks, BIAS, np.eye(count)[:, 1:], samples, root)
     found.append(Explanation((UNKNOWN,), "slow", free, 3 * (count - 1)))
     return found
 

@@ -17,7 +17,6 @@ from magcal_service.pipeline import Pipeline
 from magcal_service.ticks import Tick
 from magcal_service.wire.messages import (
     Clock,
-    MagnetometerSample,
     Message,
     PositionSample,
     TelemetrySample,
@@ -58,6 +57,7 @@ def flight(
     share = panel_nt_per_a / 500.0
     panels = tuple(Panel(one.normal_body, one.max_a, _times(share, one.field_nt_per_a)) for one in SHIPPED_PANELS)
     k = torquer_nt / 0.1
+    towards = towards or scenario.spin.direction_eci
     torquer = Torquer((0.1, 0.0, 0.0), 60.0, 6.0, (0.8 * k, 0.0, 0.0, 0.0, k, 0.0, 0.6 * k, 0.0, k))
     steps = (Step(step_at_s, (0.6 * step_nt, -0.6 * step_nt, 0.5 * step_nt)),) if step_nt else ()
     return replace(
@@ -65,9 +65,7 @@ def flight(
         spin=replace(
             scenario.spin,
             rate_rad_s=rate_rpm * math.tau / 60.0,
-            direction_eci=scenario.spin.direction_eci
-            if towards is None
-            else _times(1.0 / math.hypot(*towards), towards),
+            direction_eci=_times(1.0 / math.hypot(*towards), towards),
         ),
         sensor=replace(scenario.sensor, noise_nt=(noise_nt,) * 3, full_scale_nt=full_scale_nt),
         effects=replace(scenario.effects, thermal=thermal, panels=panels, torquer=torquer, steps=steps),
