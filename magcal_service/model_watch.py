@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.driver_track import LIGHT, WARMTH, Driver, DriverTrack, value_of
 from magcal_service.estimators.interface import StateEstimate
@@ -53,7 +54,8 @@ _BIN_WEIGHT: Final = np.r_[0.5, np.ones(_BINS - 2), 0.5]  # the first and the la
 _NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of are not taken out of it
 _OWN: Final = 7  # columns without a driver: cubes of the reading 3, what is beyond its largest 3, slope of |H| 1
 _FAR_NT: Final = 5e4
-_WIDER: Final = 4.0  # than the filter's gate: what jumps out of that is still to be told
+_MOST_ALONE: Final = 2  # samples far off by themselves in a chunk that is still used
+_WIDER: Final = 4.0  # than the filter's gate: samples in a row that jump out of that count as if there
 _UNKNOWN_SHARE: Final = 1.25
 _FLAT: Final = 10  # times that an axis has to repeat its largest reading for a flat top
 _BEND: Final = {"temperature": 2, WARMTH: 2}  # drivers of bias and of scale; the others: of bias alone
@@ -90,6 +92,14 @@ class Finding:
         return f"looks like {what}{driver}, {self.nats:.0f} nats over {self.minutes:.0f} min"
 
 
+def _spoiled(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which samples (n,) to leave out, of those far off (n,): one by itself, and a whole chunk that has many such."""
+    alone = far.copy()
+    alone[1:] &= ~far[:-1]
+    alone[:-1] &= ~far[1:]
+    return np.full(len(far), fill_value=True) if np.count_nonzero(alone) > _MOST_ALONE else alone
+
+
 def likely(explanations: list[Explanation], samples: int) -> list[Explanation]:
     """Those that chance does not explain and that cannot be told apart, the best first; the unknown one alone.
 
@@ -109,7 +119,7 @@ class ModelWatch(Saved):
 
     Parameters
     ----------
-    gate_sigma: residuals beyond so many sigmas count as if there.
+    gate_sigma: a residual beyond so many sigmas is far off.
     """
 
     drivers: DriverTrack
@@ -216,8 +226,9 @@ class ModelWatch(Saved):
         """Add the chunk's rows to the block's sums and to the spectrum."""
         columns = self._columns(np.array(self._rows))
         self._rows.clear()
-        limit = _WIDER * self._gate * max(noise_nt, 1e-9)
-        columns[:, -1] = np.clip(columns[:, -1], -limit, limit)  # one absurd sample is no structure
+        gate_nt = self._gate * max(noise_nt, 1e-9)
+        columns[_spoiled(np.abs(columns[:, -1]) > gate_nt)] = 0.0
+        columns[:, -1] = np.clip(columns[:, -1], -_WIDER * gate_nt, _WIDER * gate_nt)
         sums = columns.T @ columns
         self._block = sums if self._block is None else self._block + sums
         nine, residual = columns[:, :STATE_SIZE], columns[:, -1]
@@ -263,7 +274,8 @@ class ModelWatch(Saved):
     def explanations(self, *, walks: bool) -> list[Explanation]:
         """What each thing that may have been left out would explain of the window so far."""
         assert self._rest is not None
-        own, raised = spectral(self._power, self._share)
+        fast, raised = spectral(self._power, self._share)
+        memory = max(one.gain for one in fast if one.effects == ("coloured_noise",))
         count = self._samples
         rest = self._rest if walks else without(self._rest)
         slow = [
@@ -272,7 +284,8 @@ class ModelWatch(Saved):
         ]
         if not walks:
             slow += courses(np.array(self._blocks), np.array(self._times), count)
-        return own + [replace(one, gain=one.gain / raised) for one in slow]
+        # noise with a memory follows slow things by chance; what explains more than a memory would is no chance
+        return fast + [one if one.gain > memory else replace(one, gain=one.gain / raised) for one in slow]
 
     def _columns_of(self) -> Iterator[tuple[tuple[str, ...], str, list[int], int]]:
         """Names, driver, columns behind the nine errors, and how many of their kind, of each explanation by columns."""
@@ -287,7 +300,9 @@ class ModelWatch(Saved):
                 channels.setdefault(driver.channel, []).extend(along)
                 yield _BY[driver.quantity], driver.label, along, len(self._drivers)
                 if bend == 2:
-                    yield ("thermal_scale",), driver.label, [at + 3, at + 4, at + 5], len(self._drivers)
+                    scale = [at + 3, at + 4, at + 5]
+                    yield ("thermal_scale",), driver.label, scale, len(self._drivers)
+                    yield ("thermal_bias", "thermal_scale"), driver.label, along + scale, len(self._drivers)
             at += 3 * bend
         for driver in {one.channel: one for one in self._drivers}.values():
             columns = channels.get(driver.channel, [])
