@@ -127,6 +127,7 @@ class ModelWatch(Saved):
     _quiet: bool
     _x: Array
     _drivers: list[Driver]
+    _offered: int
     _zero: list[float]
     _void: list[bool]
     _reach: list[float]
@@ -156,7 +157,7 @@ class ModelWatch(Saved):
     def begin(self) -> None:
         """Begin a new window; what was found stands."""
         self._x = np.zeros(STATE_SIZE)
-        self._drivers, self._zero, self._void = [], [], []
+        self._drivers, self._zero, self._void, self._offered = [], [], [], 0
         self._rows, self._blocks, self._times = [], [], []
         self._block = self._rest = None
         self._power, self._share = np.zeros(_BINS), np.zeros(_BINS)
@@ -214,12 +215,18 @@ class ModelWatch(Saved):
         self._samples += 1
         if len(self._rows) == CHUNK:
             self._close_chunk(estimate.noise_nt)
-        return self._samples % BLOCK == 0 and self._close_block(float(tick.times_s[-1]), walks=walks)
+        if self._samples % BLOCK:
+            return False
+        if len(self.drivers.drivers()) > self._offered:
+            self.begin()  # a channel has come that the window does not know
+            return False
+        return self._close_block(float(tick.times_s[-1]), walks=walks)
 
     def _open(self, tick: Tick, estimate: StateEstimate, values: Mapping[str, tuple[float, ...]]) -> None:
-        known = [driver for driver in self.drivers.drivers() if not math.isnan(value_of(values, driver))]
+        offered = self.drivers.drivers()
+        known = [driver for driver in offered if not math.isnan(value_of(values, driver))]
         self._x, self._began_s = estimate.x.copy(), float(tick.times_s[-1])
-        self._drivers, self._void = known, [False] * len(known)
+        self._drivers, self._void, self._offered = known, [False] * len(known), len(offered)
         self._zero = [value_of(values, driver) for driver in known]
 
     def _close_chunk(self, noise_nt: float) -> None:
@@ -266,8 +273,9 @@ class ModelWatch(Saved):
         self._quiet = False
         effects = tuple(dict.fromkeys(name for one in likeliest for name in one.effects))
         best, before = likeliest[0], self.finding
-        if before is not None and before.nats > best.gain and set(before.effects) & set(effects):
-            return False  # the window before knew more of it
+        young = self._samples < TICKS // 2
+        if before is not None and before.nats > best.gain and (young or set(before.effects) & set(effects)):
+            return False  # the window before knew more
         self.finding = Finding(effects, best.driver, best.gain, minutes)
         return before is None or before.effects[0] != effects[0]
 

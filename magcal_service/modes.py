@@ -33,6 +33,7 @@ class Mode(StrEnum):
     ESTIMATOR_FAILED = "estimator_failed"
     FROZEN = "frozen"
     STALE = "stale"
+    MODEL_DOUBTFUL = "model_doubtful"
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +195,15 @@ MODES: Final = {
         Reason.STALE,
         "",
         "the first tick that is learned from",
+    ),
+    Mode.MODEL_DOUBTFUL: Row(
+        "the residual follows physics that the nine errors leave out: a temperature, a current, a coil, a step, ...",
+        "each sample's, by the last estimate",
+        "the estimate's: what is left out is not in it",
+        Verdict.DOUBTFUL,
+        Reason.MODEL_DOUBTFUL,
+        "",
+        "a whole window of the watch in which nothing is found, or a physics.toml that holds it",
     ),
 }
 

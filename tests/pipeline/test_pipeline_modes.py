@@ -27,6 +27,7 @@ from magcal_service.wire.messages import (
     Message,
     ReferenceSample,
     Status,
+    TelemetrySample,
     Verdict,
 )
 
@@ -159,6 +160,20 @@ def stale(pipeline: Pipeline) -> list[Message]:
     return handle_all(pipeline, messages(BEGIN_S + 6150))
 
 
+def model_doubtful(pipeline: Pipeline) -> list[Message]:
+    """A coil nearby is driven for 6 s of every 60 s, and its command is on the link."""
+    played: list[Message] = []
+    for i, message in enumerate(messages(BEGIN_S + 1500)):
+        driven = float(i // 2 % 60 < 6)
+        if isinstance(message, MagnetometerSample):
+            telemetry = {"source": "bus", "channel": "coil", "unit": "A m2", "values": (0.1 * driven,)}
+            played.append(TelemetrySample(craft="paper", sequence=i, time_ns=message.time_ns, **telemetry))
+            x, y, z = message.field_body_nt
+            message = replace(message, field_body_nt=(x + 450.0 * driven, y, z - 300.0 * driven))
+        played.append(message)
+    return handle_all(pipeline, played)
+
+
 PLAYS = {
     Mode.NO_REFERENCE: no_reference,
     Mode.NO_MAGNETOMETER: no_magnetometer,
@@ -173,6 +188,7 @@ PLAYS = {
     Mode.ESTIMATOR_FAILED: estimator_failed,
     Mode.FROZEN: frozen,
     Mode.STALE: stale,
+    Mode.MODEL_DOUBTFUL: model_doubtful,
 }
 OF_THE_SERVICE = (Mode.UNKNOWN_CRAFT, Mode.OVERLOAD)
 
