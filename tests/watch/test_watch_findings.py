@@ -14,7 +14,7 @@ from magcal_service.pipeline import Pipeline
 from magcal_service.trust import Reason
 from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario import Scenario
-from tests.watch.watch_runs import NOISE_NT, Clean, craft, flight, fly, stream
+from tests.watch.watch_runs import NOISE_NT, Clean, Known, craft, flight, fly, stream
 
 LEFT_OUT: dict[str, tuple[Scenario, float]] = {
     "thermal_bias": (flight(thermal_nt_per_k=6.0), 4800.0),
@@ -40,9 +40,20 @@ def test_an_effect_of_the_simulator_is_named_and_doubted(effect: str) -> None:
 
 
 @cache
+def prepared(rate_rpm: float, noise_nt: float) -> tuple[Clean, Known]:
+    flown = Clean.of(flight(rate_rpm=rate_rpm, noise_nt=noise_nt), 1, TICKS)
+    return flown, Known(flown)
+
+
 def clean(rate_rpm: float = 7.5, noise_nt: float = NOISE_NT) -> Clean:
     """A window's flight in which nothing is left out."""
-    return Clean.of(flight(rate_rpm=rate_rpm, noise_nt=noise_nt), 1, TICKS)
+    return prepared(rate_rpm, noise_nt)[0]
+
+
+def known(flown: Clean) -> Known:
+    """The drivers of such a flight."""
+    scenario = flown.scenario
+    return prepared(round(scenario.spin.rate_rad_s * 30.0 / np.pi, 6), scenario.sensor.noise_nt[0])[1]
 
 
 def settled(flown: Clean) -> StateEstimate:
@@ -55,7 +66,8 @@ def settled(flown: Clean) -> StateEstimate:
 def watched(flown: Clean, noise: np.ndarray, *, walks: bool = False) -> Finding | None:
     """What a watch has found just before its window ends."""
     watch, estimate = ModelWatch(5.0), settled(flown)
-    for tick in islice(flown.ticks(noise, watch.drivers), TICKS - CHUNK):
+    watch.drivers = known(flown)
+    for tick in islice(flown.ticks(noise, None), TICKS - CHUNK):
         watch.push(tick, estimate, walks=walks)
     return watch.finding
 

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
-from magcal_service.driver_track import DriverTrack
+from magcal_service.driver_track import Driver, DriverTrack
 from magcal_service.events import Event
 from magcal_service.model import measure, state_of
 from magcal_service.pipeline import Pipeline
@@ -143,16 +143,16 @@ class Clean:
         """White noise (n, 3) [nT], body."""
         return rng.standard_normal(self.field_nt.shape) * np.array(self.scenario.sensor.noise_nt)
 
-    def ticks(self, noise: np.ndarray, drivers: DriverTrack) -> Iterator[Tick]:
+    def ticks(self, noise: np.ndarray, drivers: DriverTrack | None) -> Iterator[Tick]:
         """Ticks with noise, or more than noise (n, 3) [nT]; the drivers are told what was sent before each of them."""
         measured = measure(self.x, self.field_nt + noise)
-        waiting = iter(self.messages)
+        waiting = iter(self.messages if drivers is not None else ())
         message = next(waiting, None)
         for row, time_ns in enumerate(self.times_ns.tolist()):
             while message is not None and message.time_ns <= time_ns + 10**9:
-                if isinstance(message, TelemetrySample):
+                if drivers is not None and isinstance(message, TelemetrySample):
                     drivers.telemetry(message)
-                elif isinstance(message, PositionSample):
+                elif drivers is not None and isinstance(message, PositionSample):
                     drivers.position(message)
                 message = next(waiting, None)
             yield Tick(
@@ -163,3 +163,22 @@ class Clean:
                 time_ns=time_ns,
                 clock=Clock.UTC,
             )
+
+
+class Known(DriverTrack):
+    """A flight's drivers, worked out once from what is on its link, for many watches."""
+
+    def __init__(self, flown: Clean) -> None:
+        super().__init__()
+        track, self._at = DriverTrack(), dict[int, dict[str, tuple[float, ...]]]()
+        for tick in flown.ticks(np.zeros_like(flown.field_nt), track):
+            self._at[tick.time_ns] = track.at(tick.time_ns)
+        self._known = track.drivers()
+
+    def drivers(self) -> list[Driver]:
+        """Those at the end of the flight."""
+        return self._known
+
+    def at(self, time_ns: int) -> dict[str, tuple[float, ...]]:
+        """Values at a sample's time."""
+        return self._at[time_ns]
