@@ -384,16 +384,22 @@ def physics_of(path: Path) -> PhysicsConfig:
 
 
 def _read_plain(table: Table | None, kind: type[T]) -> T:
-    """A table whose settings are all numbers with limits and defaults."""
+    """A table whose settings are all numbers with limits and defaults, or switches."""
     if table is None:
         return kind()
-    values = {setting.name: _read_setting(table, setting) for setting in fields(kind) if setting.metadata}
+    values = {
+        setting.name: _read_setting(table, setting)
+        for setting in fields(kind)
+        if setting.metadata or isinstance(setting.default, bool)
+    }
     table.finish()
     return kind(**values)
 
 
 def _read_setting(table: Table, setting: Field[Any]) -> Any:
-    """One number, whole number or array of numbers, told apart by the setting's default."""
+    """One number, whole number, switch or array of numbers, told apart by the setting's default."""
+    if isinstance(setting.default, bool):
+        return table.flag(setting.name, setting.default)
     limits: Limits = setting.metadata["limits"]
     default: Any = setting.default
     if isinstance(default, tuple):

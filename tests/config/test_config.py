@@ -76,6 +76,7 @@ min_ticks = 400
 sigma_bias_nt = 50.0
 sigma_D = 0.002
 residual_ratio = 2.0
+watch = false
 [output]
 csv = "estimates.csv"
 status_period_s = 5.0
@@ -140,7 +141,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                     100.0, 200.0, 5.0, 0.5, 1.0, 2.0, 5.0, True,
                 ),
                 ticks=TickConfig(20.0, 4.0, 40.0, 70.0, 700.0),
-                trust=TrustConfig(400, 50.0, 0.002, 2.0),
+                trust=TrustConfig(400, 50.0, 0.002, 2.0, watch=False),
             ),
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0),
@@ -380,7 +381,7 @@ def test_the_largest_value_is_accepted_and_nothing_beyond(
 
 def test_every_number_in_the_configuration_has_limits() -> None:
     unlimited = {setting.name for kind in KINDS.values() for setting in fields(kind) if not setting.metadata}
-    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "csv", "directory"}
+    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "watch", "csv", "directory"}
 
 
 def test_configuration_imports_neither_numpy_nor_an_extra() -> None:
