@@ -2,15 +2,16 @@
 
 A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
 model says it should have had.  Drivers are the newest values on the link: a channel is held until its next value, a
-position carried on along a straight line.  What a driver is missing for, or stale, is left as it is and named in
-``missing``.  Effects with a past go on from sample to sample (``scene.Memory``).
+position carried on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its
+form or its driver, or that comes out beyond all measure, is left out and named in ``missing``.  Effects with a past go
+on from sample to sample (``scene.Memory``).
 
 Error of holding a channel: its rate times its age; a channel that turns with the craft has to be sent with the samples.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
-from magcal_service.physics.forward import Bound, DriverMissingError, bind
+from magcal_service.physics.forward import Bound, DriverMissingError, MisfitError, bind
 from magcal_service.physics.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.scene import Memory, Scene, Telemetry
 from magcal_service.physics.steady_spin import attitude_of, turns_of
 from magcal_service.snapshot import Saved
 from magcal_service.units import CHANNEL_UNITS
+from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
     Clock,
     Frame,
@@ -53,6 +55,12 @@ _SLOW: Final = {"temperature": 30.0}
 _POSITION_S: Final = 120.0
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
+
+_MOST_GROWTH: Final = 0.5
+"""Share of the magnitude by which a reference may be wrong."""
+
+_MOST_SHIFT_S: Final = 3600.0
+"""By how much time tags may disagree [s]."""
 
 _AT_START_S: Final = 60.0
 _KNOT_S: Final = 10.0
@@ -131,7 +139,7 @@ class Compensation(Saved):
     @property
     def wait_s(self) -> float:
         """How much later a reference for a sample comes than it would without a time offset [s]."""
-        return max(0.0, sum(float(term.amplitudes["offset_s"]) for term in self._time_terms))
+        return max(0.0, sum(shifts_s(self._time_terms, 0.0)[0]))
 
     # What comes
 
@@ -167,12 +175,11 @@ class Compensation(Saved):
         """The reference as the model says that it should have been."""
         if sample.field_nt is not None and sample.frame is Frame.ECI:
             self._reference, self._reference_ns = sample.field_nt, sample.time_ns
-        for term in self._time_terms:
-            elapsed_s = (sample.time_ns - self.model.origin_ns) * 1e-9
-            drift = float(term.amplitudes.get("drift_ppm", np.float64(0.0))) * 1e-6
-            shift_s = float(term.amplitudes["offset_s"]) + drift * elapsed_s
-            sample = replace(sample, time_ns=sample.time_ns - round(shift_s * 1e9))
-        return self._grown(sample) if self._growth_terms else sample
+        shift_s, unfit = shifts_s(self._time_terms, (sample.time_ns - self.model.origin_ns) * 1e-9)
+        sample = replace(sample, time_ns=sample.time_ns - sum(round(one_s * 1e9) for one_s in shift_s))
+        sample = self._grown(sample) if self._growth_terms else sample
+        self._missing_reference = [*(name for name in self._missing_reference if name != "time_offset"), *unfit]
+        return sample
 
     def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
         """The sample without the model's disturbances."""
@@ -183,17 +190,20 @@ class Compensation(Saved):
         row = Row(sample.time_ns, sample.field_body_nt)
         rows = [self._last, row] if self._last is not None and in_order else [row]
         scene = self._scene(rows, sample.clock)
-        total, missing = np.zeros(3), []
+        corrected, missing = np.array(sample.field_body_nt), []
         for index, term in enumerate(self._field_terms):
             memory = Memory(-1, self._states[index] if in_order or self._last is None else dict(self._states[index]))
             try:
-                total += self._bound(term, scene, memory, sample.time_ns).disturbance()[0][-1]
-            except DriverMissingError:
+                without = corrected - self._offset(term, scene, memory, sample.time_ns)
+                if not np.abs(without).max() <= MAX_SAMPLE_FIELD_NT:
+                    raise MisfitError(f"{term.effect}: without it the sample would be {without.tolist()}")
+                corrected = without
+            except (DriverMissingError, MisfitError):
                 missing.append(term.effect)
         if in_order or self._last is None:
             self._last = row
         self._missing_field = missing
-        x, y, z = (np.array(sample.field_body_nt) - self._inverse @ total).tolist()
+        x, y, z = corrected.tolist()
         return replace(sample, field_body_nt=(x, y, z))
 
     @cached_property
@@ -201,6 +211,11 @@ class Compensation(Saved):
         return np.asarray(np.linalg.inv(np.eye(3) + d_matrix(self.model.x)))
 
     # How it is applied
+
+    def _offset(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Array:
+        """What a term makes of the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self._inverse @ self._bound(term, scene, memory, time_ns).disturbance()[0][-1])
 
     def _bound(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Bound:
         if term.driver in _NOT_LIVE or (term.effect == "axis_skew" and scene.rate_body is None):
@@ -303,12 +318,28 @@ class Compensation(Saved):
         total, missing = 0.0, []
         for term in self._growth_terms:
             try:
-                growth = bind(term, scene).disturbance()[1]
-                total += float(np.broadcast_to(growth, 3)[-1])
-            except DriverMissingError:
+                with np.errstate(all="ignore"):
+                    growth = float(np.broadcast_to(bind(term, scene).disturbance()[1], 3)[-1])
+                if not abs(total + growth) <= _MOST_GROWTH * magnitude:
+                    raise MisfitError(f"{term.effect}: the reference would grow by {growth:g} nT")
+                total += growth
+            except (DriverMissingError, MisfitError):
                 missing.append(term.effect)
         self._missing_reference = missing
-        return total if math.isfinite(total) else 0.0
+        return total
+
+
+def shifts_s(terms: Sequence[ModelTerm], elapsed_s: float) -> tuple[list[float], list[str]]:
+    """By how much each term's reference is late [s], so long after the model's origin; and what does not fit."""
+    found, unfit = [], []
+    for term in terms:
+        drift_ppm = term.amplitudes.get("drift_ppm", np.float64(0.0))
+        shift_s = np.asarray(term.amplitudes.get("offset_s", np.nan) + drift_ppm * 1e-6 * elapsed_s)
+        if shift_s.ndim == 0 and abs(float(shift_s)) <= _MOST_SHIFT_S:
+            found.append(float(shift_s))
+        else:
+            unfit.append(term.effect)
+    return found, unfit
 
 
 def stale_after_s(pace_s: float, quantity: str) -> float:

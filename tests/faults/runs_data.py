@@ -36,12 +36,11 @@ def _fed(
     with Daemons(config, command) as daemons, Witness(address) as node:
         node.until_heard()
         with Feeder(node, messages[: len(messages) // 2], RATE_HZ) as feeder:
-            feeder.settle(1.0)
+            feeder.settle()
         (folder / "stepped").touch()
         node.mark()
         with Feeder(node, messages[len(messages) // 2 :], RATE_HZ) as feeder:
-            feeder.settle(1.0)
-            feeder.fresh_status()
+            feeder.close_books()
         daemons.process.check()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
         outcome.recovered_s = max(node.recovered_s, default=None)

@@ -46,8 +46,7 @@ def disk_full(folder: Path, quick: bool) -> Outcome:
             freed_s = time.monotonic()
             feeder.until(lambda: node.counters().get("record.written", 0) > written, "the recording does not go on")
             again_s = time.monotonic() - freed_s
-            feeder.settle()
-            feeder.fresh_status()
+            feeder.close_books()
         daemons.process.check()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
         counters = node.counters()
@@ -81,8 +80,7 @@ def half_recording(folder: Path, quick: bool) -> Outcome:
             with half.open("r+b") as file:
                 file.truncate(size - cut)
             daemons.start()
-            feeder.settle()
-            feeder.fresh_status()
+            feeder.close_books()
         outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
         outcome.used(node.counters())
         recovered = node.counters().get("record.recovered", 0)
@@ -121,8 +119,7 @@ def half_checkpoint(folder: Path, quick: bool) -> Outcome:
                 daemons.start()
                 feeder.fresh_status()
                 dropped += node.counters().get("state.dropped", 0)
-            feeder.settle()
-            feeder.fresh_status()
+            feeder.close_books()
         outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
         outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)

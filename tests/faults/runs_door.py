@@ -68,8 +68,7 @@ def guarded(folder: Path, outcome: Outcome, quick: bool) -> Iterator[Guarded]:
         node.until_heard()
         with Feeder(node, stream(seconds=1200)[: 600 if quick else 2400], RATE_HZ) as feeder:
             yield Guarded(folder, port, certificates, node, feeder)
-            feeder.settle()
-            feeder.fresh_status()
+            feeder.close_books()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
         denied = {name: count for name, count in node.counters().items() if name.startswith("link.denied.")}
         outcome.notes.append(f"the status counts {denied}")

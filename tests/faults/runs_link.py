@@ -36,8 +36,7 @@ def cut_network(folder: Path, quick: bool) -> Outcome:
                 node.mark()
                 proxy.cut.clear()
                 feeder.until(lambda: node.marked_s is None, "no vector after the cut")
-            feeder.settle(5.0)
-            feeder.fresh_status()
+            feeder.close_books()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
         outcome.used(node.counters())
         outcome.recovered_s = max(node.recovered_s, default=None)
@@ -48,7 +47,7 @@ def cut_network(folder: Path, quick: bool) -> Outcome:
 
 def cut_serial(folder: Path, quick: bool) -> Outcome:
     """A cable that is pulled out for a while."""
-    outcome = Outcome(Fault.CUT_SERIAL, "serial")
+    outcome = Outcome(Fault.CUT_SERIAL, "serial", in_flight=50)
     with CutCable() as cable:
         config = write_config(folder, f"serial:{cable.paths[0]}")
         with Daemons(config), Witness(f"serial:{cable.paths[1]}") as node:
@@ -62,12 +61,10 @@ def cut_serial(folder: Path, quick: bool) -> Outcome:
             cable.cut.clear()
             node.mark()
             with Feeder(node, messages[300:], RATE_HZ) as feeder:
-                feeder.settle(3.0)
-                feeder.fresh_status()
+                feeder.close_books(lambda: outcome.in_flight)
             outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
             outcome.recovered_s = max(node.recovered_s, default=None)
             counted = node.counters().get("link.lost", 0)
-    outcome.in_flight = 50
     outcome.balance()
     outcome.expect(counted == 100, f"the daemon counts {counted} lost messages of 100")
     outcome.notes.append(f"100 messages sent while it was out; the daemon counts {counted} of them as lost")
@@ -87,6 +84,10 @@ class Frames:
         self._rest = b""
         self.on = False
         self.spoilt: list[ReceivedFrame] = []
+
+    def samples(self) -> int:
+        """How many of those that were spoilt were samples of the magnetometer."""
+        return sum(frame.kind == 1 for frame in self.spoilt)
 
     def __call__(self, data: bytes) -> bytes:
         """Bytes in, bytes out, as soon as a frame is whole."""
@@ -154,15 +155,14 @@ def _spoilt_line(outcome: Outcome, folder: Path, frames: Frames, quick: bool) ->
             node.until_heard()
             frames.on = True
             with Feeder(node, messages[:-20], RATE_HZ) as feeder:
-                feeder.settle(2.0)
+                feeder.settle(frames.samples)
             frames.on = False
             with Feeder(node, messages[-20:], RATE_HZ) as feeder:
-                feeder.settle(2.0)
-                feeder.fresh_status()
+                feeder.close_books(frames.samples)
             counters = node.counters()
             outcome.fed, outcome.accepted, outcome.refused = node.sent, counters["accepted"], node.refused
     refusals = sum(count for name, count in counters.items() if name.startswith("link.refused."))
-    outcome.in_flight = sum(frame.kind == 1 for frame in frames.spoilt)
+    outcome.in_flight = frames.samples()
     outcome.balance()
     invented = set(node.first_s) - set(node.sent_s)
     outcome.expect(not invented, f"vectors for samples that nobody sent: {sorted(invented)[:5]}")
@@ -192,8 +192,7 @@ def corrupt_payloads(folder: Path, quick: bool) -> Outcome:
                 cut = payload[: chance.randrange(len(payload))]
                 rogue.put(key_of(message), chance.choice([cut, payload + b"\0", chance.randbytes(60), b"\xc1" + cut]))
                 time.sleep(0.001)
-            feeder.settle()
-            feeder.fresh_status()
+            feeder.close_books()
         counters = node.counters()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, counters["accepted"], node.refused
     counted = sum(count for name, count in counters.items() if name.startswith("link.refused."))

@@ -54,34 +54,46 @@ def percentile(values: list[float], share: float) -> float:
 
 
 def flood(folder: Path, quick: bool) -> Outcome:
-    """One craft at 10 kHz, another at 1 Hz: the calm one's vectors and estimates, and how late they are."""
+    """One craft at 10 kHz, another at 1 Hz: the calm one's vectors and estimates, and how late they are.
+
+    How late they are without a flood is measured first; where other work keeps the machine busy, three times that is
+    allowed.
+    """
     outcome = Outcome(Fault.FLOOD, "zenoh")
-    seconds = 8 if quick else 60
+    calm, seconds = (5, 8) if quick else (20, 60)
+    messages = stream(seconds=600)[: 2 * (calm + seconds)]
     port = free_port()
     address = f"zenoh:tcp/127.0.0.1:{port}"
     config = write_config(folder, address, crafts=("paper", "flood"))
     with Daemons(config), Witness(address) as node:
         node.until_heard()
+        with Feeder(node, messages[: 2 * calm], 2.0) as feeder:
+            feeder.settle()
+        calm_s = _ticks(node)
         command = [sys.executable, "-c", FLOOD, str(port), str(seconds), str(FLOOD_HZ)]
         with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as flooder:
             assert flooder.stdout is not None
             assert flooder.stdout.readline() == "open\n"
-            with Feeder(node, stream(seconds=600)[: 2 * seconds], 2.0) as feeder:
-                feeder.settle(3.0)
+            with Feeder(node, messages[2 * calm :], 2.0) as feeder:
+                feeder.settle()
                 put, took_s = flooder.stdout.readline().split()
-                feeder.fresh_status(3)
+                feeder.close_books()
         outcome.fed, outcome.accepted, outcome.refused = node.sent, node.counters()["accepted"], node.refused
-        late_s = [node.first_s[key] - sent_s for key, sent_s in node.sent_s.items() if key in node.first_s]
-        ticks_s = _ticks(node)
+        late_s = [node.first_s[key] - sent_s for key, sent_s in node.sent_s.items() if key in node.first_s][calm:]
+        ticks_s = _ticks(node)[len(calm_s) :]
         with open_link(address, Role.VIEWER, crafts=["flood"]) as viewer:
             flooded = _newest_status(viewer)
     outcome.balance()
-    late_ms, tick_ms = 1e3 * percentile(late_s, 0.99), 1e3 * percentile(ticks_s, 0.99)
-    outcome.expect(len(ticks_s) >= outcome.fed - 2, f"{len(ticks_s)} estimates for {outcome.fed} seconds")
-    outcome.expect(tick_ms < 100.0, f"p99 of the estimates' lateness is {tick_ms:.0f} ms")
+    late_ms, tick_ms, calm_ms = (1e3 * percentile(values, 0.99) for values in (late_s, ticks_s, calm_s))
+    estimates = len(ticks_s) + len(calm_s)
+    outcome.expect(estimates >= outcome.fed - 2, f"{estimates} estimates for {outcome.fed} seconds")
+    allowed_ms = max(100.0, 3.0 * calm_ms)
+    outcome.expect(tick_ms < allowed_ms, f"p99 of the estimates' lateness is {tick_ms:.0f} ms, {calm_ms:.0f} ms before")
     told = {name: flooded.get(name, 0) for name in ("accepted", "crowded", "ticks", "link.overflow", "link.lost")}
     outcome.notes.append(f"the flood put {put} samples in {float(took_s):.1f} s; what became of them: {told}")
-    outcome.notes.append(f"the calm craft's p99 lateness: vector {late_ms:.1f} ms, estimate {tick_ms:.1f} ms")
+    outcome.notes.append(
+        f"the calm craft's p99 lateness: vector {late_ms:.1f} ms, estimate {tick_ms:.1f} ms, before it {calm_ms:.1f} ms"
+    )
     return outcome
 
 

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.errors import ConfigError, DecodeError, LinkAddressError, MagcalError, RecordingError
+from magcal_service.physics import catalogue
+from magcal_service.physics.model_file import ModelError
 from magcal_service.recordings.json_form import to_json
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import KIND_BY_CODE, KINDS, kind_of
 from sim_sensor.scenario import shipped_scenarios
-from tests.fuzz import dress, file_readers, live_readers
+from tests.fuzz import dress, file_readers, live_readers, physics_reader
 from tests.fuzz.inputs import flight, frames, one_of_each
 from tests.fuzz.mutate import Operation
 
@@ -70,6 +72,11 @@ _ADDRESSES = (
     b"zenoh:tcp/127.0.0.1:7447?mode=peer&listen=yes",
     b"serial:/dev/ttyUSB0?baud=115200",
     b"recording:a%20b?speed=1",
+)
+
+
+_EFFECTS = tuple(
+    word.encode() for effect in catalogue() for word in (f'"{effect.name}"', *(f"{name} = 1" for name in effect.units))
 )
 
 
@@ -131,6 +138,14 @@ TARGETS: tuple[Target, ...] = (
     ),
     Target("session", file_readers.run_session, MagcalError, file_readers.sessions, own=(dress.session,), share=0.25),
     Target("config", file_readers.run_config, ConfigError, file_readers.configs, _TOML),
+    Target(
+        "physics",
+        physics_reader.run_physics,
+        ModelError,
+        physics_reader.models,
+        (*_TOML, b"[[effect]]\n", b"[effect.nonlinear]\n", *_EFFECTS),
+        share=0.2,
+    ),
     Target(
         "scenario",
         file_readers.run_scenario,

@@ -244,3 +244,43 @@ def test_a_command_loads_another_model_from_beside_the_configured_one(tmp_path: 
     again.restore_state(pipeline.export_state())
     assert again.compensation is not None
     assert len(again.compensation.model.terms) == 2
+
+
+def fitted(effect: str, variant: str = "") -> ModelTerm:
+    """A term of an effect that fits its form."""
+    return drawn(next(h for h in forms() if (h.effect, h.variant) == (effect, variant)))[0]
+
+
+UNFIT = {
+    "torquer": replace(fitted("torquer"), amplitudes={"nt_per_am2": np.ones((1, 2))}),
+    "cubic_response": replace(fitted("cubic_response"), amplitudes={"per_nt2": np.full(3, 1e300)}),
+    "position_offset": replace(fitted("position_offset", "radial"), amplitudes={"radial_km": np.float64(1e9)}),
+    "reference_epoch": replace(fitted("reference_epoch"), amplitudes={"share": np.float64(1.0)}),
+    "time_offset": replace(fitted("time_offset"), amplitudes={"drift_ppm": np.float64(1.0)}),
+    "tone": replace(fitted("tone"), nonlinear={}),
+}
+
+
+@pytest.mark.parametrize("effect", UNFIT)
+def test_an_effect_that_fits_neither_its_form_nor_any_measure_is_left_out_and_named(effect: str) -> None:
+    """What the catalogue has no use for changes no sample and no reference, and is said, like a missing driver."""
+    sound = Compensation(model_of(origin_ns=flight().origin_ns, x=X))
+    compensation = Compensation(whole(UNFIT[effect]))
+    assert compensation.wait_s == 0.0
+    for row in range(3):
+        assert feed(compensation, row) == feed(sound, row)
+        assert compensation.missing == (effect,)
+
+
+def test_a_channel_that_sends_fewer_values_than_the_model_has_coils_costs_the_effect_alone() -> None:
+    """A telemetry sample of another shape is a driver that is missing: the other effects stay compensated."""
+    scene, shared = flight(), common(0)
+    step = ModelTerm("bias_step", "none", "", {"step_nt": np.array([10.0, 0.0, 0.0])}, nonlinear={"at_s": -1.0})
+    model = model_of(fitted("torquer"), step, origin_ns=scene.origin_ns, x=X)
+    compensation = Compensation(model)
+    coils = TelemetrySample(**shared, channel="torquer", unit="A m2", values=(0.1, 0.2))  # type: ignore[arg-type]
+    compensation.telemetry(coils)
+    sample = MagnetometerSample(**shared, field_body_nt=triple(scene.field_nt[0]))  # type: ignore[arg-type]
+    wanted = scene.field_nt[0] - np.linalg.solve(np.eye(3) + d_matrix(X), [10.0, 0.0, 0.0])
+    assert compensation.correct(sample).field_body_nt == pytest.approx(wanted, abs=1e-6)
+    assert compensation.missing == ("torquer",)
