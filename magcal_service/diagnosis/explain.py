@@ -37,7 +37,7 @@ _MOST_TRIED: Final = 5
 _CLOSE: Final = 30
 _REPEATABLE: Final[tuple[str, ...]] = ()
 _LINES: Final = 3
-_OF_LINES: Final = ("frequency", "period", "cycle")
+_OF_LINES: Final = ("frequency", "period")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,14 +129,18 @@ class Search:
         """White columns of a hypothesis (m, k); those without nonlinear numbers are kept."""
         if not hypothesis.nonlinear and id(hypothesis) in self._cache:
             return self._cache[id(hypothesis)]
-        made: Columns = hypothesis.columns(theta)
-        rows = self.problem.rows(made, fit.unit)
+        rows = self.problem.rows(hypothesis.columns(theta), fit.unit)
         if rows is None or not np.isfinite(rows).all():
             return None
         rows = self.white(rows)
         if not hypothesis.nonlinear:
             self._cache[id(hypothesis)] = rows
         return rows
+
+    def _rows(self, columns: Columns, fit: Fit) -> Array:
+        rows = self.problem.rows(columns, fit.unit)
+        assert rows is not None, "a proposal for a residual that does not see it"
+        return self.white(rows)
 
     # Screening
 
@@ -154,10 +158,7 @@ class Search:
         for hypothesis in self.hypotheses if among is None else among:
             if hypothesis.effect in skip:
                 continue
-            if (
-                any(number.role in ("frequency", "period", "cycle") for number in hypothesis.nonlinear)
-                and lines is None
-            ):
+            if lines is None and any(number.role in _OF_LINES for number in hypothesis.nonlinear):
                 lines = self._lines(space, fit)
             candidate = self._best(hypothesis, space, fit, sigma_nt, lines)
             if candidate is not None:
@@ -199,7 +200,11 @@ class Search:
             cost += _search_cost(hypothesis.nonlinear[0], self.problem)
             return self._believable(Candidate(hypothesis, found[0], found[1], found[1].nats - cost), space, fit)
         best: tuple[float, Array, Gain] | None = None
-        for values in _product(grids):
+        if hypothesis.proposals is None:
+            tried = _product(grids)
+        else:
+            tried = hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), rows))
+        for values in tried:
             trial = gain(values)
             if trial is not None and (best is None or trial.nats > best[0]):
                 best = (trial.nats, values, trial)
@@ -408,8 +413,6 @@ def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Arra
     """Values to try first; a period may show as a line of its own or as side lines of the spin."""
     if number.role not in _OF_LINES:
         return number.grid
-    if number.role == "cycle":
-        return np.zeros(0) if lines is None or not len(lines) else number.grid
     if lines is None or not len(lines):
         return np.zeros(0)
     if number.role == "frequency":

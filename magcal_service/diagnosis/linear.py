@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
+from magcal_service.physics.interface import Segments
 
 FOLDS: Final = 5
 BLOCKS: Final = 50
@@ -72,28 +73,38 @@ class Workspace:
 
     def gain(self, columns: Array, sigma_nt: float) -> Gain:
         """Evidence for columns (m, k) at a noise of ``sigma_nt``."""
-        scale = np.sqrt(np.einsum("mk,mk->k", columns, columns) / len(columns))
-        scale = np.where(scale > 0.0, scale, 1.0)
+        scale = self._scale(columns)
         # Q'Z is small: G = Z'Z - (Q'Z)'(Q'Z), and Z'r needs no projection because r is projected
         inside = self._basis.T @ columns
         normal = (columns.T @ columns - inside.T @ inside) / np.outer(scale, scale)
         return evidence(normal, columns.T @ self.residual / scale, scale, sigma_nt, _ROUNDING * len(columns))
 
+    def segments(self, columns: Array, first_rows: NDArray[np.intp]) -> Segments:
+        """Sums over the stretches that begin at each of the rows (g,), rising; what comes before the first is left out.
+
+        Columns (m, k) count in units of their own rms.
+        """
+        scaled = columns / self._scale(columns)
+        parts = np.concatenate([self._basis, scaled, self.residual[:, None]], axis=1)
+        ends = np.append(first_rows[1:], len(columns))
+        sums = np.stack([parts[i:j].T @ scaled[i:j] for i, j in zip(first_rows.tolist(), ends.tolist(), strict=True)])
+        width, size = self._basis.shape[1], scaled.shape[1]
+        return Segments(sums[:, width : width + size], sums[:, :width], sums[:, width + size])
+
     def gated(self, columns: Array, first_rows: NDArray[np.intp], sigma_nt: float) -> list[Gain]:
         """Gains of columns (m, k) that are zero before each of the rows (g,), rising; at the cost of about one."""
+        parts = self.segments(columns, first_rows)
+        normal, inside, right = (
+            np.cumsum(part[::-1], axis=0)[::-1] for part in (parts.normal, parts.inside, parts.right)
+        )
+        left = normal - np.swapaxes(inside, 1, 2) @ inside
+        scale, smallest = self._scale(columns), _ROUNDING * len(columns)
+        return [evidence(left[at], right[at], scale, sigma_nt, smallest) for at in range(len(first_rows))]
+
+    @staticmethod
+    def _scale(columns: Array) -> Array:
         scale = np.sqrt(np.einsum("mk,mk->k", columns, columns) / len(columns))
-        scaled = columns / np.where(scale > 0.0, scale, 1.0)
-        starts = np.concatenate([[0], first_rows]).astype(np.intp)
-        parts = np.concatenate([self._basis, scaled, self.residual[:, None]], axis=1)
-        ends = np.append(starts[1:], len(columns))
-        sums = np.stack([parts[i:j].T @ scaled[i:j] for i, j in zip(starts.tolist(), ends.tolist(), strict=True)])
-        after = np.cumsum(sums[::-1], axis=0)[::-1][1:]
-        width, size = self._basis.shape[1], scaled.shape[1]
-        found = []
-        for part in after:
-            inside, normal, right = part[:width], part[width : width + size], part[width + size]
-            found.append(evidence(normal - inside.T @ inside, right, scale, sigma_nt, _ROUNDING * len(columns)))
-        return found
+        return np.where(scale > 0.0, scale, 1.0)
 
 
 def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float, smallest: float = 0.0) -> Gain:

@@ -27,7 +27,7 @@ PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5
 """1 sigma of the nine errors: only keeps what the recording says nothing of from running away."""
 
-HELD: Final = ("instant", "held", "cycle")
+HELD: Final = ("instant", "held")
 """Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
 
 _ITERATIONS: Final = 12

@@ -97,7 +97,7 @@ class Nonlinear:
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
     logarithmic: steps between values are ratios.
     role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"held"`` once
-        it has been searched (the columns jump with it), ``"cycle"`` the same where the residual has a line, or ``""``.
+        it has been searched (the columns jump with it), or ``""``.
     """
 
     name: str
@@ -105,6 +105,44 @@ class Nonlinear:
     grid: Array
     logarithmic: bool = False
     role: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """What k columns hold in each of g stretches of time: sums from which any choice of stretches is worked out.
+
+    Parameters
+    ----------
+    normal: (g, k, k) products of the columns with one another, each column of unit rms over the recording.
+    inside: (g, p, k) products of what is fitted anyway (orthonormal over the recording) with the columns.
+    right: (g, k) products of the columns with the residual [nT].
+    """
+
+    normal: Array
+    inside: Array
+    right: Array
+
+    def grouped(self, number: NDArray[np.intp], count: int) -> Segments:
+        """The stretches put together by number (g,), 0 to ``count`` - 1."""
+        chosen = np.zeros((count, len(number)))
+        chosen[number, np.arange(len(number))] = 1.0
+        return Segments(*(self._sum(chosen, part) for part in (self.normal, self.inside, self.right)))
+
+    def drop(self, chosen: Array) -> Array:
+        """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
+        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
+        left = normal - np.swapaxes(inside, 1, 2) @ inside
+        trace = np.trace(normal, axis1=1, axis2=2) / normal.shape[1]
+        left += (1e-6 * trace + 1e-9)[:, None, None] * np.eye(normal.shape[1])
+        return np.asarray(np.einsum("mk,mk->m", right, np.linalg.solve(left, right[:, :, None])[:, :, 0]))
+
+    @staticmethod
+    def _sum(chosen: Array, part: Array) -> Array:
+        return np.asarray((chosen @ part.reshape(len(part), -1)).reshape(len(chosen), *part.shape[1:]))
+
+
+Sums = Callable[[Columns, NDArray[np.intp]], Segments]
+"""From columns and the first rows of g stretches to their sums, for the residual that is being explained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +159,7 @@ class Hypothesis:
     nonlinear: what ``columns`` takes; none for most.
     constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
     odds: natural logarithm of the prior odds against the plain form.
+    proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
 
     effect: str
@@ -131,6 +170,7 @@ class Hypothesis:
     nonlinear: tuple[Nonlinear, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     odds: float = 0.0
+    proposals: Callable[[Sums], Array] | None = None
 
     @property
     def label(self) -> str:

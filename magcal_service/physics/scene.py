@@ -202,14 +202,40 @@ class Scene:
     def field_slope(self) -> Array:
         """(n, 3) dw/dt of the calibrated vector in the body [nT/s].
 
-        With a known rate: -rate x w, plus the growth of |w| along w, right however fast the craft turns; without one by
-        differences, which are short by 1 - sinc(rate x period).
+        With a known rate: -rate x w plus the field's own change in space, right however fast the craft turns; without
+        one by differences, which are short by 1 - sinc(rate x period).  Where only the magnitude's change is known in
+        space, the part along a steady axis is the course of w along it, over a minute or four turns.
         """
         if self.rate_body is None:
             return self.slope(self.calibrated_nt)
         turning: Array = -np.cross(self.rate_body, self.calibrated_nt)
-        growth: Array = self.unit * self.magnitude_slope[:, None]
-        return turning + growth
+        if self.body_from_eci is not None and self.reference_eci_nt is not None:
+            return turning + np.einsum("nij,nj->ni", self.body_from_eci, self.slope(self.reference_eci_nt))
+        found: Array = turning + self.unit * self.magnitude_slope[:, None]
+        if self.mean_rate_rad_s is None or self.is_given:
+            return found
+        rate = float(np.linalg.norm(self.mean_rate_rad_s))
+        axis = self.mean_rate_rad_s / max(rate, 1e-12)
+        width = max(60.0, 8.0 * np.pi / max(rate, 1e-6))
+        along = self._smooth_slope(self.calibrated_nt @ axis, width)
+        return found + (along - found @ axis)[:, None] * axis
+
+    def _smooth_slope(self, values: Array, width_s: float) -> Array:
+        """Slope (n,) of values (n,) between their means over the stretches of a width before and after each."""
+        half = max(int(round(0.5 * width_s / self.period_s)), 1)
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        times = np.concatenate([[0.0], np.cumsum(self.time_s)])
+        row, result = np.arange(len(self)), np.zeros(len(self))
+        ends = np.append(self.pauses[1:], len(self))
+        for first, end in zip(self.pauses.tolist(), ends.tolist(), strict=True):
+            if end - first < 4:
+                continue
+            middle = np.clip(row[first:end], first + 1, end - 1)
+            low, high = np.maximum(middle - half, first), np.minimum(middle + half, end)
+            rise = (sums[high] - sums[middle]) / (high - middle) - (sums[middle] - sums[low]) / (middle - low)
+            taken = (times[high] - times[middle]) / (high - middle) - (times[middle] - times[low]) / (middle - low)
+            result[first:end] = rise / taken
+        return result
 
     # The Sun
 

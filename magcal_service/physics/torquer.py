@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,9 +10,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
 from magcal_service.physics.scene import Scene
-
-CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0])
-"""Controllers measure, fire and pause in whole seconds; slower ones would not detumble."""
+from magcal_service.physics.torquing import inferred
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 """L/R of the coil, 0: faster than a sample."""
@@ -73,40 +70,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         with_largest = constants | {"largest_am2": largest}
         driven = _driven(scene, moment, largest)
         yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
-    yield from _inferred(scene)
-
-
-def _inferred(scene: Scene) -> Iterator[Hypothesis]:
-    """A regular duty pattern, and detumbling by the sign of dB/dt."""
-    if (scene.period_s > 20.0 or len(scene) < 200) and not scene.is_given:
-        return
-    duty = (
-        Nonlinear("period_s", "s", np.empty(0), True, "period"),
-        Nonlinear("on_share", "1", np.array([0.3, 0.5, 0.75]), role="held"),
-        Nonlinear("phase", "1", np.linspace(0.0, 1.0, 8, endpoint=False), role="held"),
-    )
-
-    def columns(theta: Array) -> Columns:
-        period_s, share, phase = (float(value) for value in theta)
-        on = np.mod(scene.time_s / period_s - phase, 1.0) < share
-        return along_axes(on.astype(np.float64))
-
-    yield Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
-    slope = scene.field_slope
-    block = Block("detumbling_nt", "nT", (3, 3))
-
-    def pulsed(theta: Array) -> Columns:
-        period_s, share, phase = (float(value) for value in theta)
-        cycle = scene.time_s / period_s - phase
-        on = np.mod(cycle, 1.0) < share
-        begins = np.searchsorted(scene.time_s, (np.floor(cycle) + phase) * period_s)
-        measured = np.clip(begins - 1, 0, len(scene) - 1)  # what the controller saw before it fired
-        return along_axes(-np.sign(slope[measured]) * on[:, None])
-
-    cycles = (replace(duty[0], grid=CYCLES_S * max(1.0, scene.period_s), role="cycle"), *duty[1:])
-    yield Hypothesis("torquer", "inferred:detumbling", pulsed, (block,), "sign of dB/dt on a duty", cycles)
-    steady = along_axes(-np.sign(slope))
-    yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
+    yield from inferred(scene)
 
 
 def _derived(parameters: Values) -> Values:
@@ -124,10 +88,15 @@ EFFECT = Effect(
         "remanence_nt": "nT",
         "on_nt": "nT",
         "detumbling_nt": "nT",
+        "dumping": "1",
         "decay_s": "s",
         "period_s": "s",
         "on_share": "1",
         "phase": "1",
+        "hold_s": "s",
+        "lead_s": "s",
+        "from_s": "s",
+        "to_s": "s",
     },
     prior=(10.0, 50000.0),
     valid="commands held between samples; no saturation of the core",
@@ -138,6 +107,7 @@ EFFECT = Effect(
         "The torquers add {nt_per_am2} nT per A m2, with {driver}.",
         "Torquers on a regular duty of {period_s} s add {on_nt} nT while on.",
         "Torquers that detumble by the sign of dB/dt add {detumbling_nt} nT.",
+        "Torquers that dump momentum every {period_s} s add {dumping} times the field.",
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
