@@ -14,10 +14,10 @@ from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, h
 from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
-from magcal_service.diagnosis.problem import Fit, evaluate, is_collapsed, solve
+from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics import catalogue
-from magcal_service.physics.coloured_noise import autoregression, long_memory
+from magcal_service.physics.coloured_noise import autoregression, is_noise, long_memory
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.recording import Recording
@@ -108,14 +108,13 @@ def diagnose(
     problem, baseline = prepared.problem, prepared.baseline
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     progress(f"screening {len(effects)} effects")
-    largest = {effect.name: effect.prior[1] for effect in effects}
-    search = Search(problem, hypotheses_of(effects, problem), effects, spin_hz=spin_hz, largest_nt=largest)
+    search = Search(problem, hypotheses_of(effects, problem), effects, spin_hz=spin_hz)
     floor = 0.3 * problem.noise_nt
     explained = search.run(baseline, floor)
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
     left = structures(search, explained.fit, phase, floor)
-    coefficients = _memory(search, explained.fit, left)
+    coefficients = _memory(prepared, search.problem, explained.fit)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
         search = replace(search, problem=problem, whitening=coefficients, hypotheses=[], _cache={})
@@ -147,22 +146,21 @@ def diagnose(
     )
 
 
-def _memory(search: Search, fit: Fit, left: list[Structure]) -> Array:
+def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     """Autoregressive coefficients (p,) of the noise, empty where it is white.
 
-    Neighbouring samples have to be alike even with the largest slow structure off, and the spectrum has to be red: an
-    oscillation that nothing explains is no noise.
+    What hangs together has to be the noise itself, and its spectrum has to be red: an oscillation, or something slow
+    on top of white noise, is none.
     """
-    problem = search.problem
     if problem.is_vector:
         return np.zeros(0)
-    slow = [structure for structure in left if structure.shape.name.startswith("slow") and significant(structure)]
-    residual = fit.residual - slow[0].signal if slow else fit.residual
-    _, nats = autoregression(residual, problem.scene.pauses)
-    other = max([s.nats for s in left if not s.shape.name.startswith(("slow", "time"))], default=0.0)
-    if nats < ACCEPTED_NATS or nats < other or not is_red(problem.scene, residual, fit.unit):
+    scene = problem.scene
+    _, nats = autoregression(fit.residual, scene.pauses, scene.unit)
+    if nats < ACCEPTED_NATS or not is_red(scene, fit.residual, fit.unit):
         return np.zeros(0)
-    return long_memory(fit.residual)
+    if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
+        return np.zeros(0)
+    return long_memory(fit.residual, scene.unit)
 
 
 def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
@@ -201,9 +199,23 @@ def _other_findings(
             if effect.find is None or effect.name not in wanted:
                 continue
             finding = effect.find(view)
-            if finding is not None:
+            if finding is not None and not (effect.name == "nutation" and _imitated(finding, prepared, fit, spin)):
                 findings[effect.name] = finding
     return findings, spin
+
+
+def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolution | None) -> bool:
+    """Whether a nutation is no larger than what disturbs the vectors anyway, of which the residual sees one part only.
+
+    A body field turns the vector by its parts across it, which no scalar residual bounds: a field of the same rms in
+    every direction as the residual's excess along it is taken for granted, or that of the effects found.
+    """
+    if spin is None:
+        return False
+    turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(spin.across_nt)
+    body, _ = disturbances(fit.terms, fit.problem.scene)
+    excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
+    return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2))
 
 
 def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure], memory: Finding | None) -> float:

@@ -4,7 +4,7 @@ blocks agree; several by forward selection with a backward check; rivals by thei
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -15,6 +15,7 @@ from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, free_numbers, solve
 from magcal_service.model import STATE_SIZE, Array, measure
+from magcal_service.physics.coloured_noise import whitened
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
 
 ACCEPTED_NATS: Final = 12.0
@@ -30,6 +31,9 @@ CLASS_NATS: Final = 3.0
 LEAST_VISIBLE: Final = 0.03
 """Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
+_CANCELLING: Final = 3.0
+_MOST_REFRESHED: Final = 4
+_STILL: Final = 0.02
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
 _LEAST_LINE_NATS: Final = 4.0
 _RIVAL_SHARE: Final = 0.05
@@ -77,7 +81,6 @@ class Search:
     effects: the catalogue that the hypotheses come from.
     whitening: autoregressive coefficients (p,) of the noise; empty: white.
     spin_hz: the spin's frequency, for lines.
-    largest_nt: rms in the residual that an effect never exceeds [nT], by name.
     """
 
     problem: Problem
@@ -85,7 +88,6 @@ class Search:
     effects: Sequence[Effect] = ()
     whitening: Array = field(default_factory=lambda: np.zeros(0))
     spin_hz: float | None = None
-    largest_nt: Mapping[str, float] = field(default_factory=dict)
     _cache: dict[int, Array] = field(default_factory=dict, repr=False)
     close: set[str] = field(default_factory=set, repr=False)
 
@@ -103,17 +105,8 @@ class Search:
         """Rows (m,) or (m, k) through the noise's whitening filter."""
         if not len(self.whitening):
             return rows
-        length = len(self.whitening)
-        if length <= 16:
-            result = np.array(rows, dtype=np.float64)
-            for lag, coefficient in enumerate(self.whitening.tolist(), start=1):
-                result[lag:] -= coefficient * rows[:-lag]
-            return result
-        size = 1 << int(np.ceil(np.log2(len(rows) + length + 1)))
-        kernel = np.fft.rfft(np.concatenate([[1.0], -self.whitening]), size)
-        spectrum = np.fft.rfft(rows, size, axis=0)
-        shape = (-1,) + (1,) * (rows.ndim - 1)
-        return np.asarray(np.fft.irfft(spectrum * kernel.reshape(shape), size, axis=0)[: len(rows)])
+        found = whitened(rows.reshape(len(rows), -1), self.whitening, self.problem.scene.unit)
+        return found.reshape(rows.shape)
 
     def workspace(self, fit: Fit, without: int | None = None) -> Workspace:
         """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
@@ -246,7 +239,7 @@ class Search:
         assert rows is not None
         signal = rows @ candidate.gain.amplitudes
         size = float(signal @ signal)
-        if math.sqrt(size / len(signal)) > self.largest_nt.get(candidate.hypothesis.effect, math.inf):
+        if math.sqrt(size / len(signal)) > self.problem.largest_nt.get(candidate.hypothesis.effect, math.inf):
             return None
         seen = space.projected(signal[:, None])
         return candidate if float((seen**2).sum()) > LEAST_VISIBLE**2 * size else None
@@ -272,18 +265,28 @@ class Search:
         Columns made of other vectors than the model's own are inconsistent with it, and combinations of many of them
         then hold the radial noise that they were freed of one by one.
         """
+        for _ in range(_MOST_REFRESHED):
+            clean, measured = self._clean(fit)
+            scene = self.problem.scene
+            moved_nt = float(np.sqrt(np.mean((clean - scene.calibrated_nt) ** 2)))
+            self.problem = replace(self.problem, scene=scene.recalibrated(clean, measured))
+            self.hypotheses = hypotheses_of(self.effects, self.problem)
+            self._cache = {}
+            self._count_forms()
+            known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
+            fit = solve(self.problem, fit.x, [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms])
+            if moved_nt < _STILL * fit.rms_nt:
+                break
+        return fit
+
+    def _clean(self, fit: Fit) -> tuple[Array, Array]:
+        """Vectors (n, 3) that a fit has calibrated, free of radial noise, and the measured ones that would give them."""
         scene = self.problem.scene
-        if not self.problem.is_vector:
-            body, magnitude = disturbances(fit.terms, scene)
-            clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
-            scene = scene.recalibrated(clean, measure(fit.x[:STATE_SIZE], clean + body))
-        self.problem = replace(self.problem, scene=scene)
-        self.hypotheses = hypotheses_of(self.effects, self.problem)
-        self._cache = {}
-        self._count_forms()
-        known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
-        terms = [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
-        return solve(self.problem, fit.x, terms)
+        if self.problem.is_vector:
+            return scene.calibrated_nt, scene.clean_field_nt
+        body, magnitude = disturbances(fit.terms, scene)
+        clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
+        return clean, measure(fit.x[:STATE_SIZE], clean + body)
 
     def _larger(self, fit: Fit, floor_nt: float) -> Fit | None:
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
@@ -323,11 +326,20 @@ class Search:
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
     def _is_sized(self, fit: Fit) -> bool:
-        """Whether every term, refitted with the errors, is still no larger in the residual than its physics ever is."""
+        """Whether every term, refitted with the errors, is still no larger than its physics ever is.
+
+        That holds for its part in the residual and, by ``_CANCELLING`` more, for the field itself, of which parts that
+        cancel in the residual could be of any size.
+        """
         for term in fit.terms:
-            rows = self.problem.rows(term.hypothesis.columns(term.theta), fit.unit)
-            largest = self.largest_nt.get(term.hypothesis.effect, math.inf)
+            columns = term.hypothesis.columns(term.theta)
+            rows = self.problem.rows(columns, fit.unit)
+            largest = self.problem.largest_nt.get(term.hypothesis.effect, math.inf)
             if rows is None or float(np.sqrt(np.mean((rows @ term.amplitudes) ** 2))) > largest:
+                return False
+            field_nt, growth_nt = columns.field(term.amplitudes), columns.growth(term.amplitudes)
+            squares = float((field_nt**2).sum()) + float(np.sum(np.square(growth_nt)))
+            if math.sqrt(squares / len(field_nt)) > _CANCELLING * largest:
                 return False
         return True
 

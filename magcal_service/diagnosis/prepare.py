@@ -83,7 +83,8 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         scene = replace(scene, body_from_eci=attitude[1])
     elif spin is not None:
         scene = replace(scene, body_from_eci=spin.body_from_eci)
-    problem = Problem(scene, level, room)
+    largest_nt = {effect.name: effect.prior[1] for effect in effects}
+    problem = Problem(scene, level, room, largest_nt)
     start = x if room is None else np.concatenate([x, _room_field(scene, room)])
     baseline = solve(problem, start)
     nominal = usable.descriptor.spin

@@ -10,8 +10,8 @@ residual's own noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -52,11 +52,13 @@ class Problem:
     scene: the samples.
     noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is taken off the scalar residual.
     room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: the scalar form.
+    largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
     """
 
     scene: Scene
     noise_nt: float
     room_from_body: Array | None = None
+    largest_nt: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_vector(self) -> bool:
@@ -99,6 +101,7 @@ class Fit:
     columns: (m, p) derivatives of the residual: -d residual / d (unknowns, amplitudes, nonlinear numbers).
     unit: (n, 3) direction of the calibrated field in the body.
     calibrated_nt: (n, 3) w.
+    tie: (p,) inverse prior variances.
     """
 
     problem: Problem
@@ -108,6 +111,7 @@ class Fit:
     columns: Array
     unit: Array
     calibrated_nt: Array
+    tie: Array
 
     @property
     def rms_nt(self) -> float:
@@ -119,10 +123,15 @@ class Fit:
         """Unknowns and amplitudes, without the nonlinear numbers."""
         return self.problem.size + sum(term.hypothesis.size for term in self.terms)
 
-    @cached_property
-    def tie(self) -> Array:
-        """(p,) inverse prior variances, times the noise's."""
-        return _tie(self.problem, self.columns.shape[1])
+    @property
+    def unknowns(self) -> Array:
+        """(p,) nine errors, amplitudes, and zero for what has no prior to be tied to."""
+        values = np.zeros(self.columns.shape[1])
+        values[:STATE_SIZE] = self.x[:STATE_SIZE]
+        amplitudes = [term.amplitudes for term in self.terms]
+        if amplitudes:
+            values[self.problem.size : self.linear_size] = np.concatenate(amplitudes)
+        return values
 
     @cached_property
     def covariance(self) -> Array:
@@ -161,10 +170,15 @@ def is_collapsed(x: Array) -> bool:
     return bool(values[0] < 0.5 or values[-1] > 2.0)
 
 
-def _tie(problem: Problem, size: int) -> Array:
-    tie = np.zeros(size)
+def _tie(problem: Problem) -> Array:
+    tie = np.zeros(problem.size)
     tie[BIAS], tie[D_ALL] = PRIOR_BIAS_NT**-2, PRIOR_D**-2
     return tie
+
+
+def _amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
+    """(k,) inverse prior variances of a term's amplitudes: what cancels could be of any size otherwise."""
+    return np.asarray((columns.sizes() / problem.largest_nt.get(term.hypothesis.effect, np.inf)) ** 2)
 
 
 def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
@@ -192,19 +206,22 @@ def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: boo
         residual = length - target_length - problem.noise_nt**2 / scene.magnitude_nt
         clean = w
     if not derivatives:
-        return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w)
+        return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
     if problem.room_from_body is None:  # all of it, for the columns of effects are made of such vectors too
         clean = w * (target_length / length)[:, None]
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
     jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
     unit = clean / np.linalg.norm(clean, axis=1)[:, None]
-    parts = [-_model_rows(problem, jacobian, unit)]
+    parts, ties = [-_model_rows(problem, jacobian, unit)], [_tie(problem)]
     slopes = []
     for term in terms:
-        parts.append(_required(problem.rows(term.hypothesis.columns(term.theta), unit)))
+        made = term.hypothesis.columns(term.theta)
+        parts.append(_required(problem.rows(made, unit)))
+        ties.append(_amplitude_tie(problem, term, made))
         slopes += _slopes(problem, term, unit)
     columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
-    return Fit(problem, x, tuple(terms), residual, columns, unit, w)
+    tie = np.concatenate([*ties, np.zeros(len(slopes))])
+    return Fit(problem, x, tuple(terms), residual, columns, unit, w, tie)
 
 
 def _required(rows: Array | None) -> Array:
@@ -259,10 +276,8 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = fit.columns / scale
         tie = fit.tie * sigma2
-        values = np.zeros(len(scale))
-        values[:STATE_SIZE] = fit.x[:STATE_SIZE]
         normal = scaled.T @ scaled + np.diag(tie / scale**2)
-        right = scaled.T @ fit.residual - tie * values / scale
+        right = scaled.T @ fit.residual - tie * fit.unknowns / scale
         step = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
         if float(step @ normal @ step) < _CONVERGED * sigma2:
             break

@@ -15,10 +15,18 @@ from magcal_service.physics.view import View
 ORDER: Final = 8
 _LEAST_NATS: Final = 15.0
 _LEAST_CORRELATION: Final = 0.05
+_FADING: Final = 0.3
+_OWN: Final = 0.85
+_AT_ONCE: Final = 8
 
 
-def autoregression(residual: Array, pauses: NDArray[np.intp] | None = None) -> tuple[Array, float]:
+def autoregression(
+    residual: Array, pauses: NDArray[np.intp] | None = None, unit: Array | None = None
+) -> tuple[Array, float]:
     """Coefficients (p,) of an autoregressive model of a residual (n,), and the nats that it gains over white noise.
+
+    With the field's directions ``unit`` (n, 3) in the body the noise is one that is fixed in the body and seen along
+    them: what was seen a lag before counts by the cosine of the turn since, e_k = sum_l a_l (u_k . u_(k-l)) e_(k-l).
 
     Source: Yule-Walker equations, solved by least squares on the samples' own products.
     """
@@ -31,7 +39,8 @@ def autoregression(residual: Array, pauses: NDArray[np.intp] | None = None) -> t
     rows = np.flatnonzero(usable)
     if len(rows) < 10 * order:
         return np.zeros(0), 0.0
-    design = np.stack([residual[rows - lag] for lag in range(1, order + 1)], axis=1)
+    along, body = _in_body(residual, unit)
+    design = np.stack([_dot(along[rows], body[rows - lag]) for lag in range(1, order + 1)], axis=1)
     target = residual[rows]
     coefficients = np.linalg.lstsq(design, target, rcond=1e-10)[0]
     left = target - design @ coefficients
@@ -39,18 +48,30 @@ def autoregression(residual: Array, pauses: NDArray[np.intp] | None = None) -> t
     return coefficients, gain - 0.5 * order * math.log(count)
 
 
-def long_memory(residual: Array) -> Array:
+def _in_body(residual: Array, unit: Array | None) -> tuple[Array, Array]:
+    """Directions (n, d), and the residual put along them (n, d)."""
+    along = np.ones((len(residual), 1)) if unit is None else unit
+    return along, along * residual[:, None]
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("nd,nd->n", first, second))
+
+
+def long_memory(residual: Array, unit: Array | None = None) -> Array:
     """Coefficients (p,) of an autoregressive model with a memory of up to 2048 samples, few of them free.
 
     The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs: 1/f noise.
+    ``unit`` as in ``autoregression``.
     Source: Corsi 2009, a heterogeneous autoregressive model, J. Financial Econometrics 7, 174-196.
     """
     spans = [1, 2, 3, 4, *(span for span in (8, 32, 128, 512, 2048) if span < len(residual) // 8)]
     longest = spans[-1]
-    sums = np.concatenate([[0.0], np.cumsum(residual)])
+    along, body = _in_body(residual, unit)
+    sums = np.concatenate([np.zeros((1, along.shape[1])), np.cumsum(body, axis=0)])
     rows = np.arange(longest, len(residual))
-    design = [residual[rows - lag] for lag in spans[:4]]
-    design += [(sums[rows] - sums[rows - span]) / span for span in spans[4:]]
+    design = [_dot(along[rows], body[rows - lag]) for lag in spans[:4]]
+    design += [_dot(along[rows], sums[rows] - sums[rows - span]) / span for span in spans[4:]]
     weights = np.linalg.lstsq(np.stack(design, axis=1), residual[rows], rcond=1e-10)[0]
     coefficients = np.zeros(longest)
     coefficients[:4] = weights[:4]
@@ -59,16 +80,55 @@ def long_memory(residual: Array) -> Array:
     return coefficients
 
 
-def body_correlation(view: View) -> float:
-    """Correlation at one sample of noise that is fixed in the body, from e_i e_(i+1) = C u_i . u_(i+1)."""
+def whitened(rows: Array, coefficients: Array, unit: Array) -> Array:
+    """Rows (n, k) less what an autoregressive model (p,) of noise fixed in the body foretells of them.
+
+    Directions ``unit`` (n, 3) as in ``autoregression``; by transforms, a few columns at a time.
+    """
+    size = 1 << int(np.ceil(np.log2(len(rows) + len(coefficients) + 1)))
+    kernel = np.fft.rfft(np.concatenate([[0.0], coefficients]), size)[:, None]
+    result = np.array(rows, dtype=np.float64)
+    for first in range(0, rows.shape[1], _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        for direction in unit.T:
+            spectrum = np.fft.rfft(rows[:, part] * direction[:, None], size, axis=0)
+            result[:, part] -= np.fft.irfft(spectrum * kernel, size, axis=0)[: len(rows)] * direction[:, None]
+    return result
+
+
+def is_noise(view: View) -> bool:
+    """Whether a residual that hangs together is the noise itself, rather than something slow on top of it.
+
+    The covariance of a noise fixed in the body at a lag l is C_l = sum e_k e_(k+l) c / sum c^2, c the cosine of the
+    turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's own square if that is white, and
+    less if it has a memory; and a memory of the noise begins to fade within ten samples.
+    """
     unit, e = view.scene.unit, view.residual_nt
-    turned = np.einsum("ni,ni->n", unit[1:], unit[:-1])
-    zero = float(np.mean(e**2))
-    return float(np.clip((e[1:] * e[:-1]) @ turned / max(float(turned @ turned) * zero, 1e-300), -0.999, 0.999))
+    zero, one, ten = (covariance(unit, e, lag) for lag in (0, 1, 10))
+    if one < _LEAST_CORRELATION * zero:
+        return one < -_LEAST_CORRELATION * zero
+    fading = (one - ten) / one
+    stated = view.stated_noise_nt
+    if stated is None:
+        return fading > _FADING
+    return fading > 0.5 * _FADING and zero - one < _OWN * stated**2
+
+
+def covariance(unit: Array, residual: Array, lag: int) -> float:
+    """Covariance [nT^2] at a lag of noise fixed in the body, seen along directions ``unit`` (n, 3)."""
+    count = len(residual) - lag
+    cosine = _dot(unit[:count], unit[lag:])
+    return float((residual[:count] * residual[lag:]) @ cosine / max(float(cosine @ cosine), 1e-300))
+
+
+def body_correlation(view: View) -> float:
+    """Correlation at one sample of noise that is fixed in the body."""
+    unit, e = view.scene.unit, view.residual_nt
+    return float(np.clip(covariance(unit, e, 1) / max(covariance(unit, e, 0), 1e-300), -0.999, 0.999))
 
 
 def _find(view: View) -> Finding | None:
-    coefficients, nats = autoregression(view.residual_nt, view.scene.pauses)
+    coefficients, nats = autoregression(view.residual_nt, view.scene.pauses, view.scene.unit)
     if not len(coefficients):
         return None
     correlation = body_correlation(view)

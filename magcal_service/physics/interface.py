@@ -69,6 +69,15 @@ class Columns:
         assert self.magnitude is not None
         return np.zeros((self.magnitude.shape[1], 3))
 
+    def sizes(self) -> Array:
+        """rms over the recording of what one unit of each amplitude adds (k,) [nT per unit]."""
+        if self.axes is not None:
+            return np.asarray(np.sqrt(np.mean(self.axes**2, axis=1)).reshape(-1))
+        if self.body is not None:
+            return np.asarray(np.sqrt(np.einsum("kni,kni->k", self.body, self.body) / self.body.shape[1]))
+        assert self.magnitude is not None
+        return np.asarray(np.sqrt(np.mean(self.magnitude**2, axis=1)))
+
     def growth(self, amplitudes: Array) -> Array | float:
         """Growth of the magnitude (n,) of amplitudes (k,) [nT]; 0 for a body field."""
         return 0.0 if self.magnitude is None else amplitudes @ self.magnitude

@@ -210,7 +210,8 @@ class Scene:
             return self.slope(self.calibrated_nt)
         turning: Array = -np.cross(self.rate_body, self.calibrated_nt)
         if self.body_from_eci is not None and self.reference_eci_nt is not None:
-            return turning + np.einsum("nij,nj->ni", self.body_from_eci, self.slope(self.reference_eci_nt))
+            turned: Array = np.einsum("nij,nj->ni", self.body_from_eci, self.slope(self.reference_eci_nt))
+            return turning + turned
         found: Array = turning + self.unit * self.magnitude_slope[:, None]
         if self.mean_rate_rad_s is None or self.is_given:
             return found
@@ -222,7 +223,7 @@ class Scene:
 
     def _smooth_slope(self, values: Array, width_s: float) -> Array:
         """Slope (n,) of values (n,) between their means over the stretches of a width before and after each."""
-        half = max(int(round(0.5 * width_s / self.period_s)), 1)
+        half = max(round(0.5 * width_s / self.period_s), 1)
         sums = np.concatenate([[0.0], np.cumsum(values)])
         times = np.concatenate([[0.0], np.cumsum(self.time_s)])
         row, result = np.arange(len(self)), np.zeros(len(self))
