@@ -166,17 +166,21 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
 def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
     """No effects, where a family without a name holds clearly more than all of them together: names that merely fit.
 
-    One name may fall short of the family by a quarter, for it is a model; several have to come close.
+    One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
+    first stay if they pass without the later ones.
     """
     fit = explained.fit
     if not fit.terms:
         return explained
     nameless = replace(search, problem=baseline.problem, _cache={})
     best = structures(nameless, baseline, phase, floor)[0]
-    named = float(baseline.residual @ baseline.residual) - float(fit.residual @ fit.residual)
-    needed = NEEDED_SHARES[min(len(fit.terms), len(NEEDED_SHARES)) - 1]
-    if named > needed * best.squares:
-        return explained
+    for count in range(len(fit.terms), 0, -1):
+        fewer = (
+            fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
+        )
+        named = float(baseline.residual @ baseline.residual) - float(fewer.residual @ fewer.residual)
+        if named > NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares:
+            return explained if fewer is fit else search.compared(fewer, floor)
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
 
 
@@ -193,7 +197,8 @@ def _other_findings(
         spin = solve_spin(replace(scene, calibrated_nt=clean), view.nominal_axis, view.nominal_rate_rad_s) or spin
         scene = replace(scene, calibrated_nt=clean)
     if not prepared.problem.is_vector:
-        view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
+        turn = view.turn if spin is None else spin.turn
+        view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin, turn=turn)
         for effect in effects:
             wanted = IN_ATTITUDE + (IN_NOISE if coloured else ())
             if effect.find is None or effect.name not in wanted:
@@ -201,7 +206,18 @@ def _other_findings(
             finding = effect.find(view)
             if finding is not None and not (effect.name == "nutation" and _imitated(finding, prepared, fit, spin)):
                 findings[effect.name] = finding
+    if "nutation" in findings and "spin_rate" in findings and _is_coning(findings):
+        del findings["spin_rate"]
     return findings, spin
+
+
+def _is_coning(findings: Mapping[str, Finding]) -> bool:
+    """Whether a steady rate differs from the stated one by no more than coning makes of it."""
+    rate, angle = findings["spin_rate"].parameters, findings["nutation"].parameters["angle_deg"].value
+    if "nominal_rpm" not in rate:
+        return False
+    nominal, found = float(rate["nominal_rpm"].value), float(rate["rate_rpm"].value)
+    return bool(abs(found - nominal) < 2.0 * (1.0 - np.cos(np.radians(float(angle)))) * abs(nominal))
 
 
 def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolution | None) -> bool:

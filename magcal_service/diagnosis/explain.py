@@ -239,7 +239,7 @@ class Search:
         assert rows is not None
         signal = rows @ candidate.gain.amplitudes
         size = float(signal @ signal)
-        if math.sqrt(size / len(signal)) > self.problem.largest_nt.get(candidate.hypothesis.effect, math.inf):
+        if math.sqrt(size / len(signal)) > self.problem.largest(candidate.hypothesis):
             return None
         seen = space.projected(signal[:, None])
         return candidate if float((seen**2).sum()) > LEAST_VISIBLE**2 * size else None
@@ -257,7 +257,7 @@ class Search:
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
-        return self._compared(self.refreshed(fit), floor_nt)
+        return self.compared(self.refreshed(fit), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
         """The fit once more with all columns made of vectors that it itself has calibrated.
@@ -274,13 +274,15 @@ class Search:
             self._cache = {}
             self._count_forms()
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
-            fit = solve(self.problem, fit.x, [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms])
+            fit = solve(
+                self.problem, fit.x, [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
+            )
             if moved_nt < _STILL * fit.rms_nt:
                 break
         return fit
 
     def _clean(self, fit: Fit) -> tuple[Array, Array]:
-        """Vectors (n, 3) that a fit has calibrated, free of radial noise, and the measured ones that would give them."""
+        """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
         scene = self.problem.scene
         if self.problem.is_vector:
             return scene.calibrated_nt, scene.clean_field_nt
@@ -334,7 +336,7 @@ class Search:
         for term in fit.terms:
             columns = term.hypothesis.columns(term.theta)
             rows = self.problem.rows(columns, fit.unit)
-            largest = self.problem.largest_nt.get(term.hypothesis.effect, math.inf)
+            largest = self.problem.largest(term.hypothesis)
             if rows is None or float(np.sqrt(np.mean((rows @ term.amplitudes) ** 2))) > largest:
                 return False
             field_nt, growth_nt = columns.field(term.amplitudes), columns.growth(term.amplitudes)
@@ -393,7 +395,8 @@ class Search:
         close = [h for h in self.hypotheses if h is mine or h.label in self.close]
         return self.screen(space, fit, sigma, sorted(others), close)
 
-    def _compared(self, fit: Fit, floor_nt: float) -> Explained:
+    def compared(self, fit: Fit, floor_nt: float) -> Explained:
+        """A fit with the rivals of each of its terms."""
         sigma = max(fit.rms_nt, floor_nt)
         rivals, nats = [], []
         for index in range(len(fit.terms)):

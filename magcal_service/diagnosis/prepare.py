@@ -18,7 +18,7 @@ from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, l
 from magcal_service.model import STATE_SIZE, Array, calibrate, measure
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene import Scene, Telemetry
-from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from magcal_service.physics.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
 from magcal_service.physics.sunlight import hold_over_nan
 from magcal_service.physics.view import View
 from magcal_service.recordings.channels import Axes, QuaternionOrder
@@ -83,6 +83,10 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         scene = replace(scene, body_from_eci=attitude[1])
     elif spin is not None:
         scene = replace(scene, body_from_eci=spin.body_from_eci)
+    turn = None if attitude is not None else _turn(usable, scene, spin)
+    if spin is None and turn is not None:
+        rate = np.gradient(turn.phase_rad, scene.time_s)
+        scene = replace(scene, turning_rad_s=rate[:, None] * turn.axis_body)
     largest_nt = {effect.name: effect.prior[1] for effect in effects}
     problem = Problem(scene, level, room, largest_nt)
     start = x if room is None else np.concatenate([x, _room_field(scene, room)])
@@ -96,6 +100,7 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         None if nominal is None else np.array(nominal.axis),
         None if nominal is None else nominal.rate_rad_s,
         noise_nt,
+        turn,
     )
     return Prepared(usable, problem, baseline, spin, view, counts, findings)
 
@@ -245,6 +250,16 @@ def _spin(recording: Recording, scene: Scene) -> SpinSolution | None:
     nominal = recording.descriptor.spin
     axis = None if nominal is None else np.array(nominal.axis)
     return solve_spin(scene, axis, None if nominal is None else nominal.rate_rad_s)
+
+
+def _turn(recording: Recording, scene: Scene, spin: SpinSolution | None) -> Turn | None:
+    """The turn of a solution, or, where the reference is no vector, that about the stated axis."""
+    nominal = recording.descriptor.spin
+    if spin is not None:
+        return spin.turn
+    if nominal is None or scene.reference_eci_nt is not None:
+        return None
+    return turn_alone(scene, np.array(nominal.axis), nominal.rate_rad_s)
 
 
 def recorded_attitude(recording: Recording) -> tuple[Axes, Array] | None:

@@ -81,6 +81,10 @@ class Problem:
         """Time of each row."""
         return np.repeat(self.scene.time_s, 3) if self.is_vector else self.scene.time_s
 
+    def largest(self, hypothesis: Hypothesis) -> float:
+        """rms that a hypothesis may have [nT]."""
+        return min(hypothesis.largest_nt, self.largest_nt.get(hypothesis.effect, np.inf))
+
     def rows(self, columns: Columns, unit: Array) -> Array | None:
         """Columns as rows of the residual (m, k), or None where they say nothing in this form."""
         if not self.is_vector:
@@ -178,7 +182,7 @@ def _tie(problem: Problem) -> Array:
 
 def _amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
     """(k,) inverse prior variances of a term's amplitudes: what cancels could be of any size otherwise."""
-    return np.asarray((columns.sizes() / problem.largest_nt.get(term.hypothesis.effect, np.inf)) ** 2)
+    return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2)
 
 
 def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:

@@ -160,11 +160,20 @@ def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
 
 
 def _instant_sigma(fit: Fit, term: Term) -> float:
-    """1 sigma of a change time [s]: two noise variances over the step's own square in a sample, at least a third."""
+    """1 sigma of a change time [s]: how far it may move, to either side, before that costs two noise variances.
+
+    A change that shows in few directions cannot be told in time while the field points elsewhere.
+    """
     rows = fit.problem.rows(term.hypothesis.columns(np.array([-np.inf])), fit.unit)
     assert rows is not None
-    size = float(np.mean((rows @ term.amplitudes) ** 2))
-    return fit.problem.scene.period_s * max(0.34, 2.0 * fit.rms_nt**2 / max(size, 1e-9))
+    times, at_s = fit.problem.row_time_s, float(term.theta[0])
+    spent = np.cumsum((rows @ term.amplitudes) ** 2)
+    row = int(np.searchsorted(times, at_s))
+    before = float(spent[row - 1]) if row else 0.0
+    allowed = 2.0 * fit.rms_nt**2
+    first, last = np.searchsorted(spent, [before - allowed, before + allowed])
+    last = min(int(last), len(times) - 1)
+    return max(0.34 * fit.problem.scene.period_s, at_s - float(times[first]), float(times[last]) - at_s)
 
 
 def _mismatch(diagnosis: Diagnosis) -> float:

@@ -257,7 +257,7 @@ class Compensation(Saved):
                 if abs(now_ns - held.time_ns) * 1e-9 <= stale_after_s(held.pace_s, held.quantity)
             },
             body_from_eci=attitude,
-            mean_rate_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
+            turning_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
         )
 
     def _place(self, times_ns: list[int]) -> NDArray[np.float64] | None:

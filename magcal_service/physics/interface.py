@@ -12,6 +12,7 @@ body).
 
 from __future__ import annotations
 
+import math
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -168,6 +169,7 @@ class Hypothesis:
     nonlinear: what ``columns`` takes; none for most.
     constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
     odds: natural logarithm of the prior odds against the plain form.
+    largest_nt: rms that this form may have at most [nT], where that is less than the effect's own.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
 
@@ -179,6 +181,7 @@ class Hypothesis:
     nonlinear: tuple[Nonlinear, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     odds: float = 0.0
+    largest_nt: float = math.inf
     proposals: Callable[[Sums], Array] | None = None
 
     @property

@@ -17,6 +17,7 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 _LEAST_NATS: Final = 40.0
 _LEAST_SIGMAS: Final = 0.1
+_STEEPEST: Final = 0.999
 _SLOWEST_HZ: Final = 2e-3
 
 
@@ -40,10 +41,11 @@ def _find(view: View) -> Finding | None:
         allowed &= ~_near(frequency, still_hz, side_hz, scene.period_s)
     if not allowed.any():
         return None
-    power = float((np.abs(turning) ** 2).sum())
+    power_of, elapsed, product = np.abs(turning) ** 2, scene.time_s - scene.time_s[0], misfit * np.conj(turning)
+    power = float(power_of.sum())
     best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
-    line_hz, height = _peak(scene.time_s, misfit * np.conj(turning), float(frequency[best]), span_hz / 6.0)
-    amplitude = 2.0 * height / power
+    line_hz, height = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
+    amplitude = 2.0 * height / power  # sin(angle) cos(angle): both sides are taken along and across the mean axis
     around = allowed & (np.abs(np.arange(len(line)) - best) < max(len(line) // 40, 40))
     around &= np.abs(np.arange(len(line)) - best) > 6
     usual = float(np.mean(np.abs(line[around]) ** 2)) if around.any() else math.inf
@@ -54,9 +56,14 @@ def _find(view: View) -> Finding | None:
     before = float(np.mean(misfit**2))
     explained = amplitude**2 * power / 2.0 / len(scene)
     excess = max(before - view.noise_nt**2, explained)
-    sigma = view.noise_nt * math.sqrt(2.0 / power)
+    halves = [
+        2.0 * abs(complex(np.exp(2j * math.pi * line_hz * elapsed[part]) @ product[part])) / float(power_of[part].sum())
+        for part in (slice(None, len(scene) // 2), slice(len(scene) // 2, None))
+    ]
+    sigma = math.hypot(view.noise_nt * math.sqrt(2.0 / power), 0.5 * (halves[0] - halves[1]))
+    angle = 0.5 * math.asin(min(2.0 * amplitude, _STEEPEST))
     parameters = {
-        "angle_deg": value_of(math.degrees(math.atan(amplitude)), math.degrees(sigma), "deg"),
+        "angle_deg": value_of(math.degrees(angle), math.degrees(sigma / math.cos(2.0 * angle)), "deg"),
         "rate_rad_s": value_of(
             2.0 * math.pi * abs(line_hz), 2.0 * math.pi * span_hz / 3.0 * sigma / amplitude, "rad/s"
         ),

@@ -82,7 +82,7 @@ class Scene:
     given: constants of a model that is applied here, which hold in place of what the scene itself suggests; nothing is
         left out then for want of change.  None while effects are looked for.
     memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
-    mean_rate_rad_s: (3,) the craft's turn where neither attitude nor gyro tells it, or None.
+    turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro tells it, or None.
     """
 
     time_s: Array
@@ -98,7 +98,7 @@ class Scene:
     body_from_eci: Array | None = None
     given: Mapping[str, float] | None = None
     memory: Memory | None = None
-    mean_rate_rad_s: Array | None = None
+    turning_rad_s: Array | None = None
     memo: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
@@ -189,13 +189,13 @@ class Scene:
     @cached_property
     def rate_body(self) -> Array | None:
         """(n, 3) angular rate [rad/s], body, from the attitude or a gyro channel; None without either."""
-        if self.body_from_eci is not None and self.period_s < 30.0 and self.mean_rate_rad_s is None:
+        if self.body_from_eci is not None and self.period_s < 30.0 and self.turning_rad_s is None:
             return _rate_of(self.body_from_eci, self)
         for channel in self.of_quantity("angular rate"):
             if channel.values.shape[1] == 3:
                 return channel.values
-        if self.mean_rate_rad_s is not None:
-            return np.broadcast_to(self.mean_rate_rad_s, (len(self), 3))
+        if self.turning_rad_s is not None:
+            return np.broadcast_to(self.turning_rad_s, (len(self), 3))
         return None
 
     @cached_property
@@ -213,13 +213,15 @@ class Scene:
             turned: Array = np.einsum("nij,nj->ni", self.body_from_eci, self.slope(self.reference_eci_nt))
             return turning + turned
         found: Array = turning + self.unit * self.magnitude_slope[:, None]
-        if self.mean_rate_rad_s is None or self.is_given:
+        if self.turning_rad_s is None or self.is_given:
             return found
-        rate = float(np.linalg.norm(self.mean_rate_rad_s))
-        axis = self.mean_rate_rad_s / max(rate, 1e-12)
+        mean = np.mean(self.turning_rad_s.reshape(-1, 3), axis=0)
+        rate = float(np.linalg.norm(mean))
+        axis = mean / max(rate, 1e-12)
         width = max(60.0, 8.0 * np.pi / max(rate, 1e-6))
         along = self._smooth_slope(self.calibrated_nt @ axis, width)
-        return found + (along - found @ axis)[:, None] * axis
+        corrected: Array = found + (along - found @ axis)[:, None] * axis
+        return corrected
 
     def _smooth_slope(self, values: Array, width_s: float) -> Array:
         """Slope (n,) of values (n,) between their means over the stretches of a width before and after each."""

@@ -3,63 +3,76 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from magcal_service.model import Array
 from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.view import View
 
 _LEAST_NATS: Final = 15.0
 _LEAST_BEND_RAD: Final = math.radians(3.0)
 _LEAST_SHARE: Final = 0.001
+TO_RPM: Final = 30.0 / math.pi
 
 
 def _tolerance(nominal_rad_s: float) -> float:
     """How far a steady rate may be from the stated one [rad/s]: half a unit of its last digit, at least 0.1 %."""
-    rpm = abs(nominal_rad_s) * 30.0 / math.pi
+    rpm = abs(nominal_rad_s) * TO_RPM
     text = f"{rpm:.9g}".partition("e")[0]
     unit = 10.0 ** -len(text.partition(".")[2])
-    return max(_LEAST_SHARE * rpm, 0.5 * unit) * math.pi / 30.0
+    return max(_LEAST_SHARE * rpm, 0.5 * unit) / TO_RPM
 
 
 def _find(view: View) -> Finding | None:
-    spin, scene = view.spin, view.scene
-    if spin is None or len(scene.pauses) > 1 or len(scene) < 200:
+    turn, scene = view.turn, view.scene
+    if turn is None or len(scene.pauses) > 1 or len(scene) < 200:
         return None
     time_s = scene.time_s - scene.time_s[0]
-    sigma = view.noise_nt / np.maximum(spin.across_nt, 1e-3 * scene.magnitude_nt)
-    weight = 1.0 / np.maximum(sigma, 1e-6)
     span = max(float(time_s[-1]), 1.0)
-    x = time_s / span
-    fits = []
-    for order in (1, 2):
-        design = np.vander(x, order + 1, increasing=True) * weight[:, None]
-        values, *_ = np.linalg.lstsq(design, spin.raw_phase_rad * weight, rcond=None)
-        left = spin.raw_phase_rad * weight - design @ values
-        fits.append((values, left, np.linalg.inv(design.T @ design)))
-    (_, left_1, _), (bent, left_2, covariance) = fits
-    scatter = max(1.0, float(np.mean(left_2**2)))
-    bend = abs(float(bent[2])) / 4.0
-    nats = 0.5 * (float(left_1 @ left_1) - float(left_2 @ left_2)) / scatter - math.log(len(scene))
-    drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD
+    sigma = view.noise_nt / np.maximum(turn.across_nt, 1e-3 * scene.magnitude_nt)
+    line, curve, cubic = (_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in (1, 2, 3))
+    scatter = max(1.0, float(np.mean(curve.left**2)))
+    bend = abs(float(curve.values[2])) / 4.0
+    wandered = turn.wander_rad_s * span / 4.0  # what the direction may bend that the phase is counted from
+    nats = 0.5 * (float(line.left @ line.left) - float(curve.left @ curve.left)) / scatter - math.log(len(scene))
+    drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + wandered
     nominal = view.nominal_rate_rad_s
-    other = nominal is not None and abs(spin.rate_rad_s - nominal) > _tolerance(nominal)
+    other = nominal is not None and abs(turn.rate_rad_s - nominal) > _tolerance(nominal) + turn.wander_rad_s
     if not drifting and not other:
         return None
-    to_rpm = 30.0 / math.pi
-    sigmas = np.sqrt(np.diagonal(covariance) * scatter)
+    sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
+    # a rate that does not change evenly: what one order more says otherwise, and the direction's own turn
+    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.wander_rad_s * span)
+    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.wander_rad_s * span)
     parameters = {
-        "rate_rpm": value_of(float(bent[1]) / span * to_rpm, float(sigmas[1]) / span * to_rpm, "rpm"),
+        "rate_rpm": value_of(float(curve.values[1]) / span * TO_RPM, rate_sigma / span * TO_RPM, "rpm"),
         "rate_rpm_per_s": value_of(
-            2.0 * float(bent[2]) / span**2 * to_rpm, 2.0 * float(sigmas[2]) / span**2 * to_rpm, "rpm/s"
+            2.0 * float(curve.values[2]) / span**2 * TO_RPM, 2.0 * change_sigma / span**2 * TO_RPM, "rpm/s"
         ),
     }
     if nominal is not None:
-        parameters["nominal_rpm"] = value_of(nominal * to_rpm, 0.0, "rpm")
-    total = float(left_1 @ left_1) - len(scene)
-    share = 1.0 if other and not drifting else min(1.0, (float(left_1 @ left_1 - left_2 @ left_2)) / max(total, 1.0))
+        parameters["nominal_rpm"] = value_of(nominal * TO_RPM, 0.0, "rpm")
+    total = float(line.left @ line.left) - len(scene)
+    drop = float(line.left @ line.left - curve.left @ curve.left)
+    share = 1.0 if other and not drifting else min(1.0, drop / max(total, 1.0))
     return Finding(parameters, max(nats, _LEAST_NATS), max(share, 0.0))
+
+
+class _Fitted(NamedTuple):
+    """Polynomial (order + 1,), what it leaves (n,) in sigmas, and its covariance."""
+
+    values: Array
+    left: Array
+    covariance: Array
+
+
+def _fitted(phase_rad: Array, share: Array, sigma_rad: Array, order: int) -> _Fitted:
+    weight = 1.0 / np.maximum(sigma_rad, 1e-6)
+    design = np.vander(share, order + 1, increasing=True) * weight[:, None]
+    values, *_ = np.linalg.lstsq(design, phase_rad * weight, rcond=None)
+    return _Fitted(values, phase_rad * weight - design @ values, np.linalg.inv(design.T @ design))
 
 
 EFFECT = Effect(

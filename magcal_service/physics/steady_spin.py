@@ -20,7 +20,11 @@ from magcal_service.physics.scene import Scene
 LARGEST_MISFIT: Final = 0.3
 """Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
 
+ORBITAL_RATE_RAD_S: Final = 1.1e-3
+"""Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
+
 _KNOT_TURNS: Final = 12.0
+_LEAST_ACROSS: Final = 0.1  # of |H|
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +55,53 @@ class SpinSolution:
     def rate_rpm(self) -> float:
         """Mean rate [rpm] about +axis."""
         return self.rate_rad_s * 30.0 / np.pi
+
+    @property
+    def turn(self) -> Turn:
+        """The turn alone."""
+        return Turn(self.axis_body, self.phase_rad, self.raw_phase_rad, self.rate_rad_s, self.across_nt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """How far a craft has turned about one axis of its body.
+
+    Parameters
+    ----------
+    axis_body: unit vector (3,).
+    phase_rad, raw_phase_rad: (n,) angle about +axis, unwrapped, smoothed and from each sample alone.
+    rate_rad_s: mean rate about +axis.
+    across_nt: (n,) part of the field across the axis.
+    wander_rad_s: how fast the direction that the phase is counted from may turn itself.
+    """
+
+    axis_body: Array
+    phase_rad: Array
+    raw_phase_rad: Array
+    rate_rad_s: float
+    across_nt: Array
+    wander_rad_s: float = 0.0
+
+
+def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None) -> Turn | None:
+    """The turn about a known axis (3,) against the field itself, whose direction in space nobody has told.
+
+    That direction goes round twice an orbit at most.  None where the field does not turn about the axis.
+    """
+    b1, b2 = across(axis_body)
+    body = scene.calibrated_nt @ b1 + 1j * (scene.calibrated_nt @ b2)
+    strength = np.abs(body)
+    if len(scene) < 60 or float(np.mean(strength)) < _LEAST_ACROSS * float(np.mean(scene.magnitude_nt)):
+        return None
+    turn = np.conj(body) / np.maximum(strength, 1e-9)
+    rate = _rate(scene, turn, nominal_rate_rad_s)
+    if rate is None:
+        return None
+    raw, smooth = _phases(scene, turn, strength, rate)
+    if raw is None or smooth is None:
+        return None
+    mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
+    return Turn(axis_body, smooth, raw, mean_rate, strength, 2.0 * ORBITAL_RATE_RAD_S)
 
 
 def across(axis: Array) -> tuple[Array, Array]:

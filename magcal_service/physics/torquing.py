@@ -29,6 +29,9 @@ HOLDS_S: Final = np.array([0.0, 2.0, 4.0, 5.0, 10.0])
 INTERVAL_S: Final = (250.0, 1600.0)
 """From the beginning of one dump of momentum to the next."""
 
+LARGEST_NT: Final = 5000.0
+"""rms of a pattern that is only inferred: what is larger would have been recorded, or is something else."""
+
 _SHARES: Final = np.array([0.3, 0.5, 0.75])
 _PHASES: Final = 8
 _PARTS: Final = 24
@@ -123,7 +126,16 @@ def _detumbling(scene: Scene) -> Hypothesis:
 
     block = Block("detumbling_nt", "nT", (3, 3))
     variant = "sign of dB/dt on a duty"
-    return Hypothesis("torquer", "inferred:detumbling", columns, (block,), variant, numbers, proposals=proposals)
+    return Hypothesis(
+        "torquer",
+        "inferred:detumbling",
+        columns,
+        (block,),
+        variant,
+        numbers,
+        largest_nt=LARGEST_NT,
+        proposals=proposals,
+    )
 
 
 def _parts() -> Array:
@@ -198,6 +210,7 @@ def _dumping(scene: Scene) -> Iterator[Hypothesis]:
         variant,
         numbers,
         {"middle_s": middle_s},
+        largest_nt=LARGEST_NT,
         proposals=proposals,
     )
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.scene import Scene
-from magcal_service.physics.steady_spin import SpinSolution
+from magcal_service.physics.steady_spin import SpinSolution, Turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +21,8 @@ class View:
     scene: the samples.
     residual_nt: (n,) scalar residual that is left [nT].
     noise_nt: white noise, 1 sigma per axis [nT].
-    spin: the craft's turn, None where it has none or the reference is no vector.
+    spin: attitude of a steady spin, None where there is none or the reference is no vector.
+    turn: the angle about one axis, with or without an attitude.
     nominal_axis, nominal_rate_rad_s: as the descriptor states them.
     stated_noise_nt: noise as the descriptor states it.
     """
@@ -33,6 +34,7 @@ class View:
     nominal_axis: Array | None = None
     nominal_rate_rad_s: float | None = None
     stated_noise_nt: float | None = None
+    turn: Turn | None = None
 
 
 def runs(equal: NDArray[np.bool_]) -> list[tuple[int, int]]:
