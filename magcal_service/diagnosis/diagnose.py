@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, hypotheses_of
-from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
@@ -166,6 +166,7 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
 def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
     """No effects, where a family without a name holds clearly more than all of them together: names that merely fit.
 
+    One product of two components, with one amplitude, is enough to do so if it holds more than all of them.
     One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
     first stay if they pass without the later ones.
     """
@@ -174,12 +175,13 @@ def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array |
         return explained
     nameless = replace(search, problem=baseline.problem, _cache={})
     best = structures(nameless, baseline, phase, floor)[0]
+    product = largest_product(nameless, baseline, floor)
     for count in range(len(fit.terms), 0, -1):
         fewer = (
             fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
         )
         named = float(baseline.residual @ baseline.residual) - float(fewer.residual @ fewer.residual)
-        if named > NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares:
+        if named > max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product):
             return explained if fewer is fit else search.compared(fewer, floor)
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
 

@@ -32,6 +32,7 @@ LEAST_VISIBLE: Final = 0.03
 """Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
 _CANCELLING: Final = 3.0
+_INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4
 _STILL: Final = 0.02
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
@@ -257,7 +258,9 @@ class Search:
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
-        return self.compared(self.refreshed(fit), floor_nt)
+        final = self.refreshed(fit)
+        pruned = self._pruned(final, floor_nt)
+        return self.compared(final if pruned is final else self.refreshed(pruned), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
         """The fit once more with all columns made of vectors that it itself has calibrated.
@@ -358,7 +361,10 @@ class Search:
             sigma = max(fit.rms_nt, floor_nt)
             nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
             weakest = int(np.argmin(nats))
-            if nats[weakest] > ACCEPTED_NATS:
+            inexact = [
+                n for n, term in zip(nats, fit.terms, strict=True) if term.hypothesis.driver.startswith("inferred")
+            ]
+            if nats[weakest] > max(ACCEPTED_NATS, _INEXACT * max(inexact, default=0.0)):
                 return fit
             terms = tuple(term for index, term in enumerate(fit.terms) if index != weakest)
             fit = solve(self.problem, fit.x, terms)

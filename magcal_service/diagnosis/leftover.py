@@ -12,14 +12,16 @@ from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
-from magcal_service.diagnosis.shapes import Shape, shapes
+from magcal_service.diagnosis.shapes import Shape, body_shape, products_of_two, shapes
 from magcal_service.model import Array
-from magcal_service.physics.interface import oscillation
+from magcal_service.physics.interface import along_axes, oscillation
 
 SIGNIFICANT_NATS: Final = 6.0
 """Evidence for a family, after their number, from which on it is no noise: about a dozen are looked at."""
 
 _MOST_TERMS: Final = 5
+_TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
+_MOST_TRANSIENTS: Final = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +57,58 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
         if better > 0.98 * sigma:
             break
         sigma = better
-    return found
+    sudden = _transients(search, space, fit, sigma, cost)
+    return found if sudden is None else sorted([*found, sudden], key=lambda structure: -structure.nats)
+
+
+def _transients(search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure | None:
+    """Stretches, at no regular times, in which something fixed in the body comes and goes.
+
+    Each stretch of three widths that gains more than choosing it among all costs counts by what it gains; of those
+    that overlap the best.  Where most of the recording would count, it is no transient.
+    """
+    if search.problem.is_vector:
+        return None
+    scene = search.problem.scene
+    rows = search.white(along_axes(np.ones(len(scene))).along(fit.unit))
+    trials: list[tuple[float, int, int]] = []
+    for width_s in _TRANSIENTS_S:
+        step = max(round(0.5 * width_s / scene.period_s), 3)
+        firsts = np.arange(0, len(scene) - 2 * step, step)
+        if len(firsts) < 4:
+            continue
+        segments = space.segments(rows, firsts)
+        pairs = np.eye(len(firsts))[:-1] + np.eye(len(firsts), k=1)[:-1]
+        gains = 0.5 * segments.drop(pairs) / sigma**2 - 1.5 * math.log(2.0 * step) - math.log(len(firsts) * 3.0)
+        trials += [
+            (gain, int(first), int(first) + 2 * step) for gain, first in zip(gains.tolist(), firsts, strict=False)
+        ]
+    chosen: list[tuple[float, int, int]] = []
+    for gain, first, last in sorted(trials, reverse=True):
+        if gain <= 0.0 or len(chosen) >= _MOST_TRANSIENTS:
+            break
+        if all(last <= other[1] or first >= other[2] for other in chosen):
+            chosen.append((gain, first, last))
+    if not chosen or sum(last - first for _, first, last in chosen) > 0.5 * len(scene):
+        return None
+    signals = np.zeros((len(scene), len(chosen)))
+    for column, (_, first, last) in enumerate(chosen):
+        signals[first:last, column] = 1.0
+    shape = body_shape(
+        search.problem, "transients", "a body-fixed field that comes and goes at no regular times", signals
+    )
+    found = _structure(shape, search, space, fit, sigma, cost)
+    return Structure(shape, sum(gain for gain, _, _ in chosen) - cost, found.squares, found.signal)
+
+
+def largest_product(search: Search, fit: Fit, floor_nt: float) -> float:
+    """Drop in squares [nT^2] by the best product of two components of the field, on one axis, alone."""
+    if search.problem.is_vector:
+        return 0.0
+    space = search.workspace(fit)
+    sigma = max(math.sqrt(space.squares / space.count), floor_nt)
+    rows = search.white(products_of_two(search.problem).along(fit.unit))
+    return max(space.gain(rows[:, [column]], sigma).squares for column in range(rows.shape[1]))
 
 
 def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | None:

@@ -53,6 +53,7 @@ _KINDS: Final = {
     "line": "frequency",
     "slow": "time",
     "time": "time",
+    "transients": "time",
     "field": "field",
     "spin": "phase",
     "sunlight": "light",

@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
-from magcal_service.physics.interface import along_axes
+from magcal_service.physics.interface import Columns, along_axes
 
 _BINS: Final = 10
 _SHORTEST_S: Final = 240.0
@@ -37,23 +37,25 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     elapsed = scene.time_s - scene.time_s[0]
     share = elapsed / max(float(elapsed[-1]), 1.0)
     for count in (12, 40):
-        yield _body(problem, f"slow {count}", "a body-fixed field that changes over time", _cosines(share, count))
+        yield body_shape(problem, f"slow {count}", "a body-fixed field that changes over time", _cosines(share, count))
     if not problem.is_vector:
         for count in (24, 160):
             yield _plain(f"time {count}", "the field's magnitude, in stretches of time", _windows(share, count))
-    yield _body(problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt))
+    yield body_shape(
+        problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt)
+    )
     if line_hz is not None:
         angle = 2.0 * np.pi * line_hz * scene.time_s
         courses = _windows(share, int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES)))
         swinging = [courses * part[:, None] for part in (np.cos(angle), np.sin(angle))]
         says = f"a body-fixed oscillation near {line_hz:.4g} Hz that comes and goes"
-        yield _body(problem, "line", says, np.concatenate(swinging, axis=1))
+        yield body_shape(problem, "line", says, np.concatenate(swinging, axis=1))
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
-        yield _body(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
+        yield body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
     if scene.sun_body is not None and scene.lit is not None:
         sun = np.concatenate([scene.sun_body, np.maximum(scene.sun_body, 0.0), np.ones((len(scene), 1))], axis=1)
-        yield _body(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
+        yield body_shape(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
     if scene.position_ecef_km is not None and not problem.is_vector:
         places = _places(scene.position_ecef_km)
         if places.shape[1] > 1:
@@ -63,10 +65,18 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             bins = _quantiles(values)
             if bins is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
-                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", bins)
+                yield body_shape(problem, name, f"a body-fixed field that follows {channel.name}", bins)
 
 
-def _body(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
+def products_of_two(problem: Problem) -> Columns:
+    """The products of two components of the field, of unit rms, each on each axis."""
+    signals, names = _products(problem.scene.clean_field_nt)
+    return along_axes(signals[:, [number for number, name in enumerate(names) if name.count(" ") == 1]])
+
+
+def body_shape(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
+    """A family of signals (n, s), each along each axis of the body."""
+
     def columns(unit: Array) -> Array:
         if problem.is_vector:
             rows = along_axes(signals).components()
