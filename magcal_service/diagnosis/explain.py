@@ -24,7 +24,7 @@ ACCEPTED_NATS: Final = 12.0
 HELD_OUT_SHARE: Final = 0.3
 """Of the drop in squares inside, at least so much has to be seen on blocks that took no part."""
 
-MOST_EFFECTS: Final = 4
+MOST_EFFECTS: Final = 3
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
 
@@ -40,6 +40,7 @@ _LEAST_LINE_NATS: Final = 4.0
 _RIVAL_SHARE: Final = 0.05
 _MOST_TRIED: Final = 5
 _CLOSE: Final = 30
+_NEAR: Final = 12
 _REPEATABLE: Final[tuple[str, ...]] = ()
 _LINES: Final = 3
 _OF_LINES: Final = ("frequency", "period")
@@ -320,7 +321,8 @@ class Search:
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
         least = _RIVAL_SHARE * max((candidate.nats for candidate in close), default=0.0)
-        self.close |= {candidate.hypothesis.label for candidate in close if candidate.nats > least}
+        near = sorted(close, key=lambda candidate: -candidate.nats)[:_NEAR]
+        self.close |= {candidate.hypothesis.label for candidate in near if candidate.nats > least}
         return sorted(close, key=lambda candidate: -candidate.nats)
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
@@ -379,8 +381,8 @@ class Search:
         return self.workspace(fit, index).gain(rows, sigma).nats - cost - math.log(self._forms[term.hypothesis.effect])
 
     def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
-        """Each term replaced by a rival that does better in its place, now that the others are there."""
-        for index in range(len(fit.terms) if len(fit.terms) > 1 else 0):
+        """Each term but the newest replaced by a rival that does better in its place, now that the newest is there."""
+        for index in range(len(fit.terms) - 1):
             sigma = max(fit.rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
             own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
