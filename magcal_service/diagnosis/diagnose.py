@@ -199,8 +199,7 @@ def _other_findings(
         spin = solve_spin(replace(scene, calibrated_nt=clean), view.nominal_axis, view.nominal_rate_rad_s) or spin
         scene = replace(scene, calibrated_nt=clean)
     if not prepared.problem.is_vector:
-        turn = view.turn if spin is None else spin.turn
-        view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin, turn=turn)
+        view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
         for effect in effects:
             wanted = IN_ATTITUDE + (IN_NOISE if coloured else ())
             if effect.find is None or effect.name not in wanted:

@@ -83,10 +83,10 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         scene = replace(scene, body_from_eci=attitude[1])
     elif spin is not None:
         scene = replace(scene, body_from_eci=spin.body_from_eci)
-    turn = None if attitude is not None else _turn(usable, scene, spin)
-    if spin is None and turn is not None:
-        rate = np.gradient(turn.phase_rad, scene.time_s)
-        scene = replace(scene, turning_rad_s=rate[:, None] * turn.axis_body)
+    alone = None if attitude is not None or spin is not None else _turn_alone(usable, scene)
+    if alone is not None:
+        rate = np.gradient(alone.phase_rad, scene.time_s)
+        scene = replace(scene, turning_rad_s=rate[:, None] * alone.axis_body)
     largest_nt = {effect.name: effect.prior[1] for effect in effects}
     problem = Problem(scene, level, room, largest_nt)
     start = x if room is None else np.concatenate([x, _room_field(scene, room)])
@@ -100,7 +100,7 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         None if nominal is None else np.array(nominal.axis),
         None if nominal is None else nominal.rate_rad_s,
         noise_nt,
-        turn,
+        alone,
     )
     return Prepared(usable, problem, baseline, spin, view, counts, findings)
 
@@ -252,11 +252,9 @@ def _spin(recording: Recording, scene: Scene) -> SpinSolution | None:
     return solve_spin(scene, axis, None if nominal is None else nominal.rate_rad_s)
 
 
-def _turn(recording: Recording, scene: Scene, spin: SpinSolution | None) -> Turn | None:
-    """The turn of a solution, or, where the reference is no vector, that about the stated axis."""
+def _turn_alone(recording: Recording, scene: Scene) -> Turn | None:
+    """The turn about the stated axis, where the reference is no vector."""
     nominal = recording.descriptor.spin
-    if spin is not None:
-        return spin.turn
     if nominal is None or scene.reference_eci_nt is not None:
         return None
     return turn_alone(scene, np.array(nominal.axis), nominal.rate_rad_s)

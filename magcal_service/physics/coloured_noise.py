@@ -15,6 +15,7 @@ from magcal_service.physics.view import View
 ORDER: Final = 8
 _LEAST_NATS: Final = 15.0
 _LEAST_CORRELATION: Final = 0.05
+_SIGNIFICANT_SIGMAS: Final = 5.0
 _FADING: Final = 0.3
 _OWN: Final = 0.85
 _AT_ONCE: Final = 8
@@ -105,8 +106,10 @@ def is_noise(view: View) -> bool:
     """
     unit, e = view.scene.unit, view.residual_nt
     zero, one, ten = (covariance(unit, e, lag) for lag in (0, 1, 10))
-    if one < _LEAST_CORRELATION * zero:
-        return one < -_LEAST_CORRELATION * zero
+    turned = _dot(unit[1:], unit[:-1])
+    least = max(_LEAST_CORRELATION, _SIGNIFICANT_SIGMAS / math.sqrt(max(float(turned @ turned), 1.0)))
+    if one < least * zero:
+        return one < -3.0 * least * zero
     fading = (one - ten) / one
     stated = view.stated_noise_nt
     if stated is None:

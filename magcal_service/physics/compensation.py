@@ -41,7 +41,7 @@ from magcal_service.wire.messages import (
 OF_REFERENCE: Final = ("time_offset", "external_field", "position_offset", "reference_epoch")
 """Effects that are errors of the reference."""
 
-_NOT_LIVE: Final = ("inferred:detumbling",)
+_NOT_LIVE: Final = ("inferred:detumbling", "inferred:dumping")
 """Drivers that need the course of the field before a sample, which no single sample tells."""
 
 _MOST_CHANNELS: Final = 64

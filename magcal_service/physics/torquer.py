@@ -95,6 +95,7 @@ EFFECT = Effect(
         "phase": "1",
         "hold_s": "s",
         "lead_s": "s",
+        "middle_s": "s",
         "from_s": "s",
         "to_s": "s",
     },

@@ -22,7 +22,7 @@ class View:
     residual_nt: (n,) scalar residual that is left [nT].
     noise_nt: white noise, 1 sigma per axis [nT].
     spin: attitude of a steady spin, None where there is none or the reference is no vector.
-    turn: the angle about one axis, with or without an attitude.
+    alone: the turn about a known axis where there is no such attitude.
     nominal_axis, nominal_rate_rad_s: as the descriptor states them.
     stated_noise_nt: noise as the descriptor states it.
     """
@@ -34,7 +34,12 @@ class View:
     nominal_axis: Array | None = None
     nominal_rate_rad_s: float | None = None
     stated_noise_nt: float | None = None
-    turn: Turn | None = None
+    alone: Turn | None = None
+
+    @property
+    def turn(self) -> Turn | None:
+        """The angle about one axis, with or without an attitude."""
+        return self.alone if self.spin is None else self.spin.turn
 
 
 def runs(equal: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -32,7 +32,7 @@ from tests.physics.test_model_file import drawn, forms, ids
 
 UNITS = {"temperature": "degC", "current": "A", "magnetic moment": "A m2", "angular rate": "rad/s", "counts": "counts"}
 LIVE_ROWS = 250
-NEEDS_COURSE = ("inferred:detumbling",)
+NEEDS_COURSE = ("inferred:detumbling", "inferred:dumping")
 
 
 def common(row: int) -> dict[str, object]:

@@ -12,7 +12,7 @@ from magcal_service.model import Array, measure
 from magcal_service.physics import effect_named
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene import Scene
-from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from magcal_service.physics.steady_spin import SpinSolution, solve_spin, turn_alone
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, NOISE_NT, PERIOD_S, RATE_RAD_S, X, scene, triad, turning, view
 
 RPM = math.pi / 30.0
@@ -191,3 +191,64 @@ def test_a_despin_is_no_nutation_and_a_nutation_no_despin() -> None:
     """Each of the two keeps quiet about the other."""
     assert find("nutation", turned(PHASE - 1.25e-7 * scene().time_s ** 2)) is None
     assert find("spin_rate", coning(math.radians(1.5), 0.019)) is None
+
+
+def test_the_turn_is_known_without_a_reference_vector() -> None:
+    """About the stated axis, against the field itself: the rate to twice the orbit's, one phase a sample."""
+    flown = replace(turned(PHASE), reference_eci_nt=None)
+    found = turn_alone(flown, AXIS_BODY, RATE_RAD_S)
+    assert found is not None
+    assert found.rate_rad_s == pytest.approx(RATE_RAD_S, abs=found.wander_rad_s)
+    assert len(found.phase_rad) == len(flown)
+    assert solve_spin(flown, AXIS_BODY, RATE_RAD_S) is None
+
+
+def test_no_turn_is_made_up_along_the_field() -> None:
+    """Where the field stays along the stated axis nothing tells an angle."""
+    still = replace(scene(), calibrated_nt=np.outer(scene().magnitude_nt, AXIS_BODY))
+    assert turn_alone(still, AXIS_BODY, RATE_RAD_S) is None
+
+
+def test_a_despin_shows_without_a_reference_vector_if_it_is_more_than_the_field_turns() -> None:
+    """A third of the rate lost over the recording is seen; the steady craft is not taken for one."""
+    change = -RATE_RAD_S / 3.0 / float(scene().time_s[-1])
+    for bend, seen in ((change, True), (0.0, False)):
+        flown = replace(turned(PHASE + 0.5 * bend * scene().time_s ** 2), reference_eci_nt=None)
+        alone = turn_alone(flown, AXIS_BODY, RATE_RAD_S)
+        finding = effect_named("spin_rate").find
+        assert finding is not None
+        found = finding(replace(view(flown), alone=alone, nominal_rate_rad_s=RATE_RAD_S))
+        assert (found is not None) == seen
+        if found is not None:
+            value = found.parameters["rate_rpm_per_s"]
+            assert abs(float(value.value) - change / RPM) < 3.0 * float(value.sigma)
+
+
+def test_a_wide_cone_has_its_own_angle() -> None:
+    """Fifteen degrees come back to 0.3; the arc tangent of sine times cosine would give 14.0."""
+    cone = math.radians(15.0)
+    time_s = scene().time_s
+    nutation = 0.043 * time_s
+    momentum = np.stack(
+        [math.sin(cone) * np.cos(nutation), math.sin(cone) * np.sin(nutation), np.full(len(time_s), math.cos(cone))], 1
+    )
+    body_axes = momentum @ triad(AXIS_BODY)
+    attitude = np.stack([one_turn(axis, angle) for axis, angle in zip(body_axes, PHASE, strict=True)])
+    found = find("nutation", moved(attitude))
+    assert found is not None
+    value = found.parameters["angle_deg"]
+    assert float(value.value) == pytest.approx(15.0, abs=0.3)
+
+
+def one_turn(axis: Array, angle: float) -> Array:
+    """Body from ECI (3, 3) with the fixed axis of space along ``axis`` in the body, turned by an angle about it.
+
+    The frame across the axis is carried along without a twist of its own, so that the phase stays even.
+    """
+    base = triad(AXIS_BODY)
+    turned_from = np.cross(base[2], axis)
+    sine, cosine = float(np.linalg.norm(turned_from)), float(base[2] @ axis)
+    hinge = turned_from / max(sine, 1e-12)
+    cross = np.array([[0.0, -hinge[2], hinge[1]], [hinge[2], 0.0, -hinge[0]], [-hinge[1], hinge[0], 0.0]])
+    carry = np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross
+    return np.asarray(carry @ turning(AXIS_BODY, AXIS_ECI, np.array([angle]))[0])

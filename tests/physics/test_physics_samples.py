@@ -10,7 +10,8 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics import effect_named
-from magcal_service.physics.coloured_noise import autoregression, body_correlation, long_memory
+from magcal_service.physics.coloured_noise import autoregression, body_correlation, covariance, is_noise, long_memory
+from magcal_service.physics.coloured_noise import whitened as whitened_in_body
 from magcal_service.physics.hysteresis import play
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.quantisation import step_of
@@ -226,3 +227,47 @@ def test_runs_are_first_and_last_plus_one() -> None:
     flag = np.array([True, True, False, True, False, False, True])
     assert runs(flag) == [(0, 2), (3, 4), (6, 7)]
     assert runs(np.zeros(3, dtype=bool)) == []
+
+
+def hanging_together(body: Array, level_nt: float, stated_nt: float | None) -> bool:
+    """What is said of noise (n, 3) fixed in the body, of a level, beside the level that is stated."""
+    unit = scene().unit
+    residual = level_nt * np.einsum("ni,ni->n", unit, body)
+    return is_noise(replace(view(scene()), residual_nt=residual, stated_noise_nt=stated_nt))
+
+
+def first_order_body(correlation: float, seed: int) -> Array:
+    """Noise (n, 3) of unit variance with a memory, in each axis of the body."""
+    rng = np.random.default_rng(seed)
+    body = np.empty((len(scene()), 3))
+    body[0] = rng.normal(size=3)
+    for row in range(1, len(body)):
+        body[row] = correlation * body[row - 1] + math.sqrt(1.0 - correlation**2) * rng.normal(size=3)
+    return body
+
+
+@pytest.mark.parametrize("stated_nt", [80.0, None])
+def test_noise_with_a_short_memory_is_noise(stated_nt: float | None) -> None:
+    """A correlation of 0.7 at one sample, on a craft that turns 48 degrees in it."""
+    assert hanging_together(first_order_body(0.7, 5), 80.0, stated_nt)
+
+
+@pytest.mark.parametrize("stated_nt", [80.0, None])
+def test_a_slow_wander_on_white_noise_is_none(stated_nt: float | None) -> None:
+    """A wander over 200 samples of the noise's own size: white noise is still there, so it is something else."""
+    white = np.random.default_rng(6).normal(size=(len(scene()), 3))
+    assert not hanging_together(white + first_order_body(0.995, 7), 80.0, stated_nt)
+
+
+def test_white_noise_does_not_hang_together() -> None:
+    """No memory, whatever is stated."""
+    assert not hanging_together(np.random.default_rng(8).normal(size=(len(scene()), 3)), 80.0, 200.0)
+
+
+def test_whitening_in_the_body_takes_the_memory_off() -> None:
+    """What a model of the body's noise leaves of its own noise is white, though the craft turns."""
+    unit = scene().unit
+    noise = np.einsum("ni,ni->n", unit, first_order_body(0.8, 9))
+    left = whitened_in_body(noise[:, None], long_memory(noise, unit), unit)[:, 0]
+    assert covariance(unit, noise, 1) / covariance(unit, noise, 0) == pytest.approx(0.8, abs=0.1)
+    assert abs(covariance(unit, left, 1) / covariance(unit, left, 0)) < 0.1
