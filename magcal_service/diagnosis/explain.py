@@ -39,6 +39,7 @@ _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0
 _LEAST_LINE_NATS: Final = 4.0
 _RIVAL_SHARE: Final = 0.05
 _MOST_TRIED: Final = 5
+_NEARLY: Final = 0.95
 _CLOSE: Final = 30
 _NEAR: Final = 12
 _REPEATABLE: Final[tuple[str, ...]] = ()
@@ -261,7 +262,7 @@ class Search:
                 break
         final = self.refreshed(fit)
         pruned = self._pruned(final, floor_nt)
-        return self.compared(final if pruned is final else self.refreshed(pruned), floor_nt)
+        return self.compared(self._by_channel(final if pruned is final else self.refreshed(pruned), floor_nt), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
         """The fit once more with all columns made of vectors that it itself has calibrated.
@@ -394,6 +395,32 @@ class Search:
             trial = solve(self.problem, fit.x, tuple(terms))
             if trial.held_out_rms_nt <= fit.held_out_rms_nt:
                 fit = trial
+        return fit
+
+    def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
+        """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
+
+        A driver that is worked out has no noise of a sensor's, and so is a little better than its own record.
+        """
+        for index, term in enumerate(fit.terms):
+            if not term.hypothesis.driver.startswith("inferred"):
+                continue
+            recorded = [
+                hypothesis
+                for hypothesis in self.hypotheses
+                if hypothesis.effect == term.hypothesis.effect and hypothesis.driver.startswith("channel")
+            ]
+            space, sigma = self.workspace(fit, index), max(fit.rms_nt, floor_nt)
+            ranked = self.screen(space, fit, sigma, among=[*recorded, term.hypothesis])
+            own = next((c.nats for c in ranked if c.hypothesis is term.hypothesis), math.inf)
+            best = next((c for c in ranked if c.hypothesis is not term.hypothesis), None)
+            if best is None or best.nats < _NEARLY * own:
+                continue
+            terms = list(fit.terms)
+            terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+            trial = solve(self.problem, fit.x, terms)
+            if self._is_sized(trial):
+                fit = self.refreshed(trial)
         return fit
 
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:

@@ -130,7 +130,7 @@ class Fit:
     @property
     def unknowns(self) -> Array:
         """(p,) nine errors, amplitudes, and zero for what has no prior to be tied to."""
-        values = np.zeros(self.columns.shape[1])
+        values = np.zeros(self.linear_size + sum(len(free_numbers(term)) for term in self.terms))
         values[:STATE_SIZE] = self.x[:STATE_SIZE]
         amplitudes = [term.amplitudes for term in self.terms]
         if amplitudes:
@@ -283,23 +283,32 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
         normal = scaled.T @ scaled + np.diag(tie / scale**2)
         right = scaled.T @ fit.residual - tie * fit.unknowns / scale
         step = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
+        free = ~_blocked(fit, step / scale)
+        if not free.all():
+            step = np.zeros(len(scale))
+            step[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free], rcond=1e-13)[0]
         if float(step @ normal @ step) < _CONVERGED * sigma2:
             break
-        better = _line_search(fit, step / scale)
+        better = _line_search(fit, step / scale, tie)
         if better is None:
             break
         fit = better
     return fit
 
 
-def _line_search(fit: Fit, step: Array) -> Fit | None:
-    cost = float(fit.residual @ fit.residual)
+def _line_search(fit: Fit, step: Array, tie: Array) -> Fit | None:
+    """The fit a share of the step on that costs no more: squares of the residual and, by ``tie`` (p,), of unknowns."""
+
+    def cost_of(trial: Fit) -> float:
+        return float(trial.residual @ trial.residual) + float(tie @ trial.unknowns**2)
+
+    cost = cost_of(fit)
     for share in (1.0, 0.5, 0.2, 0.05):
         x, terms = _moved(fit, share * step)
         if is_collapsed(x) and not is_collapsed(fit.x):
             continue
         trial = evaluate(fit.problem, x, terms, derivatives=False)
-        if float(trial.residual @ trial.residual) <= cost * (1.0 + 1e-9):
+        if cost_of(trial) <= cost * (1.0 + 1e-9):
             return evaluate(fit.problem, x, terms)
     return None
 
@@ -317,6 +326,20 @@ def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
         terms.append(replace(term, amplitudes=term.amplitudes + step[at : at + count], theta=theta))
         at += count
     return x, tuple(terms)
+
+
+def _blocked(fit: Fit, step: Array) -> NDArray[np.bool_]:
+    """Which unknowns (p,) are nonlinear numbers that the step would take out of their range.
+
+    They stay for this step: amplitudes that were to go along with them would be wrong.
+    """
+    blocked, at = np.zeros(len(step), dtype=bool), fit.linear_size
+    for term in fit.terms:
+        for index in free_numbers(term):
+            value = float(term.theta[index] + step[at])
+            blocked[at] = _inside(term.hypothesis, index, value) != value
+            at += 1
+    return blocked
 
 
 def _inside(hypothesis: Hypothesis, index: int, value: float) -> float:

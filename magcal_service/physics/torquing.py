@@ -133,6 +133,7 @@ def _detumbling(scene: Scene) -> Hypothesis:
         (block,),
         variant,
         numbers,
+        odds=7.0,
         largest_nt=LARGEST_NT,
         proposals=proposals,
     )
