@@ -108,7 +108,7 @@ def _speed(text: str) -> float:
 
 def _run(options: argparse.Namespace) -> int:
     from magcal_service import log
-    from magcal_service.config import load_config
+    from magcal_service.config_reader import load_config
     from magcal_service.private_files import check_unaltered
     from magcal_service.service import run_daemon
 
@@ -162,7 +162,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
-    from magcal_service.config import load_config
+    from magcal_service.config_reader import load_config
 
     if config is None:
         return None

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from magcal_service.checkpoints import Checkpoints
-from magcal_service.config import physics_of
+from magcal_service.config_reader import physics_of
 from magcal_service.errors import InputRefusedError
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.messages import Command, CommandReply

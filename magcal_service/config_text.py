@@ -9,7 +9,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from magcal_service.config import CraftConfig, read_config
+from magcal_service.config import CraftConfig
+from magcal_service.config_reader import read_config
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.typed_toml import parse_toml
 

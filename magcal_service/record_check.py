@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from magcal_service.calibrate import craft_of, replay
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.mcap import McapReader
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.session import decoded
 from magcal_service.recordings.session_arrays import session_recording
 from magcal_service.wire.messages import Estimate, Message

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from magcal_service.errors import Fault, InputRefusedError
 
 if TYPE_CHECKING:
-    from magcal_service.recordings.mcap import McapReader
+    from magcal_service.recordings.mcap_reader import McapReader
 
 DONE, NOT_TRUSTED = 0, 3
 
@@ -86,7 +86,8 @@ def _recover(options: argparse.Namespace) -> int:
 def _join(options: argparse.Namespace) -> int:
     from contextlib import ExitStack
 
-    from magcal_service.recordings.mcap import SESSION, McapReader
+    from magcal_service.recordings.mcap import SESSION
+    from magcal_service.recordings.mcap_reader import McapReader
     from magcal_service.recordings.session_files import rewrite
 
     _refuse_itself(options.out, options.files)

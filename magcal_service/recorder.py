@@ -27,7 +27,8 @@ from magcal_service.config import CraftConfig, RecordConfig
 from magcal_service.config_text import craft_as_toml, digest
 from magcal_service.errors import DecodeError, Fault, InputRefusedError
 from magcal_service.recordings.json_form import schema_name, schema_of, to_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, STATE, McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, STATE, RawMessage, Topic
+from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.session_files import LIBRARY, SessionFolder, recover_in_place
 from magcal_service.recordings.state_text import state_as_text
 from magcal_service.wire.kinds import KIND_BY_CODE, kind_of

@@ -66,7 +66,8 @@ def _status(options: argparse.Namespace) -> int:
 
 def _whom(options: argparse.Namespace) -> tuple[str, list[str]]:
     """The link's address as a viewer opens it, and the craft asked for (none: all that are heard)."""
-    from magcal_service.config import DEFAULT_LINK, load_config
+    from magcal_service.config import DEFAULT_LINK
+    from magcal_service.config_reader import load_config
 
     if options.config is None:
         return options.link or DEFAULT_LINK, options.craft

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError
-from magcal_service.recordings.mcap import McapReader
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session import decoded
 from magcal_service.recordings.session_arrays import session_recording

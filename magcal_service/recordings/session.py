@@ -17,7 +17,8 @@ from magcal_service.config import CraftConfig
 from magcal_service.config_text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE, McapReader
+from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.state_text import state_from_text
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.mcap import DROPPED, SESSION, McapReader
+from magcal_service.recordings.mcap import DROPPED, SESSION
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.timestamps import ns_to_iso8601
 
 

@@ -28,8 +28,8 @@ from magcal_service.config import (
     TickConfig,
     TrustConfig,
     default_craft,
-    load_config,
 )
+from magcal_service.config_reader import load_config
 from magcal_service.errors import ConfigError
 
 MINIMAL = 'version = 1\n[[craft]]\nname = "demo"\n'

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.config import load_config
+from magcal_service.config_reader import load_config
 from magcal_service.errors import ConfigError
 from magcal_service.physics.model_file import parse_model, text_of
 from magcal_service.state import config_digest

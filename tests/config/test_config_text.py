@@ -17,8 +17,8 @@ from magcal_service.config import (
     SpinWindow,
     TickConfig,
     TrustConfig,
-    read_config,
 )
+from magcal_service.config_reader import read_config
 from magcal_service.config_text import craft_as_toml, craft_from_toml, digest
 from magcal_service.errors import ConfigError
 from magcal_service.typed_toml import Table

@@ -21,8 +21,8 @@ from magcal_service.config import (
     StateConfig,
     TickConfig,
     TrustConfig,
-    load_config,
 )
+from magcal_service.config_reader import load_config
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs/configuration.md").read_text(encoding="utf-8")
 

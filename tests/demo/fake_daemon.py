@@ -15,7 +15,7 @@ import threading
 import time
 from pathlib import Path
 
-from magcal_service.config import load_config
+from magcal_service.config_reader import load_config
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Status, Verdict
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from magcal_service.config import load_config
+from magcal_service.config_reader import load_config
 from sim_sensor.daemon_process import DaemonDiedError
 from sim_sensor.demo import INTERRUPTED, main, parse_arguments, run_demo
 from sim_sensor.demo_config import daemon_config

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from estimator_ticks import TABLE_1, Craft
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig, load_config
+from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.config_reader import load_config
 from magcal_service.estimators.adaptive import EVERY_TICKS, JUMP_D, JUMP_NT, Change, ChangeDetector
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array, d_matrix

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from magcal_service.config import load_config
+from magcal_service.config_reader import load_config
 from magcal_service.pipeline import Pipeline
 from magcal_service.wire.messages import Estimate, Message
 from tests.faults.bench import Daemons, Feeder, Witness, estimates_by_time, stopped

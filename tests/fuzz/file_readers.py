@@ -12,13 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.checkpoints import MISFITS
-from magcal_service.config import CraftConfig, load_config
+from magcal_service.config import CraftConfig
+from magcal_service.config_reader import load_config
 from magcal_service.config_text import craft_as_toml, craft_from_toml
 from magcal_service.errors import DecodeError
 from magcal_service.pipeline import Pipeline
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.json_form import from_json, schema_name, to_json
-from magcal_service.recordings.mcap import CRAFT, STATE, McapReader, McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import CRAFT, STATE, RawMessage, Topic
+from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.reader import read_described
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session_arrays import session_recording

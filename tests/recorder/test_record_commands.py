@@ -15,7 +15,8 @@ import pytest
 from sessions import craft, record, stream
 
 from magcal_service.cli import main
-from magcal_service.recordings.mcap import McapReader, McapWriter
+from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.session_info import session_info
 

@@ -16,7 +16,8 @@ from sessions import settings as record_settings
 
 from magcal_service.errors import RecordingError
 from magcal_service.recorder import Recorder, SessionFile
-from magcal_service.recordings.mcap import McapReader, RawMessage
+from magcal_service.recordings.mcap import RawMessage
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder, recover, recover_in_place

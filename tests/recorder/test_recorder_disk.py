@@ -17,7 +17,8 @@ from sessions import Live, craft, live, settings, stream, until
 
 from magcal_service import recorder as module
 from magcal_service.recorder import Recorder
-from magcal_service.recordings.mcap import DROPPED, McapReader
+from magcal_service.recordings.mcap import DROPPED
+from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder
 from magcal_service.recordings.session_info import session_info

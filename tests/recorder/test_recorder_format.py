@@ -18,7 +18,9 @@ from sessions import command, record, stream
 
 from magcal_service.errors import DecodeError
 from magcal_service.recordings.json_form import from_json, schema_name, schema_of, to_json
-from magcal_service.recordings.mcap import McapReader, McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import RawMessage, Topic
+from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.wire.kinds import KINDS, kind_of
 from magcal_service.wire.messages import Message
 from tests.wire.wire_cases import messages

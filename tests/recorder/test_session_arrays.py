@@ -13,7 +13,8 @@ from sessions import craft, record, stream
 from magcal_service.calibrate import calibrate_file, craft_of
 from magcal_service.errors import RecordingError
 from magcal_service.recordings.json_form import schema_name, to_json
-from magcal_service.recordings.mcap import McapWriter, RawMessage, Topic
+from magcal_service.recordings.mcap import RawMessage, Topic
+from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.report import RowFault

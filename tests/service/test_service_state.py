@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from service_processes import CRAFT, PATIENCE_S, Node, daemon, free_port, kill, stream
 
-from magcal_service.config import StateConfig, load_config
+from magcal_service.config import StateConfig
+from magcal_service.config_reader import load_config
 from magcal_service.errors import ConfigError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.pipeline import Pipeline
