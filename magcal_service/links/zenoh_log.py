@@ -38,7 +38,8 @@ DENIALS: Final = (
 )
 """Counted as ``denied.<name>``: five ways to fail at the door, no role in the rules, then what a rule denied.
 
-``other`` is a declaration, a query, a put on another key, or whatever came from one without a role: zenoh says no more.
+``other`` is a declaration, a query, a put on another key, or what one without a role put: zenoh says no more of it, but
+for samples of a publisher.
 """
 
 _FILTER: Final = "warn,zenoh_transport::unicast::establishment=debug"
