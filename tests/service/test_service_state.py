@@ -12,13 +12,12 @@ from pathlib import Path
 import pytest
 from service_processes import CRAFT, PATIENCE_S, Node, daemon, free_port, kill, stream
 
-from magcal_service.config import StateConfig
 from magcal_service.config_reader import load_config
 from magcal_service.errors import ConfigError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.pipeline import Pipeline
 from magcal_service.service import run_daemon
-from magcal_service.state import Checkpoint, StateStore
+from magcal_service.state import decode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status
 from sim_sensor.pty_pair import PtyPair
 
@@ -35,9 +34,12 @@ def write_config(folder: Path, link: str) -> Path:
 
 
 def newest_samples(folder: Path) -> int:
-    """Samples in the newest checkpoint, -1 where there is none."""
-    found = next(StateStore(StateConfig(folder / "state"), "paper").newest(), ("", None))[1]
-    return found.samples if isinstance(found, Checkpoint) else -1
+    """Samples in the newest checkpoint, -1 where there is none.
+
+    The file is read as it is: a ``StateStore`` of this process would sweep away what the daemon has half written.
+    """
+    newest = max((folder / "state" / "paper").glob("*.state"), default=None)
+    return -1 if newest is None else decode(newest.read_bytes()).samples
 
 
 def uninterrupted(config: Path, flight: Sequence[Message]) -> Estimate:
