@@ -6,7 +6,7 @@ import abc
 import time
 
 import pytest
-from link_messages import RESULTS, SAMPLES, SECOND_NS, START_NS, WAIT_S, flows, gather, sample, settle, vector
+from link_messages import RESULTS, SAMPLES, SECOND_NS, SOON_S, START_NS, WAIT_S, flows, gather, sample, settle, vector
 
 from magcal_service.errors import LinkAddressError
 from magcal_service.links import Link, Role, open_link
@@ -87,18 +87,18 @@ class LinkContract:
     def test_receive_gives_up_at_its_timeout(self, ends: Ends) -> None:
         begun_s = time.monotonic()
         assert ends.service.receive(0.2) == []
-        assert 0.2 <= time.monotonic() - begun_s < 0.5
+        assert 0.2 <= time.monotonic() - begun_s < SOON_S
 
     def test_receive_without_a_timeout_returns_at_once(self, ends: Ends) -> None:
         begun_s = time.monotonic()
         assert ends.service.receive(0.0) == []
-        assert time.monotonic() - begun_s < 0.1
+        assert time.monotonic() - begun_s < SOON_S
 
     def test_receive_wakes_for_a_sample_long_before_its_timeout(self, ends: Ends) -> None:
         ends.node.send(sample(1))
         begun_s = time.monotonic()
         assert ends.service.receive(WAIT_S) == [sample(1)]
-        assert time.monotonic() - begun_s < 1.0
+        assert time.monotonic() - begun_s < SOON_S
 
     def test_waiting_takes_next_to_no_processor_time(self, ends: Ends) -> None:
         begun_s = time.process_time()
@@ -114,7 +114,7 @@ class LinkContract:
         ends.service.close()
         begun_s = time.monotonic()
         assert ends.service.receive(0.1) == []
-        assert 0.1 <= time.monotonic() - begun_s < 0.4
+        assert 0.1 <= time.monotonic() - begun_s < SOON_S
 
     def test_a_message_that_no_receiver_would_take_is_counted_and_not_sent(self, ends: Ends) -> None:
         ends.node.send(sample(1, craft="no such name!"))

