@@ -14,6 +14,7 @@ from magcal_service.physics.view import View
 _LEAST_NATS: Final = 15.0
 _LEAST_BEND_RAD: Final = math.radians(3.0)
 _LEAST_SHARE: Final = 0.001
+_SIGMAS: Final = 5.0
 TO_RPM: Final = 30.0 / math.pi
 
 
@@ -39,7 +40,9 @@ def _find(view: View) -> Finding | None:
     nats = 0.5 * (float(line.left @ line.left) - float(curve.left @ curve.left)) / scatter - math.log(len(scene))
     drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + wandered
     nominal = view.nominal_rate_rad_s
-    other = nominal is not None and abs(turn.rate_rad_s - nominal) > _tolerance(nominal) + turn.wander_rad_s
+    steady_sigma = math.sqrt(line.covariance[1, 1] * max(1.0, float(np.mean(line.left**2)))) / span
+    allowed = 0.0 if nominal is None else _tolerance(nominal) + turn.wander_rad_s + _SIGMAS * steady_sigma
+    other = nominal is not None and abs(turn.rate_rad_s - nominal) > allowed
     if not drifting and not other:
         return None
     sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)

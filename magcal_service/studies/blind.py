@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -109,6 +110,9 @@ def run_job(job: Job) -> Outcome:
 
 def _cases() -> Any:
     """The generator, which is part of the checkout and not of the package."""
+    root = str(Path.cwd())
+    if (Path.cwd() / "tests" / "blind").is_dir() and root not in sys.path:
+        sys.path.insert(0, root)
     try:
         return importlib.import_module("tests.blind")
     except ImportError:
