@@ -32,6 +32,7 @@ LEAST_VISIBLE: Final = 0.03
 """Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
 _CANCELLING: Final = 3.0
+_WHOLE: Final = 0.25
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4
 _STILL: Final = 0.02
@@ -238,6 +239,8 @@ class Search:
         """The candidate, unless it is larger than its physics ever is, or all but absorbed by what is fitted anyway."""
         if candidate.nats < 0.5 * ACCEPTED_NATS:
             return candidate
+        if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * _WHOLE:
+            return None
         rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
         assert rows is not None
         signal = rows @ candidate.gain.amplitudes
@@ -344,6 +347,8 @@ class Search:
             rows = self.problem.rows(columns, fit.unit)
             largest = self.problem.largest(term.hypothesis)
             if rows is None or float(np.sqrt(np.mean((rows @ term.amplitudes) ** 2))) > largest:
+                return False
+            if term.hypothesis.is_whole and abs(float(term.amplitudes[0]) - 1.0) > _WHOLE:
                 return False
             field_nt, growth_nt = columns.field(term.amplitudes), columns.growth(term.amplitudes)
             squares = float((field_nt**2).sum()) + float(np.sum(np.square(growth_nt)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -185,7 +185,8 @@ def _mismatch(diagnosis: Diagnosis) -> float:
 
 
 def _where_of_term(diagnosis: Diagnosis, index: int) -> dict[str, Any]:
-    fit, search = diagnosis.fit, diagnosis.search
+    fit = diagnosis.fit
+    search = replace(diagnosis.search, whitening=np.zeros(0), _cache={})  # shares are of the residual as it is
     term = fit.terms[index]
     rows = search.rows_of(term.hypothesis, term.theta, fit)
     assert rows is not None

@@ -44,6 +44,9 @@ OF_REFERENCE: Final = ("time_offset", "external_field", "position_offset", "refe
 _NOT_LIVE: Final = ("inferred:detumbling", "inferred:dumping")
 """Drivers that need the course of the field before a sample, which no single sample tells."""
 
+_NOT_LIVE_FORMS: Final = ("by minutes", "far along")
+"""Forms that need the orbit ahead or behind."""
+
 _MOST_CHANNELS: Final = 64
 _STALE_PACES: Final = 3.0
 _STALE_S: Final = (2.0, 120.0)
@@ -218,6 +221,10 @@ class Compensation(Saved):
             return np.asarray(self._inverse @ self._bound(term, scene, memory, time_ns).disturbance()[0][-1])
 
     def _bound(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Bound:
+        if term.variant in _NOT_LIVE_FORMS:
+            raise DriverMissingError(
+                f"{term.effect}, {term.variant}: needs the orbit ahead, correct the reference itself"
+            )
         if term.driver in _NOT_LIVE or (term.effect == "axis_skew" and scene.rate_body is None):
             raise DriverMissingError(f"{term.effect}: {term.driver} cannot be followed live")
         if term.driver == "inferred:temperature" and not self._is_warm(term, time_ns):

@@ -170,6 +170,7 @@ class Hypothesis:
     constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
     odds: natural logarithm of the prior odds against the plain form.
     largest_nt: rms that this form may have at most [nT], where that is less than the effect's own.
+    is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
 
@@ -182,6 +183,7 @@ class Hypothesis:
     constants: Mapping[str, float] = field(default_factory=dict)
     odds: float = 0.0
     largest_nt: float = math.inf
+    is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
 
     @property

@@ -8,10 +8,12 @@ import numpy as np
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array
+from magcal_service.physics.far import shifted
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene import Scene
 
 _STEP_KM = 10.0
+_LARGEST_NT = 3000.0  # of a place that is wrong by about 100 km
 
 
 def gradients(scene: Scene) -> dict[str, Array]:
@@ -67,7 +69,15 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for variant, (columns, names) in forms.items():
         made = of(*columns)
         blocks = tuple(Block(name, name.partition("_")[2].replace("_per_", "/"), ()) for name in names)
-        yield Hypothesis("position_offset", "none", lambda _, made=made: made, blocks, variant)  # type: ignore[misc]
+        yield Hypothesis(
+            "position_offset",
+            "none",
+            lambda _, made=made: made,  # type: ignore[misc]
+            blocks,
+            variant,
+            largest_nt=_LARGEST_NT,
+        )
+    yield from shifted(scene, "position_offset", "far along", ("ahead_s", "ahead_s_per_h"), with_earth=False)
 
 
 EFFECT = Effect(
@@ -80,9 +90,12 @@ EFFECT = Effect(
         "cross_km": "km",
         "along_km_per_h": "km/h",
         "along_km_per_h2": "km/h2",
+        "ahead_s": "s",
+        "ahead_s_per_h": "s/h",
+        "share": "1",
     },
-    prior=(10.0, 3000.0),
-    valid="to first order: below about 100 km",
+    prior=(10.0, 30000.0),
+    valid="to first order: below about 100 km; far along the orbit, up to 20 minutes",
     confused_with=("time_offset", "reference_epoch", "external_field"),
     separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
     source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
@@ -96,6 +109,8 @@ EFFECT = Effect(
         "The reference was computed at the wrong place: the craft is {radial_km} km further out.",
         "The reference was computed at the wrong place: the craft is {along_km} km ahead.",
         "The reference was computed at the wrong place: the craft is {cross_km} km to the left of it.",
+        "The reference was computed at the wrong place: the craft is {ahead_s} s ahead on its orbit at the "
+        "start, growing by {ahead_s_per_h} s with every hour.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
