@@ -1,7 +1,7 @@
 """A reference that is off by minutes of the orbit: stale elements, or a clock that nobody has set.
 
 To first order only the next minute is known; so the field is worked out along the recording's own track, further on by
-each of a row of steps.  The track goes on beyond its ends by whole turns of the orbit in space.
+each of a row of steps.  The track goes on beyond its ends along a circle in space.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonline
 from magcal_service.physics.scene import Scene
 
 STEP_S: Final = 60.0
+_KNOT_S: Final = 30.0  # between rows that the field is worked out for; taken as linear between them it is 10 nT off
 FARTHEST_S: Final = 1200.0
 GROWTHS_S_PER_H: Final = np.array([-6.0, -3.0, 0.0, 3.0, 6.0])
 LARGEST_NT: Final = 30000.0
 SHORTEST_S: Final = 3000.0
 """Half an orbit, below which a shift along it is a slope and a curve, no shape of its own."""
 
-_GRAVITY_KM3_S2: Final = 398600.4418
+_ARC_S: Final = 120.0  # between the two places that tell how the track goes on
 _SHIFTS_S: Final = np.arange(-FARTHEST_S - 2.0 * STEP_S, FARTHEST_S + 2.5 * STEP_S, STEP_S)
 
 
@@ -40,13 +41,14 @@ def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], wit
         return []
     if float(scene.time_s[-1] - scene.time_s[0]) < SHORTEST_S:
         return []
-    shift = Nonlinear(names[0], "s", np.arange(-FARTHEST_S, FARTHEST_S + 1.0, STEP_S))
+    later = np.arange(STEP_S, FARTHEST_S + 1.0, STEP_S)
+    shift = Nonlinear(names[0], "s", np.concatenate([-later[::-1], later]))
     growth = Nonlinear(names[1], "s/h", GROWTHS_S_PER_H)
 
     def columns(theta: Array) -> Columns:
         knots, table = scene.once(f"shifted {with_earth}", lambda: _table(scene, with_earth))
         times = scene.time_s[knots]
-        shift_s = float(theta[0]) + float(theta[1]) * (times - scene.time_s[0]) / 3600.0
+        shift_s = float(theta[0]) + float(theta[1]) * times / 3600.0
         change = np.interp(scene.time_s, times, _between(table, shift_s))
         return Columns(magnitude=change[None])
 
@@ -59,10 +61,10 @@ def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], wit
 
 
 def _table(scene: Scene, with_earth: bool) -> tuple[NDArray[np.intp], Array]:
-    """Rows (k,) about a step apart, and the growth (shifts, k) of |H| [nT] there for every shift."""
+    """Rows (k,) some time apart, and the growth (shifts, k) of |H| [nT] there for every shift."""
     inertial = scene.position_eci_km
     assert inertial is not None
-    bins = np.floor(scene.time_s / STEP_S)
+    bins = np.floor(scene.time_s / _KNOT_S)
     knots = np.unique(np.append(np.flatnonzero(np.diff(bins, prepend=bins[0] - 1.0)), len(scene) - 1))
     times_ns = scene.time_ns[knots]
 
@@ -77,14 +79,27 @@ def _table(scene: Scene, with_earth: bool) -> tuple[NDArray[np.intp], Array]:
 
 
 def _ahead(scene: Scene, inertial: NDArray[np.float64], times_s: Array) -> NDArray[np.float64]:
-    """Places (k, 3) [km] in space at times (k,), those beyond the recording a whole number of turns away."""
-    axis = float(np.linalg.norm(inertial, axis=1).mean())
-    turn_s = 2.0 * math.pi * math.sqrt(axis**3 / _GRAVITY_KM3_S2)
-    first, last = float(scene.time_s[0]), float(scene.time_s[-1])
-    back = np.ceil(np.maximum(times_s - last, 0.0) / turn_s)
-    on = np.ceil(np.maximum(first - times_s, 0.0) / turn_s)
-    inside = np.clip(times_s + (on - back) * turn_s, first, last)
-    return np.stack([np.interp(inside, scene.time_s, column) for column in inertial.T], axis=1)
+    """Places (k, 3) [km] in space at times (k,); beyond the recording on the circle that it ends, or begins, on."""
+    inside = np.clip(times_s, scene.time_s[0], scene.time_s[-1])
+    place = np.stack([np.interp(inside, scene.time_s, column) for column in inertial.T], axis=1)
+    for end, row in ((scene.time_s[0], 0), (scene.time_s[-1], len(scene) - 1)):
+        beyond = times_s < end if row == 0 else times_s > end
+        other = int(np.argmin(np.abs(scene.time_s - (end + (_ARC_S if row == 0 else -_ARC_S)))))
+        place[beyond] = _on_circle(
+            inertial[other], inertial[row], (times_s[beyond] - end) / (end - scene.time_s[other])
+        )
+    return place
+
+
+def _on_circle(before: Array, at: Array, further: Array) -> NDArray[np.float64]:
+    """Places (k, 3) as much ``further`` (k,) along the circle from one place (3,) to another, from the latter on."""
+    first = at / np.linalg.norm(at)
+    normal = np.cross(before, at)
+    size = float(np.linalg.norm(normal))
+    across = np.cross(normal / max(size, 1e-12), first)
+    angle = math.atan2(size, float(before @ at)) * further
+    radius = float(np.linalg.norm(at))
+    return np.asarray(radius * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * across))
 
 
 def _between(table: Array, shift_s: Array) -> Array:

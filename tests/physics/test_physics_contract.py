@@ -211,9 +211,9 @@ def test_derivatives_by_the_nonlinear_numbers_are_those_of_the_residual(effect: 
 
 
 def small_step(number: Nonlinear, value: float) -> float:
-    """A step of a nonlinear number: 0.7 % of it, or a fiftieth of a turn over the recording."""
+    """A step of a nonlinear number: 0.7 % of it (of one, at zero), or a fiftieth of a turn over the recording."""
     span = float(np.ptp(scene().time_s))
-    return {"frequency": 0.02 / span, "period": 0.02 * value**2 / span}.get(number.role, 7e-3 * value)
+    return {"frequency": 0.02 / span, "period": 0.02 * value**2 / span}.get(number.role, 7e-3 * (value or 1.0))
 
 
 @FIELDS
