@@ -55,7 +55,7 @@ _NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of ar
 _OWN: Final = 7  # columns without a driver: cubes of the reading 3, what is beyond its largest 3, slope of |H| 1
 _FAR_NT: Final = 5e4
 _MOST_ALONE: Final = 2  # samples far off by themselves in a chunk that is still used
-_WIDER: Final = 4.0  # than the filter's gate: samples in a row that jump out of that count as if there
+_WIDER: Final = 2.0  # than the filter's gate: samples in a row that jump out of that count as if there
 _UNKNOWN_SHARE: Final = 1.25
 _FLAT: Final = 10  # times that an axis has to repeat its largest reading for a flat top
 _BEND: Final = {"temperature": 2, WARMTH: 2}  # drivers of bias and of scale; the others: of bias alone
@@ -100,6 +100,14 @@ def _spoiled(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.full(len(far), fill_value=True) if np.count_nonzero(alone) > _MOST_ALONE else alone
 
 
+def _span(columns: Array) -> Array:
+    """Orthonormal columns (n, r) of what columns (n, k) span; what they hardly do is left out."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    span: Array = left[:, values > _NULL * values[0]]
+    return span
+
+
 def likely(explanations: list[Explanation], samples: int) -> list[Explanation]:
     """Those that chance does not explain and that cannot be told apart, the best first; the unknown one alone.
 
@@ -126,6 +134,7 @@ class ModelWatch(Saved):
     finding: Finding | None
     _quiet: bool
     _x: Array
+    _spread_nt2: float
     _drivers: list[Driver]
     _offered: int
     _zero: list[float]
@@ -156,7 +165,7 @@ class ModelWatch(Saved):
 
     def begin(self) -> None:
         """Begin a new window; what was found stands."""
-        self._x = np.zeros(STATE_SIZE)
+        self._x, self._spread_nt2 = np.zeros(STATE_SIZE), 0.0
         self._drivers, self._zero, self._void, self._offered = [], [], [], 0
         self._rows, self._blocks, self._times = [], [], []
         self._block = self._rest = None
@@ -226,6 +235,8 @@ class ModelWatch(Saved):
         offered = self.drivers.drivers()
         known = [driver for driver in offered if not math.isnan(value_of(values, driver))]
         self._x, self._began_s = estimate.x.copy(), float(tick.times_s[-1])
+        jacobian = field_jacobian(tick.field_body_nt[-1])  # the reference state's own error is no reason to be far off
+        self._spread_nt2 = max(0.0, float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1]))
         self._drivers, self._void, self._offered = known, [False] * len(known), len(offered)
         self._zero = [value_of(values, driver) for driver in known]
 
@@ -233,14 +244,17 @@ class ModelWatch(Saved):
         """Add the chunk's rows to the block's sums and to the spectrum."""
         columns = self._columns(np.array(self._rows))
         self._rows.clear()
-        gate_nt = self._gate * max(noise_nt, 1e-9)
-        columns[_spoiled(np.abs(columns[:, -1]) > gate_nt)] = 0.0
+        gate_nt = self._gate * math.sqrt(noise_nt**2 + self._spread_nt2)
+        left_out = _spoiled(np.abs(columns[:, -1]) > gate_nt)
+        columns[left_out] = 0.0
         columns[:, -1] = np.clip(columns[:, -1], -_WIDER * gate_nt, _WIDER * gate_nt)
         sums = columns.T @ columns
         self._block = sums if self._block is None else self._block + sums
-        nine, residual = columns[:, :STATE_SIZE], columns[:, -1]
-        left, values, _ = np.linalg.svd(nine / np.maximum(np.linalg.norm(nine, axis=0), 1e-300), full_matrices=False)
-        absorbed = left[:, values > _NULL * values[0]]
+        if not left_out.all():
+            self._add_spectrum(_span(columns[:, :STATE_SIZE]), columns[:, -1])
+
+    def _add_spectrum(self, absorbed: Array, residual: Array) -> None:
+        """Power of a chunk's residual (n,) without what lies in orthonormal columns (n, r), and white noise's share."""
         spectra = np.fft.rfft(np.column_stack([residual - absorbed @ (absorbed.T @ residual), absorbed]), axis=0)
         power = np.abs(spectra) ** 2 * _BIN_WEIGHT[:, None] / CHUNK
         self._power = self._power + power[:, 0]

@@ -60,7 +60,7 @@ def settled(flown: Clean) -> StateEstimate:
     """A little off the truth, as a filter is."""
     x = flown.x + np.array([15.0, -10.0, 20.0, 2e-4, -3e-4, 1e-4, 2e-4, 1e-4, -1e-4])
     noise_nt = flown.scenario.sensor.noise_nt[0]
-    return StateEstimate(x, np.eye(9), Phase.RUNNING, noise_nt, 1000, 0, 0, None, False)
+    return StateEstimate(x, np.diag([20.0**2] * 3 + [3e-4**2] * 6), Phase.RUNNING, noise_nt, 1000, 0, 0, None, False)
 
 
 def watched(flown: Clean, noise: np.ndarray, *, walks: bool = False) -> Finding | None:
@@ -141,3 +141,11 @@ def test_errors_that_may_walk_are_no_finding() -> None:
 def _commanded() -> np.ndarray:
     """What the coil of the flight does: 6 s of every 60 s, with alternating sign."""
     return (TIME_S % 60.0 < 6.0) * (1.0 - 2.0 * ((TIME_S // 60.0) % 2.0))
+
+
+def test_absurd_samples_by_themselves_are_no_structure() -> None:
+    """One in a hundred is 20 sigma and more off, always to the same side of the craft."""
+    rng = np.random.default_rng(8)
+    flown = clean()
+    absurd = np.outer(rng.random(TICKS) < 0.01, (3000.0, -2000.0, 2500.0))
+    assert watched(flown, flown.noise(rng) + absurd) is None
