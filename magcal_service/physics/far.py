@@ -25,6 +25,9 @@ LARGEST_NT: Final = 30000.0
 SHORTEST_S: Final = 3000.0
 """Half an orbit, below which a shift along it is a slope and a curve, no shape of its own."""
 
+LONGEST_GAP_S: Final = 300.0
+"""Over which a track may be taken as straight between two places, its height put right."""
+
 _ARC_S: Final = 120.0  # between the two places that tell how the track goes on
 _SHIFTS_S: Final = np.arange(-FARTHEST_S - 2.0 * STEP_S, FARTHEST_S + 2.5 * STEP_S, STEP_S)
 
@@ -39,7 +42,7 @@ def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], wit
     """
     if not scene.has_model or scene.position_eci_km is None or len(scene) < 200:
         return []
-    if float(scene.time_s[-1] - scene.time_s[0]) < SHORTEST_S:
+    if float(scene.time_s[-1] - scene.time_s[0]) < SHORTEST_S or float(np.diff(scene.time_s).max()) > LONGEST_GAP_S:
         return []
     later = np.arange(STEP_S, FARTHEST_S + 1.0, STEP_S)
     shift = Nonlinear(names[0], "s", np.concatenate([-later[::-1], later]))
@@ -88,7 +91,8 @@ def _ahead(scene: Scene, inertial: NDArray[np.float64], times_s: Array) -> NDArr
         place[beyond] = _on_circle(
             inertial[other], inertial[row], (times_s[beyond] - end) / (end - scene.time_s[other])
         )
-    return place
+    radius, known = np.linalg.norm(place, axis=1), np.linalg.norm(inertial, axis=1)
+    return np.asarray(place * (np.clip(radius, known.min(), known.max()) / radius)[:, None])
 
 
 def _on_circle(before: Array, at: Array, further: Array) -> NDArray[np.float64]:

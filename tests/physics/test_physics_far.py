@@ -15,7 +15,7 @@ from magcal_service.model import Array
 from magcal_service.physics import effect_named
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene import Scene
-from tests.physics.scenes import NOISE_NT, X, orbit_eci_km, scene
+from tests.physics.scenes import COUNT, NOISE_NT, X, orbit_eci_km, scene
 
 AHEAD_S, GROWTH_S_PER_H = 430.0, 4.0
 
@@ -80,6 +80,15 @@ def test_beyond_its_ends_a_track_goes_on() -> None:
     )
     true = np.linalg.norm(geomagnetic.igrf_eci_nt(of.time_ns[-1:], orbit_eci_km(of.time_s[-1:])), axis=1)
     assert float(growth[-1]) == pytest.approx(float(true[0] - of.magnitude_nt[-1]), abs=100.0)
+
+
+def test_a_recording_with_a_long_pause_has_no_form_for_it() -> None:
+    """Across half an hour without a place the track is no straight line, and nothing is worked out along it."""
+    of = stale(False)
+    paused = replace(of, time_s=of.time_s + 1800.0 * (np.arange(COUNT) > 900), memo={})
+    forms = [h for effect in ("time_offset", "position_offset") for h in effect_named(effect).hypotheses(paused)]
+    assert forms
+    assert not [h for h in forms if h.is_whole]
 
 
 def test_a_short_recording_has_no_form_for_it() -> None:
