@@ -24,6 +24,7 @@ _KNOT_S = 10.0  # between knots the field of a model, and its differences, are t
 
 
 _KEPT = (
+    "memo",
     "period_s",
     "pauses",
     "time_ns",
@@ -99,7 +100,7 @@ class Scene:
     given: Mapping[str, float] | None = None
     memory: Memory | None = None
     turning_rad_s: Array | None = None
-    memo: dict[str, Any] = field(default_factory=dict, repr=False)
+    memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
         """What ``make`` gives, worked out once for this recording, whatever is calibrated meanwhile.

@@ -71,5 +71,4 @@ def cut(scene: Scene, first: int, end: int) -> Scene:
         position_ecef_km=part(scene.position_ecef_km),
         channels={n: Telemetry(c.name, c.quantity, c.values[rows]) for n, c in scene.channels.items()},
         body_from_eci=part(scene.body_from_eci),
-        memo={},
     )

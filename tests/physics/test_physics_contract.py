@@ -282,3 +282,12 @@ def test_bare_samples_are_no_fault(effect: Effect) -> None:
         assert form.driver.partition(":")[0] != "channel"
         assert np.isfinite(form.columns(some_numbers(form)).along(bare.unit)).all()
     assert effect.find is None or effect.find(view(bare)) is None
+
+
+def test_what_is_worked_out_once_belongs_to_one_recording() -> None:
+    """It stays with the scene when that is calibrated anew, and goes when anything else is replaced."""
+    first = replace(scene())
+    assert first.once("answer", lambda: 42) == 42
+    again = first.recalibrated(first.calibrated_nt, first.clean_field_nt)
+    assert again.once("answer", lambda: 0) == 42
+    assert replace(first, magnitude_nt=2.0 * first.magnitude_nt).once("answer", lambda: 0) == 0

@@ -85,7 +85,7 @@ def test_beyond_its_ends_a_track_goes_on() -> None:
 def test_a_recording_with_a_long_pause_has_no_form_for_it() -> None:
     """Across half an hour without a place the track is no straight line, and nothing is worked out along it."""
     of = stale(False)
-    paused = replace(of, time_s=of.time_s + 1800.0 * (np.arange(COUNT) > 900), memo={})
+    paused = replace(of, time_s=of.time_s + 1800.0 * (np.arange(COUNT) > 900))
     forms = [h for effect in ("time_offset", "position_offset") for h in effect_named(effect).hypotheses(paused)]
     assert forms
     assert not [h for h in forms if h.is_whole]
@@ -100,7 +100,6 @@ def test_a_short_recording_has_no_form_for_it() -> None:
             name: getattr(of, name)[:500]
             for name in ("time_s", "field_nt", "calibrated_nt", "clean_field_nt", "magnitude_nt", "position_ecef_km")
         },
-        memo={},
     )
     assert not [
         h for effect in ("time_offset", "position_offset") for h in effect_named(effect).hypotheses(short) if h.is_whole
