@@ -256,28 +256,32 @@ def _read_output(table: Table | None) -> OutputConfig:
     return OutputConfig(csv=Path(text) if text else None, **values)
 
 
+def _directory(table: Table, accepted: str, section: str) -> Path:
+    """A section's folder, which may not be empty."""
+    text = table.text("directory", accepted=accepted)
+    if not text.strip() and isinstance(table.content.get("directory"), str):
+        table.refuse("directory", text, f"{accepted} is accepted; leave {section} out for none")
+    return Path(text)
+
+
 def _read_record(table: Table | None) -> RecordConfig | None:
     if table is None:
         return None
-    text = table.text("directory", accepted="the folder that recordings go to")
-    if not text.strip() and isinstance(table.content.get("directory"), str):
-        table.refuse("directory", text, "the folder that recordings go to is accepted; leave [record] out for none")
+    directory = _directory(table, "the folder that recordings go to", "[record]")
     values = {setting.name: _read_setting(table, setting) for setting in fields(RecordConfig) if setting.metadata}
     if values["total_mb"] is not None and values["total_mb"] < 2.0 * values["file_mb"]:
         table.refuse("total_mb", values["total_mb"], f"at least twice file_mb = {values['file_mb']:g} is accepted")
     table.finish()
-    return RecordConfig(directory=Path(text), **values)
+    return RecordConfig(directory=directory, **values)
 
 
 def _read_state(table: Table | None) -> StateConfig | None:
     if table is None:
         return None
-    text = table.text("directory", accepted="the folder that checkpoints go to")
-    if not text.strip() and isinstance(table.content.get("directory"), str):
-        table.refuse("directory", text, "the folder that checkpoints go to is accepted; leave [state] out for none")
+    directory = _directory(table, "the folder that checkpoints go to", "[state]")
     values = {setting.name: _read_setting(table, setting) for setting in fields(StateConfig) if setting.metadata}
     table.finish()
-    return StateConfig(directory=Path(text), **values)
+    return StateConfig(directory=directory, **values)
 
 
 def _read_health(table: Table | None) -> HealthConfig:

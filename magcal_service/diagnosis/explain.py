@@ -324,10 +324,10 @@ class Search:
         left = max(space.squares - ranked[0].gain.squares, 0.0) / space.count
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_CLOSE]]
-        least = _RIVAL_SHARE * max((candidate.nats for candidate in close), default=0.0)
-        near = sorted(close, key=lambda candidate: -candidate.nats)[:_NEAR]
-        self.close |= {candidate.hypothesis.label for candidate in near if candidate.nats > least}
-        return sorted(close, key=lambda candidate: -candidate.nats)
+        close.sort(key=lambda candidate: -candidate.nats)
+        least = _RIVAL_SHARE * close[0].nats
+        self.close |= {candidate.hypothesis.label for candidate in close[:_NEAR] if candidate.nats > least}
+        return close
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
         """The same hypothesis at the same numbers, at another noise."""

@@ -32,7 +32,8 @@ def _find(view: View) -> Finding | None:
     tilts = [w @ b1, w @ b2, scene.reference_eci_nt @ i1, scene.reference_eci_nt @ i2, np.ones(len(scene))]
     steady = np.stack(tilts, axis=1)
     misfit = spin.axial_misfit_nt - steady @ np.linalg.lstsq(steady, spin.axial_misfit_nt, rcond=1e-10)[0]
-    frequency, line = _spectrum(scene.time_s, misfit * np.conj(turning), scene.period_s)
+    product = misfit * np.conj(turning)
+    frequency, line = _spectrum(scene.time_s, product, scene.period_s)
     turn_hz = spin.rate_rad_s / (2.0 * math.pi)
     span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
     side_hz = max(_SLOWEST_HZ, span_hz)  # what is fixed in the body or in space has its lines there
@@ -41,7 +42,7 @@ def _find(view: View) -> Finding | None:
         allowed &= ~_near(frequency, still_hz, side_hz, scene.period_s)
     if not allowed.any():
         return None
-    power_of, elapsed, product = np.abs(turning) ** 2, scene.time_s - scene.time_s[0], misfit * np.conj(turning)
+    power_of, elapsed = np.abs(turning) ** 2, scene.time_s - scene.time_s[0]
     power = float(power_of.sum())
     best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
     line_hz, height = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
