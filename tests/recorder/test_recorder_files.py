@@ -4,25 +4,39 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from sessions import craft, record, settings, stream, until
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.errors import InputRefusedError, RecordingError
 from magcal_service.recorder import Recorder, open_recorder
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder
 from magcal_service.recordings.session_info import session_info
+from magcal_service.wire.messages import Message
 
 SAMPLES = stream(300)
+
+
+def inputs(parts: Sequence[Path]) -> list[Message]:
+    """What came in, file by file; the last one may have been begun after the last sample, and is refused as empty."""
+    found: list[Message] = []
+    for part in parts:
+        try:
+            found += read_session(part).messages
+        except RecordingError as error:
+            if part != parts[-1] or "no samples" not in str(error):
+                raise
+    return found
 
 
 def test_a_file_that_is_large_enough_is_ended_and_nothing_is_lost_between(tmp_path: Path) -> None:
     parts = record(tmp_path, SAMPLES, file_mb=0.01, flush_s=0.0005)
     assert len(parts) > 2
     assert all(session_info(part).sound for part in parts)
-    assert [message for part in parts for message in read_session(part).messages] == list(SAMPLES)
+    assert inputs(parts) == list(SAMPLES)
     assert [session_info(part).about["part"] for part in parts] == [str(n + 1) for n in range(len(parts))]
     assert len({session_info(part).about["session"] for part in parts}) == 1
 
@@ -68,7 +82,7 @@ def test_the_oldest_files_give_way_to_the_total_limit(tmp_path: Path) -> None:
     parts = record(tmp_path, SAMPLES, file_mb=0.01, total_mb=0.05, flush_s=0.0005)
     assert sum(part.stat().st_size for part in parts) < 70_000
     assert int(parts[0].name[:8]) > 1
-    messages = [message for part in parts for message in read_session(part).messages]
+    messages = inputs(parts)
     assert messages == list(SAMPLES[-len(messages) :])
 
 
