@@ -20,13 +20,14 @@ from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
-from magcal_service.physics.model_file import PhysicsModel, read_model
+from magcal_service.physics.apply.model_file import PhysicsModel, read_model
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
-from sim_sensor.flow import WindowedLink
+from sim_sensor.demo.flow import WindowedLink
 from sim_sensor.node import NodeReport, run_node
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import Scenario, load_scenario, shipped_scenarios
+from sim_sensor.scenario import Scenario
+from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
 from sim_sensor.simulation import Simulation
 
 DEFAULT_LINK = "zenoh:tcp/127.0.0.1:7447"

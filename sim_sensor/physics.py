@@ -10,9 +10,9 @@ import numpy.typing as npt
 from magcal_service import geomagnetic
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.model import BIAS, D_ALL, measure
-from magcal_service.physics.forward import DriverMissingError, MisfitError, at_origin, bind, described
-from magcal_service.physics.model_file import PhysicsModel
-from magcal_service.physics.scene import Memory, Scene, Telemetry
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, at_origin, bind, described
+from magcal_service.physics.apply.model_file import PhysicsModel
+from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.units import CHANNEL_UNITS
 from sim_sensor.scenario import UNITS, Channel, Scenario
 

@@ -1,6 +1,5 @@
 """A scenario: everything that decides what a simulated node sends, as frozen records read from TOML.
 
-``load_scenario`` takes a file or the name of a shipped one and refuses a faulty file with all of its faults.
 ``resolve`` draws what the scenario leaves to chance.
 """
 
@@ -10,12 +9,9 @@ import math
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from enum import StrEnum
-from pathlib import Path
 
 import numpy as np
 
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml import nearest, open_toml
 from magcal_service.wire.messages import Vector
 from sim_sensor.attitude import Spin
 from sim_sensor.faults import LinkFault
@@ -23,8 +19,6 @@ from sim_sensor.field import FieldModel
 from sim_sensor.orbit import KeplerOrbit, Sgp4Orbit
 from sim_sensor.sensor import Effects, Sensor, symmetric
 from sim_sensor.streams import Stream, generator
-
-SHIPPED = Path(__file__).parent / "scenarios"
 
 
 class Direction(StrEnum):
@@ -126,28 +120,6 @@ class Scenario:
     effects: Effects = dataclass_field(default_factory=Effects)
     chance: Chance = Chance()
     faults: tuple[LinkFault, ...] = ()
-
-
-def shipped_scenarios() -> dict[str, Path]:
-    """Names and files of the scenarios that come with the package."""
-    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
-
-
-def load_scenario(name_or_file: str | Path) -> Scenario:
-    """Read a scenario by file, or by name if it is a shipped one; raises ConfigError with every fault."""
-    from sim_sensor.scenario_reader import read_scenario
-
-    path, known = Path(name_or_file), shipped_scenarios()
-    if str(name_or_file) in known and not path.is_file():
-        path = known[str(name_or_file)]
-    elif path.suffix != ".toml":
-        accepted = f"give a file ending in .toml or a shipped scenario; {nearest(str(name_or_file), known)}"
-        raise ConfigError([Fault("scenario", str(name_or_file), accepted)])
-    table = open_toml(path, ConfigError)
-    scenario = read_scenario(table, path.stem)
-    if table.faults:
-        raise ConfigError(table.faults)
-    return scenario
 
 
 def resolve(scenario: Scenario, seed: int) -> Scenario:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
-from magcal_service.typed_toml import Table, nearest
+from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.typed_toml import Table, nearest, open_toml
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 from sim_sensor.attitude import Spin
@@ -31,12 +32,35 @@ from sim_sensor.scenario import (
 from sim_sensor.sensor import Effects, Sensor, symmetric
 
 RPM = math.tau / 60.0
+SHIPPED = Path(__file__).parent / "scenarios"
+
 _MAX_S = 366.0 * 86400.0
 _MAX_NT = 1e6
 _NO_D: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 _AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NAME = "1 to 32 characters of A-Z a-z 0-9 _ -"
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """Names and files of the scenarios that come with the package."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def load_scenario(name_or_file: str | Path) -> Scenario:
+    """Read a scenario by file, or by name if it is a shipped one; raises ConfigError with every fault."""
+
+    path, known = Path(name_or_file), shipped_scenarios()
+    if str(name_or_file) in known and not path.is_file():
+        path = known[str(name_or_file)]
+    elif path.suffix != ".toml":
+        accepted = f"give a file ending in .toml or a shipped scenario; {nearest(str(name_or_file), known)}"
+        raise ConfigError([Fault("scenario", str(name_or_file), accepted)])
+    table = open_toml(path, ConfigError)
+    scenario = read_scenario(table, path.stem)
+    if table.faults:
+        raise ConfigError(table.faults)
+    return scenario
 
 
 def read_scenario(top: Table, name: str) -> Scenario:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.physics.model_file import PhysicsModel
+from magcal_service.physics.apply.model_file import PhysicsModel
 from magcal_service.wire.messages import (
     Frame,
     MagnetometerSample,

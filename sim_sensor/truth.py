@@ -7,7 +7,7 @@ import json
 import math
 from pathlib import Path
 
-from magcal_service.physics.model_file import text_of
+from magcal_service.physics.apply.model_file import text_of
 from magcal_service.recordings.timestamps import ns_to_iso8601
 from sim_sensor.simulation import Simulation
 

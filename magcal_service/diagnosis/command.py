@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from magcal_service.calibrate import refuse_hopeless
+from magcal_service.daemon.estimate_csv import unwritable
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.report.page import Origin, check_packages, report
@@ -17,8 +17,8 @@ from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rm
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
 from magcal_service.errors import Fault, InputRefusedError
-from magcal_service.output import unwritable
 from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.usable import refuse_hopeless
 
 JSON: Final = "diagnosis.json"
 REPORT: Final = "report.html"

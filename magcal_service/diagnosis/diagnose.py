@@ -16,10 +16,10 @@ from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
 from magcal_service.model import STATE_SIZE, Array
-from magcal_service.physics import catalogue
-from magcal_service.physics.coloured_noise import autoregression, is_noise, long_memory
+from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
 from magcal_service.physics.interface import Effect, Finding
-from magcal_service.physics.steady_spin import SpinSolution, solve_spin
+from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.recording import Recording
 
 Progress = Callable[[str], None]

@@ -15,7 +15,7 @@ from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, free_numbers, solve
 from magcal_service.model import STATE_SIZE, Array, measure
-from magcal_service.physics.coloured_noise import whitened
+from magcal_service.physics.effects.coloured_noise import whitened
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
 
 ACCEPTED_NATS: Final = 12.0

@@ -11,8 +11,8 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.result import Entry
 from magcal_service.model import STATE_SIZE, Array
+from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.wire.messages import Clock
 
 

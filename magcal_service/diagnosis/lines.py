@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 
 _SLOWEST_PERIODS: Final = 8.0
 _SLOWEST_S: Final = 900.0

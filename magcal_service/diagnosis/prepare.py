@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
-from magcal_service.config import FilterConfig
+from magcal_service.config.settings import FilterConfig
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed, solve
 from magcal_service.errors import ExtraMissingError, InputRefusedError
-from magcal_service.estimators.start import prior_sigma
-from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, linear_states
+from magcal_service.estimators.parts.start import prior_sigma
+from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate, measure
 from magcal_service.physics.interface import Effect, Finding
-from magcal_service.physics.scene import Scene, Telemetry
-from magcal_service.physics.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
-from magcal_service.physics.sunlight import hold_over_nan
-from magcal_service.physics.view import View
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
+from magcal_service.physics.scene.sunlight import hold_over_nan
+from magcal_service.physics.scene.view import View
 from magcal_service.recordings.channels import Axes, QuaternionOrder
 from magcal_service.recordings.recording import Channel, Recording
 from magcal_service.recordings.table import FloatArray

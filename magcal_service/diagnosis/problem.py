@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.linear import folds, held_out
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
 from magcal_service.physics.interface import Columns, Hypothesis
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 
 PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.noise_level import NoiseLevel
-from magcal_service.estimators.start import prior_sigma
+from magcal_service.estimators.parts.noise_level import NoiseLevel
+from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.model import STATE_SIZE, Array, calibrate, field_jacobian
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 _FIRST_NOISE = 0.01
 """Share of |H| that stands for an unknown noise level before it is learned."""

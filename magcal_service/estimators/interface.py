@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Protocol
 
-from magcal_service.config import CraftConfig
-from magcal_service.estimators.start import StartGate
+from magcal_service.config.settings import CraftConfig
+from magcal_service.estimators.parts.start import StartGate
 from magcal_service.model import Array
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 
 class Phase(StrEnum):

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, SpinConfig, SpinWindow
+from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.errors import ConfigError, Fault
-from magcal_service.estimators.bias_only import BiasState
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.spin_window import SpinWindows, Window
+from magcal_service.estimators.parts.bias_only import BiasState
+from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.model import scalar_residual
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 _LEAK_MEMORY_S = 1500.0
 """Time over which the leak keeps its sign: a quarter of a low orbit."""

@@ -22,13 +22,13 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
-from magcal_service.estimators.bias_only import BiasState
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.spin_window import LEO_FIELD_RATE_RAD_S
+from magcal_service.estimators.parts.bias_only import BiasState
+from magcal_service.estimators.parts.spin_window import LEO_FIELD_RATE_RAD_S
 from magcal_service.model import Array, scalar_residual
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 GYRO_NOISE_RAD_S: Final = 1e-3
 """Assumed error of the gyro per sample [rad/s]: a MEMS gyro's, its quantisation included."""

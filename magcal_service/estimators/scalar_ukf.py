@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method
 from magcal_service.estimators.ukf import Ukf
 

@@ -20,11 +20,11 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method
-from magcal_service.estimators.magnitude_sums import MagnitudeSums, scaled, unscaled_information
+from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums, scaled, unscaled_information
 from magcal_service.estimators.two_step import Solution, TwoStep
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 WINDOW_S: Final = 5400.0
 """About one low orbit: shorter ones miss directions of the field, and the nine errors can't be told apart."""

@@ -21,17 +21,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.spin_fit import AxisTie, Prior
-from magcal_service.estimators.spin_search import SpinSearch, SpinStart
-from magcal_service.estimators.spin_state import ERRORS, SPIN_STATE_SIZE, SpinEstimate, SpinState, spin_estimate
-from magcal_service.estimators.spin_watch import SpinGate, SpinWatch
-from magcal_service.estimators.spin_window import across_axis
+from magcal_service.estimators.parts.spin_window import across_axis
+from magcal_service.estimators.steady_spin.fit import AxisTie, Prior
+from magcal_service.estimators.steady_spin.search import SpinSearch, SpinStart
+from magcal_service.estimators.steady_spin.state import ERRORS, SPIN_STATE_SIZE, SpinEstimate, SpinState, spin_estimate
+from magcal_service.estimators.steady_spin.watch import SpinGate, SpinWatch
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 _PHASE_LOST_RAD: Final = 0.3
 """1 sigma of the attitude beyond which a gap has cost the phase: the update is no longer near linear."""

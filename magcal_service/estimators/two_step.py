@@ -21,9 +21,9 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.magnitude_sums import (
+from magcal_service.estimators.parts.magnitude_sums import (
     SCALE_NT,
     MagnitudeSums,
     coefficients,
@@ -31,8 +31,8 @@ from magcal_service.estimators.magnitude_sums import (
     unscaled,
     unscaled_covariance,
 )
-from magcal_service.estimators.noise_level import NoiseLevel, is_sound, squared_innovations
-from magcal_service.estimators.start import (
+from magcal_service.estimators.parts.noise_level import NoiseLevel, is_sound, squared_innovations
+from magcal_service.estimators.parts.start import (
     HANDOVER_SHARE,
     LARGEST_EIGENVALUE,
     SMALLEST_EIGENVALUE,
@@ -41,7 +41,7 @@ from magcal_service.estimators.start import (
 )
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 _ITERATIONS: Final = 60
 _CONVERGED: Final = 1e-6

@@ -20,12 +20,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.config import CraftConfig, SpinConfig, SpinWindow
-from magcal_service.estimators.adaptive import ChangeDetector
+from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.spin_window import SpinWindows, Window
-from magcal_service.estimators.start import StartCollector, prior_sigma
-from magcal_service.estimators.unscented import (
+from magcal_service.estimators.parts.adaptive import ChangeDetector
+from magcal_service.estimators.parts.spin_window import SpinWindows, Window
+from magcal_service.estimators.parts.start import StartCollector, prior_sigma
+from magcal_service.estimators.parts.unscented import (
     Innovation,
     UnscentedWeights,
     cholesky,
@@ -35,7 +35,7 @@ from magcal_service.estimators.unscented import (
 )
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
 from magcal_service.snapshot import Saved
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 REJECTED_MEMORY: Final = 60
 REJECTED_LIMIT: Final = 0.5

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from magcal_service.errors import LinkAddressError
-from magcal_service.links.address import LinkAddress, parse_address
+from magcal_service.config.address import LinkAddress, parse_address
 from magcal_service.links.base import Link, Role
 from magcal_service.links.sequence import SourceRecord
-from magcal_service.typed_toml import nearest
 
-__all__ = ["SCHEMES", "Link", "LinkAddress", "Role", "SourceRecord", "check_address", "open_link", "parse_address"]
+__all__ = ["LINKS", "Link", "LinkAddress", "Role", "SourceRecord", "open_link", "parse_address"]
 
 
 def _zenoh(address: LinkAddress, role: Role, crafts: Sequence[str]) -> Link:
@@ -41,7 +39,7 @@ def _recording(address: LinkAddress, role: Role, crafts: Sequence[str]) -> Link:
     return RecordingLink(address, crafts)
 
 
-SCHEMES: dict[str, Callable[[LinkAddress, Role, Sequence[str]], Link]] = {
+LINKS: dict[str, Callable[[LinkAddress, Role, Sequence[str]], Link]] = {
     "zenoh": _zenoh,
     "serial": _serial,
     "loop": _loop,
@@ -66,15 +64,4 @@ def open_link(address: str, role: Role, *, crafts: Sequence[str] = ()) -> Link:
     ConfigError: a file with a key or a password in it can be read by others.
     """
     parsed = parse_address(address)
-    return _scheme(parsed)(parsed, role, crafts)
-
-
-def check_address(address: str) -> None:
-    """Refuse an address whose scheme or form is unknown, without opening or importing anything."""
-    _scheme(parse_address(address))
-
-
-def _scheme(address: LinkAddress) -> Callable[[LinkAddress, Role, Sequence[str]], Link]:
-    if address.scheme not in SCHEMES:
-        raise LinkAddressError(f"link address {address.text!r}: unknown scheme; {nearest(address.scheme, SCHEMES)}")
-    return SCHEMES[address.scheme]
+    return LINKS[parsed.scheme](parsed, role, crafts)

@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from magcal_service.config.private_files import check_state_directory, read_key
 from magcal_service.errors import DecodeError
 from magcal_service.links.base import Role
 from magcal_service.links.counter_file import CounterFile
-from magcal_service.private_files import check_state_directory, read_key
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder
 from magcal_service.wire.messages import Command
 from magcal_service.wire.seal import SealGate, seal

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
-from magcal_service.links.address import LinkAddress, parse_address
+from magcal_service.config.address import LinkAddress, parse_address
 from magcal_service.links.base import Link
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording

@@ -16,8 +16,8 @@ from typing import Any
 import zenoh
 from zenoh import ext, handlers
 
+from magcal_service.config.address import LinkAddress
 from magcal_service.errors import LinkError
-from magcal_service.links.address import LinkAddress
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.joining import Joining

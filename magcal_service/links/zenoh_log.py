@@ -2,7 +2,7 @@
 
 A failed TLS handshake, a wrong password and a message that an access rule denies reach no callback and no counter of
 zenoh 1.10; each is a line of its log.  The daemon's command, which has no use for standard output, takes that log in
-through a pipe (``magcal_service.log``); any other process leaves it alone and counts none of this.
+through a pipe (``magcal_service.daemon.log``); any other process leaves it alone and counts none of this.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Final
 
 import zenoh
 
-from magcal_service import log
+from magcal_service.daemon import log
 from magcal_service.wire.keys import ROOT
 
 _log = logging.getLogger("magcal.links.zenoh")

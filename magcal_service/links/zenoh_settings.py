@@ -11,9 +11,9 @@ from typing import Any
 
 import zenoh
 
-from magcal_service.links.address import LinkAddress
+from magcal_service.config.address import LinkAddress
+from magcal_service.config.private_files import check_secret, check_unaltered
 from magcal_service.links.base import Role
-from magcal_service.private_files import check_secret, check_unaltered
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.fields import NAME

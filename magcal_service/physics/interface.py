@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
-    from magcal_service.physics.scene import Scene
-    from magcal_service.physics.view import View
+    from magcal_service.physics.scene.scene import Scene
+    from magcal_service.physics.scene.view import View
 
 
 @dataclass(frozen=True, slots=True, eq=False)

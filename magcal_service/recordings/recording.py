@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.report import RowReport
 from magcal_service.recordings.specs import Descriptor

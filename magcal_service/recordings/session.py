@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.config import CraftConfig
-from magcal_service.config_text import craft_from_toml
+from magcal_service.config.settings import CraftConfig
+from magcal_service.config.text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
 from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE

@@ -17,7 +17,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, SpinConfig, TickConfig
+from magcal_service.config.settings import CraftConfig, SpinConfig, TickConfig
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Recording, Reference

@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config import FilterConfig
-from magcal_service.estimators.bounds import InformationSet, bound_sigma
+from magcal_service.config.settings import FilterConfig
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import BIAS, STATE_SIZE, Array
-from magcal_service.pipeline import Pipeline
+from magcal_service.studies.bounds import InformationSet, bound_sigma
 from magcal_service.studies.flights import CRAFT, START_UTC_NS, FlightPlan, Flown, Nine, fly
 from magcal_service.studies.montecarlo import seeds_of
 from magcal_service.studies.progress import progress

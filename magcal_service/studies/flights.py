@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
-from magcal_service.estimators.bounds import Flight
-from magcal_service.estimators.spin_window import across_axis
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.estimators.parts.spin_window import across_axis
 from magcal_service.geomagnetic import igrf_eci_nt
 from magcal_service.model import Array, measure
-from magcal_service.ticks import Tick
+from magcal_service.studies.bounds import Flight
+from magcal_service.ticks.assembler import Tick
 from magcal_service.wire.messages import Vector
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]

@@ -9,16 +9,16 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.config import CraftConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.batched_spin import BatchedSpin
-from magcal_service.estimators.batched_ukf import BatchedScalarUkf, BatchedUkf
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import STATE_SIZE, Array
+from magcal_service.studies.batched.spin import BatchedSpin
+from magcal_service.studies.batched.ukf import BatchedScalarUkf, BatchedUkf
 from magcal_service.studies.executor import Executor
 from magcal_service.studies.flights import FlightPlan, Flown, fly
 from magcal_service.studies.progress import progress
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 BATCH: Final = 250
 """Runs in one batched job: 110 MB of samples over three orbits, and the loop over ticks costs little beside them."""

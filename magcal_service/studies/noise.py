@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from magcal_service.config import FilterConfig
+from magcal_service.config.settings import FilterConfig
 from magcal_service.model import BIAS
 from magcal_service.studies.flights import FlightPlan
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.config import CraftConfig, FilterConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.errors import ConfigError
 from magcal_service.estimators import find_method
 from magcal_service.model import Array

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config import FilterConfig
+from magcal_service.config.settings import FilterConfig
 from magcal_service.errors import ConfigError
 from magcal_service.estimators import find_method, methods
-from magcal_service.estimators.bounds import InformationSet, bound_over_time
 from magcal_service.model import BIAS, STATE_NAMES, Array
+from magcal_service.studies.bounds import InformationSet, bound_over_time
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import Ensemble, Statistics, in_batch, seeds_of, simulate, statistics
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table

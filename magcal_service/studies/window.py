@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from magcal_service.config import FilterConfig, SpinConfig, SpinWindow
-from magcal_service.estimators.bounds import InformationSet
+from magcal_service.config.settings import FilterConfig, SpinConfig, SpinWindow
+from magcal_service.studies.bounds import InformationSet
 from magcal_service.studies.flights import FlightPlan
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study

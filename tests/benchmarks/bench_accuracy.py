@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES
-from magcal_service.ticks import Tick
-from sim_sensor.scenario import load_scenario
+from magcal_service.ticks.assembler import Tick
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 NOISE_NT = 300.0

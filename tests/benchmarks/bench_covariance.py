@@ -15,12 +15,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import measure
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 from magcal_service.wire.messages import ReferenceSample
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 NOISE_NT = 300.0

@@ -21,7 +21,7 @@ from pathlib import Path
 from magcal_service.links import Role, open_link
 from sim_sensor.node import run_node
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 BARE = """

@@ -21,8 +21,8 @@ from magcal_service.diagnosis.prepare import scene_of
 from magcal_service.diagnosis.problem import Fit, Term, solve
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.model import Array
-from magcal_service.physics import catalogue
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 

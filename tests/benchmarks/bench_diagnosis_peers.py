@@ -20,7 +20,7 @@ from magcal_service.diagnosis import result
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.recordings.reader import read_recording
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 BASE = """

@@ -15,11 +15,11 @@ import time
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import calibrate
-from magcal_service.ticks import Tick
-from sim_sensor.scenario import load_scenario
+from magcal_service.ticks.assembler import Tick
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 NOISE_NT = 300.0

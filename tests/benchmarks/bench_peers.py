@@ -23,16 +23,16 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.optimize import least_squares
 
-from magcal_service.config import FilterConfig
+from magcal_service.config.settings import FilterConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.bounds import InformationSet, bound_sigma
 from magcal_service.estimators.interface import Phase
-from magcal_service.estimators.magnitude_sums import MagnitudeSums
-from magcal_service.estimators.noise_level import NoiseLevel
-from magcal_service.estimators.start import prior_sigma
+from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
+from magcal_service.estimators.parts.noise_level import NoiseLevel
+from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, two_step
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES, Array, calibrate, field_jacobian, measure
+from magcal_service.studies.bounds import InformationSet, bound_sigma
 from magcal_service.studies.flights import FlightPlan, Flown, fly
 
 AXES = {"(1, 1, 1)": (1.0, 1.0, 1.0), "near the orbit normal": (0.64, -0.73, 0.25)}

@@ -14,13 +14,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from magcal_service.config import CraftConfig, RecordConfig, SensorConfig, SpinConfig
-from magcal_service.pipeline import Pipeline
-from magcal_service.recorder import Recorder, SessionFile
+from magcal_service.config.settings import CraftConfig, RecordConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.recordings.recorder import Recorder, SessionFile
 from magcal_service.recordings.session_files import SessionFolder
 from magcal_service.recordings.session_info import session_info
 from magcal_service.wire.messages import Estimate, Message
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 SECONDS = 3600
@@ -28,13 +28,13 @@ FLUSH_S = 5
 CRAFT = CraftConfig("paper", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig(rate_rpm=7.5))
 
 MEMORY = """
-import pathlib, sys, magcal_service.service
-from magcal_service.config import CraftConfig, RecordConfig
+import pathlib, sys, magcal_service.daemon.service
+from magcal_service.config.settings import CraftConfig, RecordConfig
 from magcal_service.wire.messages import MagnetometerSample
 samples = [MagnetometerSample(craft="a", source="b", sequence=n, time_ns=n, field_body_nt=(1.0 * n, 2.0, 3.0))
            for n in range(5000)]
 if sys.argv[1] == "yes":
-    from magcal_service.recorder import Recorder
+    from magcal_service.recordings.recorder import Recorder
     with Recorder(RecordConfig(pathlib.Path(sys.argv[2]), min_free_mb=0.0), [CraftConfig("a")]) as recorder:
         for sample in samples:
             recorder.add(sample)

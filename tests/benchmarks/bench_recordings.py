@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.calibrate import calibrate_recording, craft_of, refuse_without_channel, replay
 from magcal_service.errors import MagcalError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import scalar_residual
+from magcal_service.offline.calibrate import calibrate_recording, refuse_without_channel
+from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import rms

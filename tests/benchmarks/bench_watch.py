@@ -19,11 +19,11 @@ from collections import defaultdict
 
 import numpy as np
 
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.ukf import Ukf
-from magcal_service.model_watch import ALARM_NATS, BLOCK, FIRST_LOOK, TICKS, ModelWatch
-from magcal_service.pipeline import Pipeline
-from magcal_service.watch_evidence import FALSE_PER_YEAR
+from magcal_service.watch.evidence import FALSE_PER_YEAR
+from magcal_service.watch.residual_watch import ALARM_NATS, BLOCK, FIRST_LOOK, TICKS, ModelWatch
 from tests.watch.watch_runs import Clean, Known, craft, flight, fly, stream
 
 SPINS_RPM = (0.5, 2.0, 7.5, 15.0)

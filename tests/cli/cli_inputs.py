@@ -7,7 +7,7 @@ import io
 import math
 from dataclasses import dataclass
 
-from magcal_service.cli import main
+from magcal_service.cli.__main__ import main
 
 CONFIG = """version = 1
 link = "loop:cli"

@@ -10,15 +10,15 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 
 from magcal_service import __version__
+from magcal_service.daemon.estimate_csv import COLUMNS
 from magcal_service.estimators import methods
-from magcal_service.output import COLUMNS
-from magcal_service.trust import Reason
+from magcal_service.trust.reasons import Reason
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.cli.cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
+from tests.cli.cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 
 SECONDS = 60
 PIECES = (

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from magcal_service.config import (
+from magcal_service.config.reader import load_config
+from magcal_service.config.settings import (
     DEFAULT_LINK,
     Config,
     CraftConfig,
@@ -29,7 +30,6 @@ from magcal_service.config import (
     TrustConfig,
     default_craft,
 )
-from magcal_service.config_reader import load_config
 from magcal_service.errors import ConfigError
 
 MINIMAL = 'version = 1\n[[craft]]\nname = "demo"\n'
@@ -386,7 +386,7 @@ def test_every_number_in_the_configuration_has_limits() -> None:
 
 def test_configuration_imports_neither_numpy_nor_an_extra() -> None:
     code = (
-        "import sys, magcal_service.config\n"
+        "import sys, magcal_service.config.settings\n"
         "print(sorted({'numpy', 'scipy', 'rich', 'matplotlib', 'ppigrf', 'zenoh', 'serial'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

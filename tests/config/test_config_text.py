@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_service.config import (
+from magcal_service.config.reader import read_config
+from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
     SensorConfig,
@@ -18,8 +19,7 @@ from magcal_service.config import (
     TickConfig,
     TrustConfig,
 )
-from magcal_service.config_reader import read_config
-from magcal_service.config_text import craft_as_toml, craft_from_toml, digest
+from magcal_service.config.text import craft_as_toml, craft_from_toml, digest
 from magcal_service.errors import ConfigError
 from magcal_service.typed_toml import Table
 

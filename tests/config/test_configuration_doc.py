@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from magcal_service.config import (
+from magcal_service.config.reader import load_config
+from magcal_service.config.settings import (
     Config,
     FilterConfig,
     HealthConfig,
@@ -22,7 +23,6 @@ from magcal_service.config import (
     TickConfig,
     TrustConfig,
 )
-from magcal_service.config_reader import load_config
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs/configuration.md").read_text(encoding="utf-8")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MAGCAL = [sys.executable, "-c", "import sys; from magcal_service.cli import main; sys.exit(main())"]
+MAGCAL = [sys.executable, "-c", "import sys; from magcal_service.cli.__main__ import main; sys.exit(main())"]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from magcal_service.config_reader import load_config
+from magcal_service.config.reader import load_config
 from magcal_service.links import Role, open_link, parse_address
 from magcal_service.links.zenoh_settings import ZenohSettings
 from magcal_service.wire.messages import MagnetometerSample

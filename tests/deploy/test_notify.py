@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.notify import READY, STOPPING, WATCHDOG, notify, status, watchdog_period_s
+from magcal_service.daemon.notify import READY, STOPPING, WATCHDOG, notify, status, watchdog_period_s
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -7,9 +7,9 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.cli import main
+from magcal_service.cli.__main__ import main
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnosis_runs import Done, diagnose, recorded
 
 from magcal_service.diagnosis.diagnose import Verdict
+from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from diagnosis_runs import diagnose, recorded
 
 from magcal_service.diagnosis.words import chance, odds, percent, strength
+from tests.diagnosis.diagnosis_runs import diagnose, recorded
 
 HOSTILE = "<script>x</script> {{7}}$\\fr{\U0001f9f2"
 

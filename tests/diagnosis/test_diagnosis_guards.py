@@ -13,9 +13,9 @@ from magcal_service.diagnosis.leftover import largest_product, significant, stru
 from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
 from magcal_service.diagnosis.result import parameters_of
 from magcal_service.model import Array, measure
-from magcal_service.physics import effect_named
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, along_axes
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import COUNT, NOISE_NT, X, scene, spoiled
 
 

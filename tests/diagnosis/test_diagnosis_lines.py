@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.diagnosis.lines import body_spectrum, is_red, strongest
 from magcal_service.model import Array
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import RATE_RAD_S, scene
 
 SPIN_HZ = RATE_RAD_S / (2.0 * math.pi)

@@ -10,7 +10,7 @@ import pytest
 
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, evaluate, is_collapsed, solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, measure
-from magcal_service.physics import effect_named
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_service.model import measure
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 TABLE_1 = np.array([5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.05])
 

@@ -9,10 +9,10 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.estimators.bounds import Flight
 from magcal_service.estimators.interface import Estimator, TickOutcome
 from magcal_service.model import Array, measure
-from magcal_service.ticks import Tick
+from magcal_service.studies.bounds import Flight
+from magcal_service.ticks.assembler import Tick
 
 PAPER_X = np.array([5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.05])
 PAPER_NOISE_NT = 300.0
@@ -78,7 +78,7 @@ class Field:
 @cache
 def paper_field(direction: tuple[float, float, float] = (1.0, 1.0, 1.0), seconds: float = 18000.0) -> Field:
     """The paper's orbit and spin with the spin axis towards ``direction`` (ECI, any length), at 1 Hz."""
-    from sim_sensor.scenario import load_scenario
+    from sim_sensor.scenario_reader import load_scenario
     from sim_sensor.simulation import Simulation
 
     scenario = load_scenario("paper")

@@ -20,22 +20,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
-from magcal_service.estimators.bounds import InformationSet, bound_sigma
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.ekf import Ekf
-from magcal_service.estimators.magnitude_sums import MagnitudeSums
-from magcal_service.estimators.noise_level import NoiseLevel
+from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
+from magcal_service.estimators.parts.noise_level import NoiseLevel
+from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.scalar_ukf import ScalarUkf
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.spin import SpinFilter
-from magcal_service.estimators.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, TwoStep, two_step
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES, d_matrix
 from magcal_service.recordings.reader import read_recording
-from magcal_service.ticks import Tick
+from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play
 
 Seeds = list[np.random.SeedSequence]
 STEP_AT_S = 6000.0

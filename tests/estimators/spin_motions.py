@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from estimator_ticks import TABLE_1, tilted_dipole_eci
 
-from magcal_service.estimators.spin_state import turned_once
+from magcal_service.estimators.steady_spin.state import turned_once
 from magcal_service.model import measure
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.estimator_ticks import TABLE_1, tilted_dipole_eci
 
 Motion = Callable[[np.ndarray], np.ndarray]
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
-from magcal_service.config_reader import load_config
-from magcal_service.estimators.adaptive import EVERY_TICKS, JUMP_D, JUMP_NT, Change, ChangeDetector
+from magcal_service.config.reader import load_config
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.estimators.parts.adaptive import EVERY_TICKS, JUMP_D, JUMP_NT, Change, ChangeDetector
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array, d_matrix
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.estimator_ticks import TABLE_1, Craft
 
 NOISE_NT = 300.0
 ADAPTIVE = CraftConfig(

@@ -14,17 +14,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.bounds import Flight, InformationSet, bound_sigma
 from magcal_service.estimators.interface import StateEstimate
-from magcal_service.estimators.magnitude_sums import MagnitudeSums
-from magcal_service.estimators.noise_level import NoiseLevel
-from magcal_service.estimators.start import prior_sigma
+from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
+from magcal_service.estimators.parts.noise_level import NoiseLevel
+from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, two_step
 from magcal_service.model import Array
+from magcal_service.studies.bounds import Flight, InformationSet, bound_sigma
 from magcal_service.studies.flights import FlightPlan, fly
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
 
 EQUINOX_1994_NS = 764_208_000 * 10**9
 TRUTH = (3000.0, 6000.0, 9000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.05)  # nT; 1 mG = 100 nT

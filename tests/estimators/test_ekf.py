@@ -6,13 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from method_data import PAPER_NOISE_NT, paper_field, play
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
 from magcal_service.estimators.ekf import Ekf
 from magcal_service.estimators.interface import Estimator, StateEstimate
 from magcal_service.estimators.scalar_ukf import ScalarUkf
 from magcal_service.model import Array, predicted_scalar, scalar_jacobian, scalar_measurement
+from tests.estimators.method_data import PAPER_NOISE_NT, paper_field, play
 
 RUNS = 8
 

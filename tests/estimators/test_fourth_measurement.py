@@ -5,11 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from method_data import PAPER_X, nees, paper_field, play
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.estimators.ukf import Ukf
+from tests.estimators.method_data import PAPER_X, nees, paper_field, play
 
 BZ = 2
 

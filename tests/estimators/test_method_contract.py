@@ -10,12 +10,12 @@ from functools import cache
 import msgpack
 import numpy as np
 import pytest
-from method_data import PAPER_X, RateTick, paper_field, play
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.model import Array
+from tests.estimators.method_data import PAPER_X, RateTick, paper_field, play
 
 NAMES = [method.name for method in methods()]
 BIAS_ONLY = ("plkf", "rate-aided")

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from method_data import paper_field, play
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig, SpinWindow
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, SpinWindow
 from magcal_service.errors import ConfigError
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.plkf import Plkf
 from magcal_service.model import Array
+from tests.estimators.method_data import paper_field, play
 
 BIAS_ONLY = np.array([5000.0, 3000.0, 4000.0, *[0.0] * 6])
 SPINNING = CraftConfig("craft", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig())

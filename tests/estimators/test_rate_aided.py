@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from method_data import Field, RateTick, paper_field, play
 
-from magcal_service.config import CraftConfig, SensorConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.rate_aided import RateAided, rotation
+from tests.estimators.method_data import Field, RateTick, paper_field, play
 
 BIAS_ONLY = np.array([5000.0, 3000.0, 4000.0, *[0.0] * 6])
 CRAFT = CraftConfig("craft", sensor=SensorConfig(noise_nt=300.0))

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from method_data import PAPER_NOISE_NT, PAPER_X, Field, nees, paper_field, play
 
-from magcal_service.config import CraftConfig, SensorConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig
 from magcal_service.estimators.interface import Estimator
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.two_step import TwoStep
+from tests.estimators.method_data import PAPER_NOISE_NT, PAPER_X, Field, nees, paper_field, play
 
 CRAFT = CraftConfig("craft", sensor=SensorConfig(noise_nt=PAPER_NOISE_NT))
 

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft
 from test_spin_start import PRIOR, near_truth, samples_of
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.estimators.parts.spin_window import across_axis
 from magcal_service.estimators.spin import SpinFilter
-from magcal_service.estimators.spin_fit import AxisTie, contradiction, fit_spin
-from magcal_service.estimators.spin_window import across_axis
+from magcal_service.estimators.steady_spin.fit import AxisTie, contradiction, fit_spin
+from tests.estimators.estimator_ticks import TABLE_1, Craft
 
 Z = np.array([0.0, 0.0, 1.0])
 NORMAL = Craft(seed=28, spin_eci=(0.0, -0.96, 0.28))

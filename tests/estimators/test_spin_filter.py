@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft
-from spin_motions import Motion, despinning, kicked, nutating, steady, ticks_of, tumbling
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.spin import SpinFilter
-from magcal_service.estimators.spin_watch import SpinGate
+from magcal_service.estimators.steady_spin.watch import SpinGate
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.recordings.reader import read_recording
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.estimator_ticks import TABLE_1, Craft
+from tests.estimators.spin_motions import Motion, despinning, kicked, nutating, steady, ticks_of, tumbling
 
 SECONDS = 3000
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

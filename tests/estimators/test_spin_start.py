@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft, triad
 
-from magcal_service.config import FilterConfig
-from magcal_service.estimators.spin_fit import Prior, Samples, fit_spin
-from magcal_service.estimators.spin_start import SpinGuess, best_rotation, find_axis, find_spin
-from magcal_service.estimators.spin_state import SPIN_STATE_SIZE, SpinState, turned_once
-from magcal_service.estimators.start import prior_sigma
+from magcal_service.config.settings import FilterConfig
+from magcal_service.estimators.parts.start import prior_sigma
+from magcal_service.estimators.steady_spin.fit import Prior, Samples, fit_spin
+from magcal_service.estimators.steady_spin.start import SpinGuess, best_rotation, find_axis, find_spin
+from magcal_service.estimators.steady_spin.state import SPIN_STATE_SIZE, SpinState, turned_once
 from magcal_service.model import calibrate
+from tests.estimators.estimator_ticks import TABLE_1, Craft, triad
 
 PRIOR = Prior(np.zeros(9), np.diag(prior_sigma(FilterConfig()) ** 2))
 ROUGH = TABLE_1 * 0.97 + np.repeat([300.0, 0.005], [3, 6])

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1
 
-from magcal_service.estimators.spin_state import (
+from magcal_service.estimators.steady_spin.state import (
     ATTITUDE,
     RATE,
     SPIN_STATE_SIZE,
@@ -14,6 +13,7 @@ from magcal_service.estimators.spin_state import (
     turned_once,
 )
 from magcal_service.model import d_matrix, measure
+from tests.estimators.estimator_ticks import TABLE_1
 
 RATE_RAD_S = np.array([0.1, -0.5, 0.7])
 REFERENCE = np.array([21_000.0, -14_000.0, 33_000.0])

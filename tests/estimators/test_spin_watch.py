@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from magcal_service.estimators.spin_fit import SpinFit
-from magcal_service.estimators.spin_state import Innovation, SpinState, turned, turned_once
-from magcal_service.estimators.spin_watch import SpinGate, SpinWatch, fit_quality
+from magcal_service.estimators.steady_spin.fit import SpinFit
+from magcal_service.estimators.steady_spin.state import Innovation, SpinState, turned, turned_once
+from magcal_service.estimators.steady_spin.watch import SpinGate, SpinWatch, fit_quality
 
 NOISE_NT = 300.0
 RATE = np.array([0.0, 0.0, 0.785])

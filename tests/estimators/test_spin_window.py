@@ -5,11 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator_ticks import Craft, tilted_dipole_eci
 
-from magcal_service.config import SpinConfig, SpinWindow
-from magcal_service.estimators.spin_window import SpinWindows, Window, across_axis, harmonic_weights, sound_samples
+from magcal_service.config.settings import SpinConfig, SpinWindow
+from magcal_service.estimators.parts.spin_window import (
+    SpinWindows,
+    Window,
+    across_axis,
+    harmonic_weights,
+    sound_samples,
+)
 from magcal_service.model import calibrate
+from tests.estimators.estimator_ticks import Craft, tilted_dipole_eci
 
 CLEAN = np.zeros(9)
 

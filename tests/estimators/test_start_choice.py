@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from magcal_service.config import FilterConfig
-from magcal_service.estimators.start import BatchSolution, batch_start, prior_sigma
-from magcal_service.estimators.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
+from magcal_service.config.settings import FilterConfig
+from magcal_service.estimators.parts.start import BatchSolution, batch_start, prior_sigma
+from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.studies.convergence import Job, draw, fly_one
 from magcal_service.studies.flights import Flown, fly
 from magcal_service.studies.montecarlo import seeds_of

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.ukf import Ukf
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.estimator_ticks import TABLE_1, Craft
 
 
 def spiked(craft: Craft, seconds: int, share: float) -> Iterator[Tick]:

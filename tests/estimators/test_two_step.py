@@ -6,24 +6,24 @@ from functools import cache
 
 import numpy as np
 import pytest
-from method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play, sigmas_off
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig
-from magcal_service.estimators.bounds import InformationSet, bound_sigma
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
 from magcal_service.estimators.interface import Phase
-from magcal_service.estimators.magnitude_sums import (
+from magcal_service.estimators.parts.magnitude_sums import (
     MagnitudeSums,
     coefficient_jacobian,
     coefficients,
     scaled,
     unscaled,
 )
-from magcal_service.estimators.noise_level import NoiseLevel
+from magcal_service.estimators.parts.noise_level import NoiseLevel
+from magcal_service.estimators.parts.start import StartGate, prior_sigma
 from magcal_service.estimators.sliding_batch import SlidingBatch
-from magcal_service.estimators.start import StartGate, prior_sigma
 from magcal_service.estimators.two_step import Solution, TwoStep, published, two_step
 from magcal_service.model import Array, measure, predicted_scalar, scalar_measurement
-from magcal_service.ticks import Tick
+from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.ticks.assembler import Tick
+from tests.estimators.method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play, sigmas_off
 
 PRIOR = prior_sigma(FilterConfig())
 NOISY = CraftConfig("craft", sensor=SensorConfig(noise_nt=PAPER_NOISE_NT))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from estimator_ticks import TABLE_1, Craft
 
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig, SpinWindow
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, SpinWindow
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.ukf import Ukf
+from tests.estimators.estimator_ticks import TABLE_1, Craft
 
 SECONDS = 7000
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from magcal_service.estimators.unscented import (
+from magcal_service.estimators.parts.unscented import (
     UnscentedWeights,
     cholesky,
     scalar_innovation,

@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import Self
 
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Message
-from sim_sensor.daemon_process import DaemonProcess
-from sim_sensor.pty_pair import PtyPair
+from sim_sensor.demo.daemon_process import DaemonProcess
+from sim_sensor.demo.pty_pair import PtyPair
 from tests.service.service_processes import PATIENCE_S, Node, wait_for
 
 RECORD_FLUSH_S = 0.2

@@ -22,7 +22,7 @@ import pathlib, sys, time
 true_s, true_ns, flag, step_s = time.time, time.time_ns, pathlib.Path({flag!r}), {step_s}
 time.time = lambda: true_s() + step_s * flag.exists()
 time.time_ns = lambda: true_ns() + int(step_s * 1e9) * flag.exists()
-from magcal_service.cli import main
+from magcal_service.cli.__main__ import main
 sys.exit(main())
 """
 

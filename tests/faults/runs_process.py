@@ -11,8 +11,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from magcal_service.config_reader import load_config
-from magcal_service.pipeline import Pipeline
+from magcal_service.config.reader import load_config
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.messages import Estimate, Message
 from tests.faults.bench import Daemons, Feeder, Witness, estimates_by_time, stopped
 from tests.faults.faults import Fault, Outcome

@@ -19,12 +19,12 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from magcal_service.checkpoints import Checkpoints
-from magcal_service.config import Config, CraftConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.config.settings import Config, CraftConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link
-from magcal_service.service import Service
 from magcal_service.wire.messages import Message
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 from tests.service.service_processes import free_port
 

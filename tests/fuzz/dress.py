@@ -11,11 +11,11 @@ from typing import Any
 
 import msgpack
 
+from magcal_service.daemon.checkpoints.files import MAGIC
 from magcal_service.errors import MagcalError
 from magcal_service.recordings.mcap import RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
-from magcal_service.state import MAGIC
 from magcal_service.wire.framing import FrameDecoder, ReceivedFrame, pack_frame
 from magcal_service.wire.seal import SEALED, seal
 from tests.fuzz.mutate import mutate

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_service.checkpoints import MISFITS
-from magcal_service.config import CraftConfig
-from magcal_service.config_reader import load_config
-from magcal_service.config_text import craft_as_toml, craft_from_toml
+from magcal_service.config.reader import load_config
+from magcal_service.config.settings import CraftConfig
+from magcal_service.config.text import craft_as_toml, craft_from_toml
+from magcal_service.daemon.checkpoints.store import MISFITS
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import DecodeError
-from magcal_service.pipeline import Pipeline
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.json_form import from_json, schema_name, to_json
 from magcal_service.recordings.mcap import CRAFT, STATE, RawMessage, Topic
@@ -30,7 +30,8 @@ from magcal_service.recordings.state_text import state_as_text
 from magcal_service.recordings.timestamps import iso8601_to_ns, seconds_to_ns
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import KINDS, kind_of
-from sim_sensor.scenario import load_scenario, resolve
+from sim_sensor.scenario import resolve
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 from tests.fuzz.inputs import ROOT, file_of, flight, folder, one_of_each
 

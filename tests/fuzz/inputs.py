@@ -10,11 +10,11 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from magcal_service.config import CraftConfig
-from magcal_service.pipeline import Pipeline
+from magcal_service.config.settings import CraftConfig
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.framing import FrameEncoder
 from magcal_service.wire.messages import Command, Message
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,12 +7,12 @@ from collections.abc import Hashable
 from dataclasses import replace
 from functools import cache
 
-from magcal_service.checkpoints import Checkpoints
-from magcal_service.config import CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig
-from magcal_service.links.address import parse_address
+from magcal_service.config.address import parse_address
+from magcal_service.config.private_files import read_key
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.counter_file import CounterFile
-from magcal_service.pipeline import Pipeline
-from magcal_service.private_files import read_key
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import StreamDecoder
 from magcal_service.wire.messages import Status

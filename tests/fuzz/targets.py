@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.errors import ConfigError, DecodeError, LinkAddressError, MagcalError, RecordingError
-from magcal_service.physics import catalogue
-from magcal_service.physics.model_file import ModelError
+from magcal_service.physics.apply.model_file import ModelError
+from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.json_form import to_json
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import KIND_BY_CODE, KINDS, kind_of
-from sim_sensor.scenario import shipped_scenarios
+from sim_sensor.scenario_reader import shipped_scenarios
 from tests.fuzz import dress, file_readers, live_readers, physics_reader
 from tests.fuzz.inputs import flight, frames, one_of_each
 from tests.fuzz.mutate import Operation

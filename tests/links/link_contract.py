@@ -6,11 +6,23 @@ import abc
 import time
 
 import pytest
-from link_messages import RESULTS, SAMPLES, SECOND_NS, SOON_S, START_NS, WAIT_S, flows, gather, sample, settle, vector
 
 from magcal_service.errors import LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Message
+from tests.links.link_messages import (
+    RESULTS,
+    SAMPLES,
+    SECOND_NS,
+    SOON_S,
+    START_NS,
+    WAIT_S,
+    flows,
+    gather,
+    sample,
+    settle,
+    vector,
+)
 
 LATER_NS = START_NS + 3600 * SECOND_NS
 

@@ -11,10 +11,9 @@ import sys
 import time
 from typing import cast
 
-from link_messages import vector
-
 from magcal_service.links import Role, open_link
 from magcal_service.links.zenoh import ZenohLink
+from tests.links.link_messages import vector
 
 HOGS = 4
 

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from link_messages import free_port, gather, sample, settle
 
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.fair_inbox import MOST_SOURCES, FairInbox
 from magcal_service.links.rate_limit import MOST_BUCKETS, RateLimit
+from tests.links.link_messages import free_port, gather, sample, settle
 
 Named = tuple[str, str, int]
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from link_messages import START_NS, free_port, gather, sample, settle
 
 from magcal_service.links import Role, open_link
 from magcal_service.links.joining import ALONE_QUIET_S, ALONE_S, APART_S, LONGEST_S, QUIET_S, Joining, in_order_of_time
 from magcal_service.wire.messages import Message, ReferenceSample
+from tests.links.link_messages import START_NS, free_port, gather, sample, settle
 
 SECOND_NS = 1_000_000_000
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from typing import cast
 
 import pytest
-from link_contract import Ends, LinkContract
-from link_messages import command, estimate, gather, sample
 
 from magcal_service.errors import LinkError
 from magcal_service.links import Role, open_link
 from magcal_service.links.loop import LoopLink
+from tests.links.link_contract import Ends, LinkContract
+from tests.links.link_messages import command, estimate, gather, sample
 
 _names = itertools.count()
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from link_messages import command, gather, sample, settle
 
 from magcal_service.errors import ConfigError, LinkAddressError
 from magcal_service.links import Link, Role, open_link
@@ -15,7 +14,8 @@ from magcal_service.links.counter_file import CounterFile
 from magcal_service.wire.framing import FrameEncoder
 from magcal_service.wire.messages import CommandReply, Message
 from magcal_service.wire.seal import seal
-from sim_sensor.pty_pair import PtyPair
+from sim_sensor.demo.pty_pair import PtyPair
+from tests.links.link_messages import command, gather, sample, settle
 
 KEY = bytes(range(32))
 

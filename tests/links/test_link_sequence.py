@@ -6,10 +6,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from link_messages import SECOND_NS, sample
 
 from magcal_service.links.inbox import Inbox
 from magcal_service.links.sequence import SequenceTracker, SourceRecord
+from tests.links.link_messages import SECOND_NS, sample
 
 
 def record_of(numbers: list[int], times_s: list[int] | None = None) -> SourceRecord:

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from link_contract import Ends, LinkContract
-from link_messages import SOON_S, WAIT_S, flows, gather, sample, settle, vector
 
 from magcal_service.errors import LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder
-from sim_sensor.pty_pair import PtyPair
+from sim_sensor.demo.pty_pair import PtyPair
+from tests.links.link_contract import Ends, LinkContract
+from tests.links.link_messages import SOON_S, WAIT_S, flows, gather, sample, settle, vector
 
 
 class SerialEnds(Ends):

@@ -16,8 +16,14 @@ from typing import cast
 
 import pytest
 import zenoh
-from link_contract import Ends, LinkContract
-from link_messages import (
+
+from magcal_service.errors import LinkAddressError, LinkError
+from magcal_service.links import Link, Role, open_link
+from magcal_service.links.zenoh import ZenohLink
+from magcal_service.wire.codec import encode
+from magcal_service.wire.messages import Message
+from tests.links.link_contract import Ends, LinkContract
+from tests.links.link_messages import (
     SOON_S,
     WAIT_S,
     command,
@@ -29,12 +35,6 @@ from link_messages import (
     settle,
     vector,
 )
-
-from magcal_service.errors import LinkAddressError, LinkError
-from magcal_service.links import Link, Role, open_link
-from magcal_service.links.zenoh import ZenohLink
-from magcal_service.wire.codec import encode
-from magcal_service.wire.messages import Message
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, measure
-from magcal_service.physics.scene import Scene, Telemetry
-from sim_sensor.scenario import load_scenario
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 X = np.array([5000.0, -3000.0, 4000.0, 0.05, 0.1, -0.05, 0.02, 0.03, -0.01])

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, FilterConfig, PhysicsConfig, SensorConfig, SpinConfig
-from magcal_service.physics.model_file import ModelTerm, PhysicsModel, text_of
-from magcal_service.pipeline import Pipeline
+from magcal_service.config.settings import CraftConfig, FilterConfig, PhysicsConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
 from magcal_service.wire.messages import Clock, Estimate, Message
-from sim_sensor.scenario import Scenario, load_scenario
+from sim_sensor.scenario import Scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 NOISE_NT = 100.0

@@ -10,8 +10,8 @@ import numpy as np
 from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.interface import Hypothesis, Nonlinear
-from magcal_service.physics.scene import Scene, Telemetry
-from magcal_service.physics.view import View
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.view import View
 
 ORIGIN_NS = 1_742_472_000 * 10**9  # 2025-03-20T12:00:00Z
 PERIOD_S = 4.0

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.commands import Commander
+from magcal_service.daemon.commands import Commander
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import Array, d_matrix
-from magcal_service.physics.compensation import OF_REFERENCE, Compensation, stale_after_s
-from magcal_service.physics.forward import effects_on
+from magcal_service.physics.apply.compensation import OF_REFERENCE, Compensation, stale_after_s
+from magcal_service.physics.apply.forward import effects_on
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.model_file import ModelTerm, PhysicsModel, text_of
-from magcal_service.pipeline import Pipeline
 from magcal_service.wire.messages import (
     Command,
     Frame,

@@ -10,10 +10,18 @@ import pytest
 
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.model import Array
-from magcal_service.physics import catalogue
-from magcal_service.physics.forward import DriverMissingError, MisfitError, effects_on
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, effects_on
+from magcal_service.physics.apply.model_file import (
+    ModelError,
+    ModelSpin,
+    ModelTerm,
+    Note,
+    PhysicsModel,
+    parse_model,
+    text_of,
+)
+from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.model_file import ModelError, ModelSpin, ModelTerm, Note, PhysicsModel, parse_model, text_of
 from magcal_service.wire.messages import Clock
 from tests.physics.given_scene import ROWS, X, cut, flight
 

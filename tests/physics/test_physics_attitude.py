@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from magcal_service.model import Array, measure
-from magcal_service.physics import effect_named
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Finding
-from magcal_service.physics.scene import Scene
-from magcal_service.physics.steady_spin import SpinSolution, solve_spin, turn_alone
+from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin, turn_alone
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, NOISE_NT, PERIOD_S, RATE_RAD_S, X, scene, triad, turning, view
 
 RPM = math.pi / 30.0

@@ -12,7 +12,7 @@ import pytest
 from magcal_service import physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_numbers
 from magcal_service.model import STATE_SIZE, Array
-from magcal_service.physics import catalogue, effect_named
+from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, Values, value_of
 from tests.physics.scenes import NOISE_NT, X, arrays, scene, some_numbers, view
 

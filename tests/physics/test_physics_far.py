@@ -12,9 +12,9 @@ from magcal_service import geomagnetic
 from magcal_service.diagnosis.explain import Search, hypotheses_of
 from magcal_service.diagnosis.problem import Problem, solve
 from magcal_service.model import Array
-from magcal_service.physics import effect_named
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import COUNT, NOISE_NT, X, orbit_eci_km, scene
 
 AHEAD_S, GROWTH_S_PER_H = 430.0, 4.0

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from magcal_service.model import Array
-from magcal_service.physics import effect_named
-from magcal_service.physics.coloured_noise import autoregression, body_correlation, covariance, is_noise, long_memory
-from magcal_service.physics.coloured_noise import whitened as whitened_in_body
-from magcal_service.physics.hysteresis import play
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.effects.coloured_noise import (
+    autoregression,
+    body_correlation,
+    covariance,
+    is_noise,
+    long_memory,
+)
+from magcal_service.physics.effects.coloured_noise import whitened as whitened_in_body
+from magcal_service.physics.effects.hysteresis import play
+from magcal_service.physics.effects.quantisation import step_of
+from magcal_service.physics.effects.torquer import remembered
 from magcal_service.physics.interface import Finding
-from magcal_service.physics.quantisation import step_of
-from magcal_service.physics.torquer import remembered
-from magcal_service.physics.view import View, runs
+from magcal_service.physics.scene.view import View, runs
 from tests.physics.scenes import NOISE_NT, scene, spoiled, view
 
 NOISY = scene(NOISE_NT)

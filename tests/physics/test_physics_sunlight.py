@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from magcal_service.model import Array
-from magcal_service.physics.sunlight import first_order, hold_over_nan, sun_eci, sunlit
+from magcal_service.physics.scene.sunlight import first_order, hold_over_nan, sun_eci, sunlit
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci
 from tests.physics.scenes import ORIGIN_NS, orbit_eci_km
 

@@ -10,9 +10,9 @@ import pytest
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search, hypotheses_of
 from magcal_service.diagnosis.problem import Problem, solve
 from magcal_service.model import Array, measure
-from magcal_service.physics import effect_named
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis, Segments
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import COUNT, NOISE_NT, RATE_RAD_S, X, scene, spoiled
 
 TORQUER = effect_named("torquer")

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.cli import main as magcal
+from magcal_service.cli.__main__ import main as magcal
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.result import entries
 from magcal_service.errors import ConfigError
-from magcal_service.physics import effect_named
-from magcal_service.physics.model_file import parse_model, read_model, text_of
+from magcal_service.physics.apply.model_file import parse_model, read_model, text_of
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.reader import read_recording
 from sim_sensor.cli import main
 from sim_sensor.recorder import record_simulation
-from sim_sensor.scenario import Scenario, load_scenario
+from sim_sensor.scenario import Scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 from tests.physics.live_models import THERMAL, hot, model_of
 from tests.physics.test_model_file import drawn, forms

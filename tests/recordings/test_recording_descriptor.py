@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import pytest
-from recording_logs import MAGNETOMETER, REFERENCE, TIME, descriptor
 
 from magcal_service.errors import RecordingError
 from magcal_service.recordings.channels import Axes, QuaternionOrder
@@ -16,6 +15,7 @@ from magcal_service.recordings.specs import (
     VectorReference,
 )
 from magcal_service.wire.messages import Clock, Frame
+from tests.recordings.recording_logs import MAGNETOMETER, REFERENCE, TIME, descriptor
 
 GEODETIC = '[position]\ncolumns = ["lat", "lon"]\naltitude_km = 450.0\n'
 IGRF = '[reference]\nmodel = "igrf"\n'

@@ -2,7 +2,6 @@ import time
 from pathlib import Path
 
 import pytest
-from recording_logs import descriptor, row, write_log
 
 from magcal_service.errors import LinkAddressError, RecordingError
 from magcal_service.links.base import Role
@@ -10,6 +9,7 @@ from magcal_service.links.recording import RecordingLink
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import Command, MagnetometerSample, Message
+from tests.recordings.recording_logs import descriptor, row, write_log
 
 COMMAND = Command(craft="craft", source="test", sequence=0, time_ns=0, name="status")
 

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_logs import descriptor, row, write_log
 
 from magcal_service.recordings import messages as module
 from magcal_service.recordings.messages import messages
@@ -17,6 +16,7 @@ from magcal_service.wire.messages import (
     ReferenceSample,
     TelemetrySample,
 )
+from tests.recordings.recording_logs import descriptor, row, write_log
 
 CHANNELS = '[channels]\nheat = { column = "temp", unit = "degC" }\nat = { columns = ["q0", "q1"] }\n'
 POSITION = '[position]\ncolumns = ["x", "y", "z"]\nunit = "km"\nframe = "eci"\n'

@@ -2,12 +2,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_logs import MAGNETOMETER, REFERENCE, descriptor, row, write_log
 
 from magcal_service.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 from magcal_service.wire.messages import Frame
+from tests.recordings.recording_logs import MAGNETOMETER, REFERENCE, descriptor, row, write_log
 
 IGRF = '[reference]\nmodel = "igrf"\n'
 GEODETIC = '[position]\ncolumns = ["lat", "lon"]\naltitude = { column = "alt", unit = "km" }\n'

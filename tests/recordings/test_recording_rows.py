@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from recording_logs import HEADER, MAGNETOMETER, descriptor, row, write_log
 
 from magcal_service.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import parse_numbers
+from tests.recordings.recording_logs import HEADER, MAGNETOMETER, descriptor, row, write_log
 
 GOOD = [row(1700000000), row(1700000001), row(1700000002)]
 CHANNELS = '[channels]\nheat = { column = "temp", unit = "degC" }\nat = { columns = ["q0", "q1"] }\n'

@@ -18,7 +18,7 @@ from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.codec import encode
 from magcal_service.wire.keys import key_of
 from magcal_service.wire.messages import Command, MagnetometerSample, Message, Status
-from sim_sensor.daemon_process import DaemonProcess
+from sim_sensor.demo.daemon_process import DaemonProcess
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 PATIENCE_S = 60.0

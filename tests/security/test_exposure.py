@@ -8,10 +8,10 @@ import threading
 import pytest
 import zenoh
 
-from magcal_service.config import Config, CraftConfig
+from magcal_service.config.settings import Config, CraftConfig
+from magcal_service.daemon.service import Service, run_daemon
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.zenoh_settings import exposures
-from magcal_service.service import Service, run_daemon
 from magcal_service.wire.messages import Status
 
 

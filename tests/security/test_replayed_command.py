@@ -13,8 +13,8 @@ from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.framing import FrameEncoder
 from magcal_service.wire.messages import Command, CommandReply, Message, Status
 from magcal_service.wire.seal import seal
-from sim_sensor.daemon_process import DaemonProcess
-from sim_sensor.pty_pair import PtyPair
+from sim_sensor.demo.daemon_process import DaemonProcess
+from sim_sensor.demo.pty_pair import PtyPair
 
 KEY = bytes(range(32))
 PATIENCE_S = 30.0

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rogue_links import DEPLOY, Door, caller, command, door, make_certificates, sample, shipped
 
 from magcal_service.links import Role
+from tests.security.rogue_links import DEPLOY, Door, caller, command, door, make_certificates, sample, shipped
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 

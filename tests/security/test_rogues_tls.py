@@ -7,10 +7,21 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rogue_links import Blunt, Door, caller, command, door, expire, knock_raw, make_certificates, sample, shipped
 
 from magcal_service.links import Role
 from magcal_service.wire.messages import CommandReply, Message
+from tests.security.rogue_links import (
+    Blunt,
+    Door,
+    caller,
+    command,
+    door,
+    expire,
+    knock_raw,
+    make_certificates,
+    sample,
+    shipped,
+)
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from magcal_service.cli import main
-from magcal_service.config import FilterConfig
+from magcal_service.cli.__main__ import main
+from magcal_service.config.settings import FilterConfig
 from magcal_service.studies import run_study, spin_rates, window
 from magcal_service.studies.convergence import LARGEST_BIAS_NT, LARGEST_D, Job, draw, fly_one
 from magcal_service.studies.executor import InProcess
@@ -147,7 +147,7 @@ def test_the_command_refuses_an_unknown_study_with_one_line(capsys) -> None:
 
 
 def test_the_scalar_bound_of_the_paper_s_flight_has_the_proportions_of_its_two_step() -> None:
-    from magcal_service.estimators.bounds import InformationSet, bound_sigma
+    from magcal_service.studies.bounds import InformationSet, bound_sigma
 
     plan = FlightPlan()
     sigma = 3.0 * bound_sigma(fly(plan).for_bounds(), InformationSet.SCALAR)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service.config import FilterConfig, SpinConfig
+from magcal_service.config.settings import FilterConfig, SpinConfig
 from magcal_service.errors import ConfigError, InputRefusedError
 from magcal_service.model import calibrate, measure
 from magcal_service.studies import find_study, run_study, save, studies

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from magcal_service.rate_track import RateTrack
+from magcal_service.ticks.rate_track import RateTrack
 from magcal_service.wire.messages import Clock, TelemetrySample
 
 SECOND = 1_000_000_000

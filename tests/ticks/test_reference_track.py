@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tick_streams import START_NS, reference
 
-from magcal_service.reference_track import ReferenceTrack
-from magcal_service.ticks import SECOND_NS
+from magcal_service.ticks.assembler import SECOND_NS
+from magcal_service.ticks.reference_track import ReferenceTrack
 from magcal_service.wire.messages import Clock, Frame, ReferenceSample
-from sim_sensor.scenario import load_scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.ticks.tick_streams import START_NS, reference
 
 
 def track(max_gap_s: float = 10.0) -> ReferenceTrack:

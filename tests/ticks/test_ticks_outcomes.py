@@ -1,13 +1,13 @@
-"""Every outcome in the table of ``magcal_service.ticks``: one good stream, spoiled in one way each."""
+"""Every outcome in the table of ``magcal_service.ticks.assembler``: one good stream, spoiled in one way each."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from tick_streams import Spoiling, assembler, counted, good, in_order, ns, play, reference, sample, shifted
 
-from magcal_service.config import SensorConfig, TickConfig
+from magcal_service.config.settings import SensorConfig, TickConfig
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample
+from tests.ticks.tick_streams import Spoiling, assembler, counted, good, in_order, ns, play, reference, sample, shifted
 
 
 @pytest.mark.parametrize("spoiling", Spoiling)

@@ -8,11 +8,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tick_streams import Sample, Stream, assembler, good, in_order, ns, offer, play, reference, same_ticks, sample
 
-from magcal_service.config import SensorConfig, TickConfig
-from magcal_service.ticks import REFUSALS, SECOND_NS
+from magcal_service.config.settings import SensorConfig, TickConfig
+from magcal_service.ticks.assembler import REFUSALS, SECOND_NS
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample
+from tests.ticks.tick_streams import (
+    Sample,
+    Stream,
+    assembler,
+    good,
+    in_order,
+    ns,
+    offer,
+    play,
+    reference,
+    same_ticks,
+    sample,
+)
 
 
 @st.composite

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from enum import Enum
 
-from magcal_service.config import SensorConfig, TickConfig
-from magcal_service.ticks import SECOND_NS, Tick, TickAssembler
+from magcal_service.config.settings import SensorConfig, TickConfig
+from magcal_service.ticks.assembler import SECOND_NS, Tick, TickAssembler
 from magcal_service.wire.messages import Clock, Frame, MagnetometerSample, ReferenceSample
 
 START_NS = 1_750_000_000 * SECOND_NS

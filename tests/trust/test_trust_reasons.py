@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trust_runs import added, craft, errors_in_sigma, from_second, good, run, stretched
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.start import StartGate
+from magcal_service.estimators.parts.start import StartGate
 from magcal_service.model import STATE_SIZE
-from magcal_service.ticks import Tick
-from magcal_service.trust import REMEDIES, Reason, TrustMonitor
+from magcal_service.ticks.assembler import Tick
+from magcal_service.trust.monitor import TrustMonitor
+from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Estimate, Verdict
+from tests.trust.trust_runs import added, craft, errors_in_sigma, from_second, good, run, stretched
 
 CHANGE = 1000  # tick from which a good stream is spoiled: it is trusted by then
 START = {Reason.COLLECTING, Reason.POOR_COVERAGE, Reason.NO_SOLUTION, Reason.NOT_SETTLED}

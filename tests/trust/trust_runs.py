@@ -9,13 +9,15 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.estimators.ukf import Ukf
-from magcal_service.ticks import Tick
-from magcal_service.trust import Reason, Trust, TrustMonitor
+from magcal_service.ticks.assembler import Tick
+from magcal_service.trust.monitor import Trust, TrustMonitor
+from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import Verdict
-from sim_sensor.scenario import Scenario, load_scenario
+from sim_sensor.scenario import Scenario
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 TRUTH = np.array([5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.05])

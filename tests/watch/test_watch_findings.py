@@ -8,10 +8,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.model_watch import CHUNK, TICKS, Finding, ModelWatch
-from magcal_service.pipeline import Pipeline
-from magcal_service.trust import Reason
+from magcal_service.trust.reasons import Reason
+from magcal_service.watch.residual_watch import CHUNK, TICKS, Finding, ModelWatch
 from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario import Scenario
 from tests.watch.watch_runs import NOISE_NT, Clean, Known, craft, flight, fly, stream

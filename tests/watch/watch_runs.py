@@ -9,12 +9,12 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.config import CraftConfig, SensorConfig, SpinConfig
-from magcal_service.driver_track import Driver, DriverTrack
-from magcal_service.events import Event
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.events import Event
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import measure, state_of
-from magcal_service.pipeline import Pipeline
-from magcal_service.ticks import Tick
+from magcal_service.ticks.assembler import Tick
+from magcal_service.watch.drivers import Driver, DriverTrack
 from magcal_service.wire.messages import (
     Clock,
     Message,
@@ -22,7 +22,8 @@ from magcal_service.wire.messages import (
     TelemetrySample,
 )
 from sim_sensor.disturbances import Panel, Step, Thermal, Torquer
-from sim_sensor.scenario import Channel, PositionPlan, Scenario, TelemetryPlan, load_scenario
+from sim_sensor.scenario import Channel, PositionPlan, Scenario, TelemetryPlan
+from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.sensor import symmetric
 from sim_sensor.simulation import Simulation
 

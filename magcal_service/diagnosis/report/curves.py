@@ -12,7 +12,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.leftover import significant
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
-from magcal_service.physics.scene import Scene
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.units import CHANNEL_UNITS
 
 _BINS: Final = 20

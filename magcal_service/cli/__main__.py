@@ -1,0 +1,61 @@
+"""The ``magcal`` command: parse, call, print.
+
+Exit codes: 0 done; 2 the input or the configuration was refused, with one line per fault on stderr; 3 done, but the
+result must not be trusted, with the reasons in the output.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from magcal_service import __version__
+from magcal_service.cli.calibrate import add_calibrate
+from magcal_service.cli.common import DONE
+from magcal_service.cli.diagnose import add_diagnose
+from magcal_service.cli.record import add_record
+from magcal_service.cli.replay import add_replay
+from magcal_service.cli.run import add_run
+from magcal_service.cli.status import add_status
+from magcal_service.cli.study import add_study
+from magcal_service.errors import MagcalError
+
+# Matrices of nine rows gain nothing from threads, and waiting for them costs a quarter of a replay's time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        code: int = options.command(options)
+        sys.stdout.flush()
+    except MagcalError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # whoever read the output has seen enough, such as head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="magcal", description="Real-time magnetometer calibration without attitude.")
+    parser.add_argument("--version", action="version", version=f"magcal {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    add_run(commands.add_parser("run", help="the daemon: samples in, calibrated vectors and estimates out"))
+    add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
+    add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
+    add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
+    add_study(commands.add_parser("study", help="Monte-Carlo studies of the estimators"))
+    add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
+    add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""``magcal calibrate``: the nine errors of a whole recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, verdict_text
+
+if TYPE_CHECKING:
+    from magcal_service.offline.calibrate import Calibration
+
+
+def add_calibrate(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal calibrate``."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--method", default="ukf", help="estimator (default: ukf, the daemon's own)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
+    parser.set_defaults(command=_calibrate)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from magcal_service.daemon.estimate_csv import unwritable
+    from magcal_service.estimators import find_method
+    from magcal_service.offline.calibrate import calibrate_recording
+    from magcal_service.recordings.reader import read_recording
+
+    find_method(options.method)
+    recording = read_recording(options.recording, options.craft)
+    result = calibrate_recording(recording, options.method)
+    print("\n".join(recording.report.lines()))
+    print(_table(result))
+    if options.json is not None:
+        try:
+            options.json.write_text(result.as_json(), encoding="utf-8")
+        except OSError as exc:
+            raise unwritable(options.json, exc) from None
+    return DONE if result.trusted else NOT_TRUSTED
+
+
+def _table(result: Calibration) -> str:
+    import numpy as np
+
+    from magcal_service.model import BIAS, STATE_NAMES
+
+    sigma = np.sqrt(np.diagonal(result.covariance))
+    lines = [f"method {result.method}: {result.samples} samples, {result.ticks} ticks"]
+    if result.verdict == "not_started":
+        lines.append("  no estimate: the start was never sure")
+    for i, (name, value, error) in enumerate(zip(STATE_NAMES, result.x, sigma, strict=True)):
+        if result.verdict == "not_started":
+            break
+        number = f"{value:12.1f} +- {3 * error:9.1f} nT" if i < BIAS.stop else f"{value:12.5f} +- {3 * error:9.5f}"
+        lines.append(f"  {name:<4}{number}   (3 sigma)")
+    residuals = result.residuals
+    held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
+    lines.append(
+        f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after; "
+        f"noise floor {residuals.noise_floor:.1f} nT; held out: {held_out}"
+    )
+    lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
+    return "\n".join(lines)

@@ -1,0 +1,32 @@
+"""What several commands share: exit codes, help texts, the words of a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from magcal_service.errors import ConfigError, Fault
+
+DONE: Final = 0
+REFUSED: Final = 2
+NOT_TRUSTED: Final = 3
+CRAFT_HELP: Final = "which craft of a session that holds several"
+
+
+def check_method(config: Path, name: str) -> None:
+    """Refuse an unknown method by the file and field that name it, before anything is opened."""
+    from magcal_service.estimators import find_method
+
+    try:
+        find_method(name)
+    except ConfigError as error:
+        fault = error.faults[0]
+        raise ConfigError([Fault(f"{config.name}: craft.filter.method", fault.value, fault.accepted)]) from None
+
+
+def verdict_text(verdict: str, reasons: Sequence[str], remedy: str, model: str) -> str:
+    text = f"verdict: {verdict}"
+    if reasons:
+        text += f" ({', '.join(reasons)})"
+    return "\n".join(filter(None, (text, model, remedy and f"remedy: {remedy}")))

@@ -1,0 +1,85 @@
+"""``magcal replay``: a recording through the daemon's own path."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, check_method, verdict_text
+from magcal_service.errors import ConfigError, Fault
+
+if TYPE_CHECKING:
+    from magcal_service.config.settings import CraftConfig
+    from magcal_service.offline.replay import Replay
+    from magcal_service.recordings.recording import Recording
+
+
+def add_replay(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal replay``."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration of exactly one craft, or of --craft")
+    parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--speed", type=_speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
+    parser.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
+    parser.set_defaults(command=_replay)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from contextlib import ExitStack
+
+    from magcal_service.daemon.estimate_csv import EstimateCsv
+    from magcal_service.offline.calibrate import residuals_of
+    from magcal_service.offline.replay import craft_of, replay
+    from magcal_service.recordings.reader import read_recording
+    from magcal_service.recordings.usable import refuse_hopeless
+
+    configured = _craft_from(options.config, options.craft)
+    recording = read_recording(options.recording, options.craft)
+    refuse_hopeless(recording)
+    craft = configured or craft_of(recording)
+    with ExitStack() as stack:
+        csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
+        result = replay(recording, craft, options.speed, csv, as_recorded=True)
+    state = result.pipeline.estimator.estimate()
+    residuals = residuals_of(recording, state.x, craft)
+    print(_counts(recording, result))
+    print(
+        f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
+        f"(noise floor {residuals.noise_floor:.1f} nT)"
+    )
+    trust, model = result.pipeline.trust, result.pipeline.model_doubt
+    print(verdict_text(trust.verdict, trust.reasons, trust.remedy, model))
+    return DONE if trust.verdict == "trusted" else NOT_TRUSTED
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 (as fast as it goes) to 1e6 is accepted")
+    return value
+
+
+def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
+    from magcal_service.config.reader import load_config
+
+    if config is None:
+        return None
+    crafts = load_config(config).crafts
+    if len(crafts) > 1 and name is not None:
+        crafts = tuple(craft for craft in crafts if craft.name == name)
+    if len(crafts) != 1:
+        accepted = "a replay takes exactly one [[craft]], or the one that --craft names"
+        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
+    check_method(config, crafts[0].filter.method)
+    return crafts[0]
+
+
+def _counts(recording: Recording, result: Replay) -> str:
+    counters = result.pipeline.ticks.counters + result.pipeline.counters
+    kinds = ", ".join(f"{name} {count}" for name, count in sorted(counters.items()) if count)
+    lines = [*recording.report.lines(), *filter(None, [result.remark])]
+    return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])

@@ -1,0 +1,34 @@
+"""``magcal run``: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import threading
+from pathlib import Path
+
+from magcal_service.cli.common import DONE, check_method
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal run``."""
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="TOML configuration")
+    parser.set_defaults(command=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from magcal_service.config.private_files import check_unaltered
+    from magcal_service.config.reader import load_config
+    from magcal_service.daemon import log
+    from magcal_service.daemon.service import run_daemon
+
+    config = load_config(options.config)
+    check_unaltered(options.config)
+    for craft in config.crafts:
+        check_method(options.config, craft.filter.method)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    log.to_stderr()
+    run_daemon(config, stop)
+    return DONE

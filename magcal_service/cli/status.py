@@ -1,0 +1,145 @@
+"""``magcal status``: ask a running daemon how it is.  Exit codes: 0 healthy, 3 not healthy, 2 not to be reached."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from magcal_service.errors import ConfigError, Fault, LinkAddressError, MagcalError
+
+if TYPE_CHECKING:
+    from magcal_service.links import Link
+    from magcal_service.wire.messages import Status
+
+HEALTHY, NOT_REACHED, NOT_HEALTHY = 0, 2, 3
+
+_ASK_AGAIN_S: Final = 1.0
+_OTHERS_S: Final = 1.0
+"""Where nobody said which craft there are, those count that are heard so long after the first [s]."""
+
+
+class NotReachedError(MagcalError):
+    """No daemon answered."""
+
+    exit_code = NOT_REACHED
+
+
+def add_status(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal status``."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
+    where.add_argument("--config", type=Path, metavar="FILE", help="the daemon's configuration: its link and craft")
+    parser.add_argument("--craft", action="append", default=[], metavar="NAME", help="ask for this craft; repeatable")
+    parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
+    parser.add_argument("--json", action="store_true", help="as one JSON object")
+    parser.set_defaults(command=_status)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.1 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0.1 to 3600 s is accepted")
+    return value
+
+
+def _status(options: argparse.Namespace) -> int:
+    from magcal_service.links import Role, open_link
+
+    address, crafts = _whom(options)
+    with open_link(address, Role.VIEWER, crafts=crafts) as link:
+        found = ask(link, crafts, options.timeout)
+    missing = sorted(set(crafts) - set(found))
+    if not found or missing:
+        who = f"craft {', '.join(missing)}" if missing else "any craft"
+        raise NotReachedError(f"no status of {who} on {address} within {options.timeout:g} s; is the daemon running?")
+    print(as_json(found.values()) if options.json else as_text(found.values()))
+    return HEALTHY if all(is_healthy(status) for status in found.values()) else NOT_HEALTHY
+
+
+def _whom(options: argparse.Namespace) -> tuple[str, list[str]]:
+    """The link's address as a viewer opens it, and the craft asked for (none: all that are heard)."""
+    from magcal_service.config.reader import load_config
+    from magcal_service.config.settings import DEFAULT_LINK
+
+    if options.config is None:
+        return options.link or DEFAULT_LINK, options.craft
+    config = load_config(options.config)
+    names = [craft.name for craft in config.crafts]
+    for name in options.craft:
+        if name not in names:
+            raise ConfigError([Fault("--craft", name, f"one of {', '.join(names)} is accepted")])
+    if not config.link.startswith("zenoh:"):
+        raise LinkAddressError(
+            f"link {config.link!r} has one other end, which the node is at; give --link with the end of a viewer"
+        )
+    return viewers_address(config.link), options.craft or names
+
+
+def viewers_address(link: str) -> str:
+    """A daemon's zenoh address without what makes it listen."""
+    place, _, options = link.partition("?")
+    kept = [one for one in options.split("&") if one and one.partition("=")[0] in ("config",)]
+    return f"{place}?{'&'.join(kept)}" if kept else place
+
+
+def ask(link: Link, crafts: Iterable[str], timeout_s: float) -> dict[str, Status]:
+    """The newest status of each craft, asked for by command until it comes or ``timeout_s`` [s] are over."""
+    from magcal_service.wire.messages import Command, Status
+
+    wanted, found, numbers = set(crafts), dict[str, Status](), itertools.count()
+    deadline_s, asked_s = time.monotonic() + timeout_s, 0.0
+    while time.monotonic() < deadline_s and not (wanted and wanted <= set(found)):
+        if time.monotonic() - asked_s > _ASK_AGAIN_S:
+            asked_s = time.monotonic()
+            for craft in wanted - set(found):
+                number, now_ns = next(numbers), time.time_ns()
+                link.send(Command(craft=craft, source="status", sequence=number, time_ns=now_ns, name="status"))
+        for message in link.receive(0.1):
+            if isinstance(message, Status):
+                if not found and not wanted:
+                    deadline_s = min(deadline_s, time.monotonic() + _OTHERS_S)
+                found[message.craft] = message
+    return found
+
+
+def is_healthy(status: Status) -> bool:
+    """Whether the daemon finds nothing amiss with a craft."""
+    return not status.counters.get("troubles", 0)
+
+
+def as_text(statuses: Iterable[Status]) -> str:
+    """A few lines for people."""
+    lines = []
+    for status in sorted(statuses, key=lambda one: one.craft):
+        count = status.counters
+        lines.append(f"{status.craft}: {'healthy' if is_healthy(status) else 'NOT HEALTHY'}: {status.text}")
+        half_ms, most_ms = (count.get(f"tick_late_{name}_us", 0) / 1e3 for name in ("p50", "p99"))
+        lines.append(
+            f"  up {status.uptime_s:.0f} s; {count.get('accepted', 0)} samples, {count.get('ticks', 0)} ticks, "
+            f"{half_ms:.1f} ms late at p50, {most_ms:.1f} ms at p99; {count.get('rss_kb', 0) / 1024:.0f} MB, "
+            f"{count.get('open_files', 0)} files, {count.get('threads', 0)} threads"
+        )
+    return "\n".join(lines)
+
+
+def as_json(statuses: Iterable[Status]) -> str:
+    """One object: ``healthy``, and for each craft verdict, text, uptime and counters."""
+    each = {
+        status.craft: {
+            "healthy": is_healthy(status),
+            "verdict": str(status.verdict),
+            "text": status.text,
+            "uptime_s": status.uptime_s,
+            "counters": dict(sorted(status.counters.items())),
+        }
+        for status in statuses
+    }
+    return json.dumps({"healthy": all(one["healthy"] for one in each.values()), "craft": each}, indent=1)

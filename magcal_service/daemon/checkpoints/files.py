@@ -1,0 +1,234 @@
+"""Checkpoints: a craft's whole state on disk, so that a restarted daemon goes on where it was.
+
+A file is replaced in one step (written beside, flushed, renamed, the folder flushed), so it is there whole or not at
+all; a SHA-256 over its content tells a file that a failing disk has changed.  Its content is one msgpack map, as in
+``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
+data as ``snapshot`` has them.  It is taken up only where all three marks of the owner agree; nothing is guessed.
+
+    magcal-state 1\\n   SHA-256 of the rest, 32 bytes   msgpack
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack
+
+from magcal_service import __version__
+from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.wire.fields import NAME
+
+MAGIC: Final = b"magcal-state 1\n"
+_DIGEST_BYTES: Final = 32
+_LARGEST_BYTES: Final = 64 * 1024 * 1024
+"""No craft's state comes near it: 0.4 MB with 4096 samples collected towards a start."""
+
+_MOST_NAMED: Final = 16
+"""Named checkpoints of a craft; they stay until they are replaced, so their number has to be bounded."""
+
+_NUMBERED: Final = re.compile(r"([0-9]{10})\.state")
+
+SCHEMA: Final = {
+    "craft": str,
+    "version": str,
+    "config": str,  # hex digest
+    "written_s": float,  # UTC, by this machine's clock
+    "first_time_ns": int,  # source time of the first and the last sample accepted
+    "last_time_ns": int,
+    "samples": int,  # accepted since the state began
+    "writes": int,  # of all checkpoints of this craft, this one included, since the folder was new
+    "written_bytes": int,  # of all those before this one
+    "state": dict,  # ``Pipeline.export_state``
+}
+
+
+class StateError(MagcalError):
+    """A checkpoint that cannot be used, and why."""
+
+
+def config_digest(config: CraftConfig) -> str:
+    """SHA-256 (hex) of a craft's whole configuration, defaults included."""
+    text = json.dumps(asdict(config), sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """What a file holds; the fields are those of ``SCHEMA``."""
+
+    craft: str
+    version: str
+    config: str
+    written_s: float
+    first_time_ns: int
+    last_time_ns: int
+    samples: int
+    writes: int
+    written_bytes: int
+    state: dict[str, Any]
+
+    def refusal(self, config: CraftConfig) -> str:
+        """Why this is not a state of a craft with this configuration; empty where it is."""
+        marks = (
+            ("craft", self.craft, config.name),
+            ("version", self.version, __version__),
+            ("configuration", self.config[:12], config_digest(config)[:12]),
+        )
+        return "; ".join(f"{what} is {found}, not {own}" for what, found, own in marks if found != own)
+
+
+def encode(checkpoint: Checkpoint) -> bytes:
+    """The bytes of a file."""
+    body: bytes = msgpack.packb({name: getattr(checkpoint, name) for name in SCHEMA})
+    return MAGIC + hashlib.sha256(body).digest() + body
+
+
+def decode(raw: bytes) -> Checkpoint:
+    """What a file's bytes say; ``StateError`` where they are not a whole, unchanged checkpoint of this format."""
+    begin = len(MAGIC) + _DIGEST_BYTES
+    if not raw.startswith(MAGIC):
+        raise StateError("not a checkpoint of this format")
+    body = raw[begin:]
+    if hashlib.sha256(body).digest() != raw[len(MAGIC) : begin]:
+        raise StateError(f"damaged: the checksum of its {len(body)} bytes does not fit")
+    try:
+        content = msgpack.unpackb(body, strict_map_key=False)
+    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        raise StateError(f"not msgpack: {error}") from None
+    if not isinstance(content, dict) or set(content) != set(SCHEMA):
+        raise StateError(f"a map of {', '.join(SCHEMA)} is accepted")
+    for name, kind in SCHEMA.items():
+        if type(content[name]) is not kind:
+            raise StateError(f"{name} is {type(content[name]).__name__}; {kind.__name__} is accepted")
+    return Checkpoint(**content)
+
+
+class StateStore:
+    """The checkpoints of one craft in a folder of its own: ``DIRECTORY/CRAFT/NUMBER.state`` and ``NAME.named``.
+
+    Parameters
+    ----------
+    config: where, and how many.
+    craft: the craft's name.
+
+    Attributes
+    ----------
+    writes, written_bytes: of this craft's checkpoints since the folder was new, as far as they are known.
+
+    Raises InputRefusedError where the folder cannot be made.
+    """
+
+    def __init__(self, config: StateConfig, craft: str) -> None:
+        self.folder = config.directory / craft
+        self._keep = config.keep
+        self.writes = self.written_bytes = 0
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for left in self.folder.glob("*.part"):  # what a crash left half written
+                left.unlink()
+        except OSError as error:
+            fault = Fault(str(self.folder), error.strerror or str(error), "a folder that can be written is accepted")
+            raise InputRefusedError([fault]) from None
+
+    def numbered(self) -> list[Path]:
+        """The checkpoints of the rotation, newest first."""
+        return sorted((path for path in self.folder.iterdir() if _NUMBERED.fullmatch(path.name)), reverse=True)
+
+    def named(self) -> list[str]:
+        """Names of the named checkpoints."""
+        return sorted(path.stem for path in self.folder.glob("*.named"))
+
+    def write(self, checkpoint: Checkpoint) -> None:
+        """Write the newest of the rotation and remove what is older than the ``keep`` newest; OSError is the disk's."""
+        last = self.numbered()
+        number = int(last[0].stem) + 1 if last else 1
+        self._replace(self.folder / f"{number:010d}.state", checkpoint)
+        for old in self.numbered()[self._keep :]:
+            old.unlink()
+
+    def write_named(self, name: str, checkpoint: Checkpoint) -> None:
+        """Write a checkpoint under a name, in place of an earlier one of that name.
+
+        Raises StateError for a name that is not accepted or one too many; OSError is the disk's.
+        """
+        path = self._path_of(name)
+        if not path.exists() and len(self.named()) >= _MOST_NAMED:
+            raise StateError(
+                f"{_MOST_NAMED} named checkpoints are there already: {', '.join(self.named())}; use one of them"
+            )
+        self._replace(path, checkpoint)
+
+    def read_named(self, name: str) -> Checkpoint:
+        """The checkpoint of a name; ``StateError`` where there is none that can be used."""
+        path = self._path_of(name)
+        if not path.is_file():
+            raise StateError(f"no checkpoint {name!r}; there are: {', '.join(self.named()) or 'none'}")
+        return self._read(path)
+
+    def newest(self) -> Iterator[tuple[str, Checkpoint | StateError]]:
+        """Name and content of each checkpoint of the rotation, newest first, or why it cannot be used."""
+        for path in self.numbered():
+            try:
+                checkpoint = self._read(path)
+            except StateError as error:
+                yield path.name, error
+                continue
+            self.writes = max(self.writes, checkpoint.writes)
+            self.written_bytes = max(self.written_bytes, checkpoint.written_bytes + path.stat().st_size)
+            yield path.name, checkpoint
+
+    def _path_of(self, name: str) -> Path:
+        if not NAME.fullmatch(name):
+            raise StateError(f"name {name!r} is refused; 1 to 32 characters of A-Z a-z 0-9 _ - are accepted")
+        return self.folder / f"{name}.named"
+
+    @staticmethod
+    def _read(path: Path) -> Checkpoint:
+        try:
+            with path.open("rb") as file:
+                raw = file.read(_LARGEST_BYTES + 1)
+        except OSError as error:
+            raise StateError(error.strerror or str(error)) from None
+        if len(raw) > _LARGEST_BYTES:
+            raise StateError(f"larger than {_LARGEST_BYTES} bytes")
+        return decode(raw)
+
+    def _replace(self, path: Path, checkpoint: Checkpoint) -> None:
+        raw = encode(checkpoint)
+        part = path.with_suffix(".part")
+        try:
+            with open(part, "wb", opener=_private) as file:
+                file.write(raw)
+                file.flush()
+                os.fsync(file.fileno())
+            part.rename(path)
+        except OSError:
+            with suppress(OSError):
+                part.unlink()
+            raise
+        folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+        self.writes += 1
+        self.written_bytes += len(raw)
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
+
+
+def utc_s() -> float:
+    """This machine's clock [s since 1970]: a label, never used in arithmetic."""
+    return time.time()

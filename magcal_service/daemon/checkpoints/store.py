@@ -1,0 +1,143 @@
+"""The daemon's checkpoints: which one is taken up at the start, when one is written, and what became of it."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from magcal_service import __version__
+from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
+from magcal_service.daemon.events import Event
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.snapshot import SnapshotError
+
+log = logging.getLogger("magcal")
+
+MISFITS: Final = (SnapshotError, StateError, np.linalg.LinAlgError, ValueError)
+"""What a state that does not fit may raise while it is taken up."""
+
+
+class Checkpoints:
+    """The checkpoints of all craft of a daemon.
+
+    Parameters
+    ----------
+    config: where, how often, how many.
+    crafts: whose.
+
+    Attributes
+    ----------
+    counters: ``state.restored``, ``state.dropped``, ``state.failed``, and since the folder was new ``state.writes``
+        and ``state.bytes``.
+    trouble: why the last checkpoint could not be written; empty where it could.
+
+    Raises InputRefusedError where the folder cannot be made.
+    """
+
+    def __init__(self, config: StateConfig, crafts: Sequence[CraftConfig]) -> None:
+        self._stores = {craft.name: StateStore(config, craft.name) for craft in crafts}
+        self._saved: dict[str, int] = {}  # samples accepted at the last checkpoint
+        self.counters: Counter[str] = Counter()
+        self.trouble = ""
+
+    def restore(self, pipeline: Pipeline) -> tuple[Pipeline, list[Event]]:
+        """The pipeline of the newest checkpoint that is whole and the craft's own, or the one given; and what was done.
+
+        One that is damaged gives way to the one before it; one of another craft, version or configuration ends the
+        search, since those before it are older still.
+        """
+        store, events = self._stores[pipeline.config.name], list[Event]()
+        for name, found in store.newest():
+            refusal = str(found) if isinstance(found, StateError) else found.refusal(pipeline.config)
+            if isinstance(found, Checkpoint) and not refusal:
+                try:
+                    restored = self._taken_up(pipeline.config, found)
+                except MISFITS as error:
+                    refusal = str(error)
+                else:
+                    cause = f"checkpoint {name} of {found.samples} samples"
+                    events.append(restored.event("restored", cause))
+                    self._count(restored=1)
+                    return restored, events
+            events.append(pipeline.event("state_dropped", f"checkpoint {name}: {refusal}"))
+            self._count(dropped=1)
+        return pipeline, events
+
+    @staticmethod
+    def _taken_up(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:
+        pipeline = Pipeline(config)
+        pipeline.restore_state(checkpoint.state)
+        return pipeline
+
+    def save(self, pipelines: Iterable[Pipeline]) -> None:
+        """Write a checkpoint of each craft that has taken samples since its last; what fails is counted and told."""
+        for pipeline in pipelines:
+            accepted = pipeline.ticks.counters["accepted"]
+            if self._saved.get(pipeline.config.name) == accepted:
+                continue
+            store = self._stores[pipeline.config.name]
+            try:
+                store.write(self._checkpoint(pipeline, store))
+            except OSError as error:
+                self._failed(error)
+                continue
+            self._saved[pipeline.config.name] = accepted
+            self.trouble = ""
+            self._count()
+
+    def save_named(self, pipeline: Pipeline, name: str) -> str:
+        """Write one under a name; why that failed, empty where it did not."""
+        store = self._stores[pipeline.config.name]
+        try:
+            store.write_named(name, self._checkpoint(pipeline, store))
+        except OSError as error:
+            self._failed(error)
+            return f"not written: {self.trouble}"
+        except StateError as error:
+            return str(error)
+        self._count()
+        return ""
+
+    def roll_back(self, pipeline: Pipeline, name: str) -> str:
+        """Put the estimate and the verdict back to those of a named checkpoint; why that failed, or empty."""
+        try:
+            checkpoint = self._stores[pipeline.config.name].read_named(name)
+            refusal = checkpoint.refusal(pipeline.config)
+            if refusal:
+                return f"checkpoint {name!r}: {refusal}"
+            pipeline.roll_back(self._taken_up(pipeline.config, checkpoint))
+        except MISFITS as error:
+            return f"checkpoint {name!r}: {error}"
+        return ""
+
+    def _checkpoint(self, pipeline: Pipeline, store: StateStore) -> Checkpoint:
+        return Checkpoint(
+            craft=pipeline.config.name,
+            version=__version__,
+            config=config_digest(pipeline.config),
+            written_s=utc_s(),
+            first_time_ns=pipeline.first_time_ns,
+            last_time_ns=pipeline.last_time_ns,
+            samples=pipeline.ticks.counters["accepted"],
+            writes=store.writes + 1,
+            written_bytes=store.written_bytes,
+            state=pipeline.export_state(),
+        )
+
+    def _failed(self, error: OSError) -> None:
+        self.counters["state.failed"] += 1
+        trouble = error.strerror or str(error)
+        if trouble != self.trouble:
+            log.error("a checkpoint could not be written: %s", trouble)
+        self.trouble = trouble
+
+    def _count(self, *, restored: int = 0, dropped: int = 0) -> None:
+        self.counters["state.restored"] += restored
+        self.counters["state.dropped"] += dropped
+        self.counters["state.writes"] = sum(store.writes for store in self._stores.values())
+        self.counters["state.bytes"] = sum(store.written_bytes for store in self._stores.values())

@@ -1,0 +1,501 @@
+"""One craft, pure: a message in, messages out.  Ticks -> estimator -> trust; no link, file or clock inside.
+
+A live link, a recording and the simulator all end here, so what is proved on one holds for the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service.config.settings import CraftConfig, FilterConfig
+from magcal_service.daemon.events import Event
+from magcal_service.errors import DecodeError, InputRefusedError
+from magcal_service.estimators import find_method
+from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
+from magcal_service.physics.apply.compensation import Compensation
+from magcal_service.physics.apply.model_file import parse_model
+from magcal_service.snapshot import Saved, SnapshotError, restored
+from magcal_service.ticks.assembler import Tick, TickAssembler
+from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
+from magcal_service.trust.reasons import Reason
+from magcal_service.watch.residual_watch import ModelWatch
+from magcal_service.wire.codec import encode
+from magcal_service.wire.fields import fitting
+from magcal_service.wire.kinds import MAX_COUNTERS
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    Clock,
+    Command,
+    CommandReply,
+    Estimate,
+    MagnetometerSample,
+    Message,
+    PositionSample,
+    ReferenceSample,
+    Status,
+    TelemetrySample,
+)
+
+SOURCE: Final = "magcal"
+FAULTS: Final = {
+    "stuck": (Reason.STUCK, 1),
+    "axis_stuck": (Reason.AXIS_STUCK, 1),
+    "saturated": (Reason.SATURATED, 60),
+}
+"""Refusals that tell of a fault of the sensor: the reason, and how many accepted samples in a row end it.
+
+A turning craft dips into saturation once a turn: its sensor is sound only when it has not for a while.
+"""
+
+WATCHED: Final = {
+    Reason.MODEL_DOUBTFUL,
+    Reason.INCONSISTENT,
+    Reason.STRUCTURED_RESIDUAL,
+    Reason.DRIFTING_RESIDUAL,
+    Reason.MANY_REJECTED,
+    Reason.SPIN_CONTRADICTED,
+}
+"""Reasons under which a window of the watch may begin: they may be what it explains."""
+
+UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
+"""Reasons under which ticks are kept from the watch.  Its window outlives a new start: it has errors of its own."""
+
+COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
+ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "load_physics", "shutdown")
+"""Those of ``commands`` included."""
+
+_WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
+
+_UPPER = np.triu_indices(STATE_SIZE)
+_UPPER_3 = np.triu_indices(3)
+_IDENTITY_3 = np.eye(3)
+
+
+class Pipeline(Saved):
+    """Everything the daemon does for one craft.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    """
+
+    ticks: TickAssembler
+    estimator: Estimator
+    monitor: TrustMonitor
+    frozen: bool
+    counters: Counter[str]
+    _sequence: int
+    last_time_ns: int
+    _clock: Clock
+    first_time_ns: int
+    _fault: str
+    _fault_left: int
+    _learned_s: float | None
+    _thawed: bool
+    _process_noise: tuple[float, float] | None
+    _physics: str
+    compensation: Compensation | None
+    watch: ModelWatch
+
+    def __init__(self, config: CraftConfig) -> None:
+        self.config = config
+        self.ticks = TickAssembler(config.ticks, config.sensor)
+        self.estimator = find_method(config.filter.method).build(config)
+        self.monitor = TrustMonitor(config)
+        self.trust = NOT_STARTED
+        self.frozen = False
+        self.counters = Counter()
+        self._sequence = 0
+        self._state: StateEstimate = self.estimator.estimate()
+        self.first_time_ns = self.last_time_ns = 0
+        self._clock = Clock.ELAPSED
+        self._fault = ""  # what the newest refused sample says of the sensor
+        self._fault_left = 0  # accepted samples until that is over
+        self._learned_s = None  # elapsed time of the newest sample learned from
+        self._walk = _walk_of(config.filter)
+        self._thawed = False  # ticks have passed unused since the estimator's last one
+        self._process_noise = None  # of bias [nT/sqrt(s)] and D [1/sqrt(s)], where a command has set it
+        self._events: list[Event] = []
+        self._physics = ""
+        self.compensation = None
+        self.watch = ModelWatch(config.filter.gate_sigma)
+        if config.physics is not None:
+            self._compensate_by(config.physics.text)
+
+    def _compensate_by(self, physics: str) -> None:
+        """Take over the text of a ``physics.toml``; raises InputRefusedError where it is none."""
+        self.compensation = Compensation(parse_model(physics.encode()))
+        self._physics = physics
+        self.ticks.wait_longer(self.compensation.wait_s)
+
+    def load_physics(self, physics: str) -> None:
+        """Compensate by another model from now on; what was learned under the one before is of no use."""
+        self._compensate_by(physics)
+        self._reset()
+
+    def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
+        """Take over an exported state, with the verdict that follows from it."""
+        noise = saved.get("_process_noise") if isinstance(saved, dict) else None
+        if noise is not None:
+            self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
+        physics = saved.get("_physics") if isinstance(saved, dict) else None
+        if isinstance(physics, str) and physics != self._physics:
+            try:
+                self._compensate_by(physics)
+            except InputRefusedError as error:
+                raise SnapshotError(f"{where}._physics: {error}") from None
+        super().restore_state(saved, where, given)
+        self._take_over()
+        self._check_publishable(where)
+
+    def _check_publishable(self, where: str) -> None:
+        """Refuse a state whose estimate or status no receiver would accept."""
+        number = self._sequence
+        try:
+            for message in (self._estimate(self.last_time_ns, self._clock), self.status(0.0, Counter())):
+                encode(message)
+        except DecodeError as error:
+            raise SnapshotError(f"{where}: what it would publish is refused: {error}") from None
+        self._sequence = number
+
+    def _take_over(self) -> None:
+        self._state = self.estimator.estimate()
+        sigma = np.sqrt(np.maximum(np.diagonal(self._state.covariance), 1e-300))
+        if np.linalg.eigvalsh(self._state.covariance / np.outer(sigma, sigma))[0] <= 0.0:
+            raise SnapshotError("the covariance is not positive definite")
+        self.trust = self.monitor.judge(self._state)
+
+    def roll_back(self, to: Pipeline) -> None:
+        """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
+        self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
+        self.watch = to.watch
+        self._thawed, self._fault = True, ""
+        self._learned_s, self._walk = to._learned_s, to._walk
+        self._take_over()
+
+    def _set_process_noise(self, bias_nt: float, d: float) -> None:
+        """An estimator with other process noise, and the state of the one before."""
+        settings = replace(self.config.filter, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
+        estimator = find_method(settings.method).build(replace(self.config, filter=settings))
+        estimator.restore_state(self.estimator.export_state())
+        self.estimator, self._process_noise, self._walk = estimator, (bias_nt, d), _walk_of(settings)
+
+    def event(self, what: str, cause: str, source: str = SOURCE) -> Event:
+        """An event of this craft, now."""
+        return Event(self.config.name, what, cause, source, self.last_time_ns)
+
+    def tell(self, what: str, cause: str, source: str = SOURCE) -> None:
+        """Note an event for ``take_events``."""
+        self._events.append(self.event(what, cause, source))
+
+    def take_events(self) -> list[Event]:
+        """What has changed since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def handle(self, message: Message) -> list[Message]:
+        """Take one message; what is to be published because of it, in order: ``answer``, then ``advance``."""
+        return [*self.answer(message), *self.advance()]
+
+    def answer(self, message: Message) -> list[Message]:
+        """Take one message; what has to leave at once: a sample's vector, a command's reply.
+
+        ``advance`` has to follow, once the answer is on its way: a control loop waits for the vector, not for the tick.
+        """
+        match message:
+            case MagnetometerSample():
+                return self._sample(message)
+            case ReferenceSample():
+                self.ticks.add_reference(self.compensation.reference(message) if self.compensation else message)
+            case PositionSample():
+                self.counters["position"] += 1
+                self.watch.drivers.position(message)
+                if self.compensation is not None:
+                    self.compensation.position(message)
+            case TelemetrySample():
+                self.counters["telemetry"] += 1
+                self.watch.drivers.telemetry(message)
+                if self.compensation is not None:
+                    self.compensation.telemetry(message)
+                self.counters["rate"] += self.ticks.add_rate(message)
+            case Command():
+                return [self._command(message)]
+            case _:
+                self.counters["unexpected"] += 1
+        return []
+
+    def advance(self) -> list[Message]:
+        """Work through the ticks that have closed; their estimates."""
+        return [self._tick(tick) for tick in self.ticks.ready()]
+
+    def flush(self) -> list[Message]:
+        """Close every open tick: the end of the stream."""
+        return [self._tick(tick) for tick in self.ticks.flush()]
+
+    def _sample(self, sample: MagnetometerSample) -> list[Message]:
+        refused = self.ticks.refuse(sample)
+        if refused:
+            return self._refused(sample, refused)
+        measured, sample = sample, self._corrected(sample)
+        self.ticks.take(measured, sample)
+        self._recover()
+        self.first_time_ns = self.first_time_ns or sample.time_ns
+        self.last_time_ns, self._clock = sample.time_ns, sample.clock
+        return [self._calibrated(sample)]
+
+    def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
+        """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and said."""
+        if self.compensation is None:
+            return sample
+        corrected = self.compensation.correct(sample)
+        missing = self.compensation.missing
+        self.counters.update(f"uncompensated.{effect}" for effect in missing)
+        self.monitor.observe_driver(bool(missing))
+        return corrected
+
+    def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
+        """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
+        if reason not in FAULTS:
+            return []
+        fault, self._fault_left = FAULTS[reason]
+        if reason == self._fault:
+            return []
+        self._fault = reason
+        self.monitor.observe_fault(fault)
+        self.trust = self.monitor.judge(self._state)
+        self.tell("sensor_fault", f"{fault}: {self.trust.verdict}")
+        return [self._estimate(sample.time_ns, sample.clock)]
+
+    def _recover(self) -> None:
+        """A sample was accepted: a fault ends with it, or after some more; without learning, an estimate grows old."""
+        if self._fault:
+            self._fault_left -= 1
+            if self._fault_left <= 0:
+                self.tell("sensor_recovered", self._fault)
+                self._fault = ""
+                self.monitor.observe_fault(None)
+        if self._state.phase is Phase.RUNNING and self.monitor.observe_unchecked(self._age_s()):
+            self.trust = self.monitor.judge(self._state)
+
+    def _age_s(self) -> float:
+        """How much newer the newest sample is than the newest one learned from [s]."""
+        return 0.0 if self._learned_s is None else max(0.0, self.ticks.newest_s - self._learned_s)
+
+    def _covariance(self) -> Array:
+        """The estimate's, with the random walk since the newest sample that it learned from (9, 9)."""
+        if self._walk is None or self._state.phase is not Phase.RUNNING:
+            return self._state.covariance
+        return self._state.covariance + self._walk * self._age_s()
+
+    def _calibrated(self, sample: MagnetometerSample) -> CalibratedVector:
+        """The sample's vector by the estimate at hand; its covariance is of noise and estimate together."""
+        b1, b2, b3 = sample.field_body_nt
+        jacobian = vector_jacobian(b1, b2, b3)
+        covariance = jacobian @ self._covariance() @ jacobian.T + self._state.noise_nt**2 * _IDENTITY_3
+        dx, dy, dz = (jacobian @ self._state.x).tolist()  # w = B + J(B) x
+        xx, xy, xz, yy, yz, zz = covariance[_UPPER_3].tolist()
+        return CalibratedVector(
+            craft=sample.craft,
+            source=sample.source,
+            sequence=sample.sequence,
+            time_ns=sample.time_ns,
+            clock=sample.clock,
+            field_body_nt=(b1 + dx, b2 + dy, b3 + dz),
+            covariance_nt2=(xx, xy, xz, yy, yz, zz),
+            verdict=self.trust.verdict,
+        )
+
+    def _tick(self, tick: Tick) -> Estimate:
+        if not tick.times_s.size:
+            self.monitor.observe_skipped(1.0)
+        elif self.frozen:
+            self.counters["ticks_frozen"] += 1
+            self.monitor.observe_frozen()
+            self._thawed = True
+        else:
+            if self._thawed:  # what lies before the freeze is as far away as after a gap
+                self._thawed, tick = False, replace(tick, after_gap=True)
+            self._learn(tick)
+        self.trust = self.monitor.judge(self._state)
+        return self._estimate(tick.time_ns, tick.clock)
+
+    def _learn(self, tick: Tick) -> None:
+        """Give a tick to the estimator; where its arithmetic fails it begins anew, and the other craft work on."""
+        try:
+            outcome = self.estimator.handle(tick)
+            state = self.estimator.estimate()
+            if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
+                raise np.linalg.LinAlgError("the estimate is not finite")
+        except np.linalg.LinAlgError as error:
+            self.counters["estimator_failed"] += 1
+            self._reset()
+            self.tell("estimator_failed", f"{error}; it starts anew")
+            return
+        self._tell_phase(self._state, state)
+        self._state, self._learned_s = state, float(tick.times_s[-1])
+        self.monitor.observe(tick, outcome, state)
+        self._watch_model(tick)
+        self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
+
+    def _watch_model(self, tick: Tick) -> None:
+        """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is told."""
+        reasons = set(self.trust.reasons)
+        if not self.config.trust.watch or reasons & UNWATCHED or not (self.watch.is_open or reasons <= WATCHED):
+            return
+        if not self.watch.push(tick, self._state, walks=self._walk is not None):
+            return
+        finding = self.watch.finding
+        self.monitor.observe_model(finding is not None)
+        if finding is None:
+            self.tell("model_agrees", "a whole window of the watch has found nothing")
+        else:
+            self.tell("model_doubtful", str(finding))
+
+    def _tell_phase(self, before: StateEstimate, now: StateEstimate) -> None:
+        if now.restarts != before.restarts:
+            self.tell("restarted", "the samples contradicted the estimate")
+        if before.phase is Phase.STARTING and now.phase is Phase.RUNNING:
+            self.tell("started", f"the start passed every gate after {now.samples} samples")
+
+    def _reset(self) -> None:
+        self.estimator.reset()
+        self.monitor.reset()
+        self.watch.reset()
+        self._state, self.trust = self.estimator.estimate(), NOT_STARTED
+        self._fault, self._learned_s = "", None
+
+    def _count(self, rejected: int, window: bool, window_rejected: bool) -> None:
+        self.counters["rejected"] += rejected
+        self.counters["spin_windows"] += window
+        self.counters["spin_windows_rejected"] += window_rejected
+
+    def _estimate(self, time_ns: int, clock: Clock) -> Estimate:
+        state = self._state
+        bx, by, bz = state.x[BIAS].tolist()
+        d11, d22, d33, d12, d13, d23 = state.x[D_ALL].tolist()
+        return Estimate(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=self._number(),
+            time_ns=time_ns,
+            clock=clock,
+            method=self.estimator.name,
+            tick=self.ticks.counters["ticks"],
+            bias_nt=(bx, by, bz),
+            D=(d11, d22, d33, d12, d13, d23),
+            covariance=tuple(self._covariance()[_UPPER].tolist()),
+            verdict=self.trust.verdict,
+            reasons=tuple(str(reason) for reason in self.trust.reasons),
+            remedy=self.trust.remedy,
+            residual_rms_nt=self.monitor.residual_rms_nt,
+            noise_nt=state.noise_nt,
+            samples_used=state.samples,
+        )
+
+    def _number(self) -> int:
+        """The next sequence number of what this craft publishes."""
+        number, self._sequence = self._sequence, (self._sequence + 1) % (1 << 32)
+        return number
+
+    def _command(self, command: Command) -> CommandReply:
+        """``status`` says how things are; ``freeze`` stops learning, ``resume`` goes on, ``reset`` begins anew."""
+        refusal = ""
+        match command.name:
+            case "freeze" | "resume":
+                self.frozen = command.name == "freeze"
+                self.tell("frozen" if self.frozen else "resumed", "command", command.source)
+            case "reset":
+                self._reset()
+                self.tell("reset", "command", command.source)
+            case "process_noise":
+                refusal = self._process_noise_command(command)
+            case "status":
+                pass
+            case _:
+                refusal = f"{command.name!r} is not known; known: {', '.join(ALL_COMMANDS)}"
+        return self.reply(command, refusal)
+
+    def _process_noise_command(self, command: Command) -> str:
+        """Set the random walk by ``bias_nt`` and ``D``, 0 where not given; why that is refused, or empty."""
+        given, limits = command.arguments, {"bias_nt": 1000.0, "D": 0.01}
+        if self.estimator.name in _WITHOUT_PROCESS_NOISE:
+            return f"method {self.estimator.name} has no process noise"
+        if not given or not set(given) <= set(limits):
+            return f"arguments {dict(given)!r}: bias_nt (nT/sqrt(s)) and D (1/sqrt(s)) are accepted"
+        for name, value in given.items():
+            if isinstance(value, bool | str) or not 0.0 <= value <= limits[name]:
+                return f"{name} is {value!r}; 0 to {limits[name]:g} is accepted"
+        bias_nt, d = (float(given.get(name, 0.0)) for name in limits)
+        self._set_process_noise(bias_nt, d)
+        self.tell("process_noise", f"bias {bias_nt:g} nT/sqrt(s), D {d:g} /sqrt(s)", command.source)
+        return ""
+
+    def reply(self, command: Command, refusal: str = "") -> CommandReply:
+        """The answer to a command that was carried out, or refused for a reason; it is counted."""
+        accepted = not refusal
+        self.counters["commands" if accepted else "commands_refused"] += 1
+        return CommandReply(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=self._number(),
+            time_ns=self.last_time_ns,
+            clock=self._clock,
+            name=command.name,
+            command_source=command.source,
+            command_sequence=command.sequence,
+            accepted=accepted,
+            text=fitting(refusal or self.summary()),
+        )
+
+    def summary(self) -> str:
+        """One line: verdict, reasons, ticks."""
+        reasons = f" ({', '.join(self.trust.reasons)})" if self.trust.reasons else ""
+        state = "frozen, " if self.frozen else ""
+        if self.compensation is not None and self.compensation.missing:
+            state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
+        if self.model_doubt:
+            state += f"{self.model_doubt}; "
+        return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
+
+    @property
+    def model_doubt(self) -> str:
+        """What the model seems to leave out, and where to go with it; empty where nothing is found."""
+        found = self.watch.finding
+        return "" if found is None else f"model doubtful: {found}; run: magcal diagnose RECORDING"
+
+    def status(self, uptime_s: float, counters: Counter[str]) -> Status:
+        """Health of this craft; ``counters`` are the link's, added to the craft's own."""
+        own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
+        return Status(
+            craft=self.config.name,
+            source=SOURCE,
+            sequence=self._number(),
+            time_ns=self.last_time_ns,
+            clock=self._clock,
+            uptime_s=uptime_s,
+            verdict=self.trust.verdict,
+            counters=dict(capped(self.ticks.counters + self.counters + own + counters)),
+            text=self.summary(),
+        )
+
+
+def _walk_of(settings: FilterConfig) -> Array | None:
+    """Covariance that the random walk adds per second (9, 9); None where there is none, or the method has none."""
+    walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
+    return np.diag(walk**2) if walk.any() and settings.method not in _WITHOUT_PROCESS_NOISE else None
+
+
+def capped(counters: Counter[str]) -> Counter[str]:
+    """As many counters as a status may hold; what is left out is counted."""
+    if len(counters) <= MAX_COUNTERS:
+        return counters
+    kept = Counter(dict(list(counters.items())[: MAX_COUNTERS - 1]))
+    kept["counters_left_out"] = len(counters) - len(kept)
+    return kept

@@ -1,0 +1,305 @@
+"""The daemon: open, loop, publish.  Everything that thinks is in ``pipeline``."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Final
+
+from magcal_service.config.private_files import check_state_directory
+from magcal_service.config.settings import Config
+from magcal_service.daemon import notify
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.commands import Commander
+from magcal_service.daemon.estimate_csv import EstimateCsv
+from magcal_service.daemon.events import Event
+from magcal_service.daemon.health.metrics import MetricsServer
+from magcal_service.daemon.health.report import Health
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.errors import ConfigError, Fault, InputRefusedError
+from magcal_service.links import Link, Role, open_link
+from magcal_service.ticks.reference_track import REMEMBERED
+from magcal_service.wire.fields import fitting
+from magcal_service.wire.messages import Command, Estimate, Message
+
+if TYPE_CHECKING:
+    from magcal_service.recordings.recorder import Recorder
+
+log = logging.getLogger("magcal")
+log.addHandler(logging.NullHandler())  # where nobody listens to logs, the command line tells the error itself
+
+WAIT_S: Final = 0.5
+"""Longest wait for a message: how late a status, the watchdog and a request to stop may be."""
+
+
+WATCHDOG_S: Final = 10.0
+"""How often ``systemctl status`` gets a new line where no watchdog asks for more."""
+
+
+class Timer:
+    """Something that is due every ``period_s`` [s] of the monotonic clock."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._next_s = time.monotonic() + period_s
+
+    def due(self) -> bool:
+        """Whether it is time; a period that was slept through is not made up for."""
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + self._period_s
+        return True
+
+
+class Service:
+    """One link, any number of crafts.
+
+    Parameters
+    ----------
+    config: the daemon's configuration.
+    link: an open link in the role of the service.
+    csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
+    recorder: takes everything that comes in and goes out.
+    checkpoints: where the state is kept and, at the start, taken from.
+    metrics: serves the figures as Prometheus text.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        link: Link,
+        csv: EstimateCsv | None = None,
+        recorder: Recorder | None = None,
+        checkpoints: Checkpoints | None = None,
+        metrics: MetricsServer | None = None,
+    ) -> None:
+        self.config = config
+        self.link = link
+        self.csv = csv
+        self.recorder = recorder
+        self.checkpoints, self.metrics = checkpoints, metrics
+        self.csv_error: InputRefusedError | None = None
+        self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
+        self.counters: Counter[str] = Counter()
+        self._commander = Commander(checkpoints, self.shut_down)
+        self._ending = False
+        self._last_events: dict[str, Event] = {}
+        self._verdicts: dict[str, str] = {}
+        self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
+        self.health = Health(link)
+
+    def shut_down(self) -> None:
+        """End ``run`` before it waits for another message."""
+        self._ending = True
+
+    def restore(self) -> None:
+        """Take up each craft's newest checkpoint where there is one of its own."""
+        if self.checkpoints is None:
+            return
+        for name, pipeline in self.pipelines.items():
+            self.pipelines[name], events = self.checkpoints.restore(pipeline)
+            if self.pipelines[name] is not pipeline and self.recorder is not None:
+                self.recorder.begin_with(name, self.pipelines[name].export_state())
+            self._tell(events)
+
+    def _received(self) -> list[Message]:
+        """What has come; how long it was waited for is noted."""
+        began_s = time.monotonic()
+        messages = self.link.receive(WAIT_S)
+        self.health.lateness.looked(began_s)
+        return messages
+
+    def _tell(self, events: Iterable[Event]) -> None:
+        """Log each event, and send a status at once that names it."""
+        for event in events:
+            self.counters["events"] += 1
+            self._last_events[event.craft] = event
+            log.info("%s: %s", event.craft, event, extra={"fields": {"event": asdict(event)}})
+            self._publish_status(self.pipelines[event.craft])
+
+    def run(self, stop: threading.Event) -> None:
+        """Work until ``stop`` is set, a command ends it or the link is exhausted, then close the open ticks.
+
+        The last checkpoint is written before that: what the open ticks wait for may still come to the next daemon.
+        """
+        state = self.config.state
+        checkpoint = Timer(state.period_s if state is not None else math.inf)
+        summary = Timer(self.config.health.summary_s)
+        status = Timer(self.config.output.status_period_s)
+        watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
+        self._publish_metrics()
+        while not (stop.is_set() or self._ending):
+            messages = self._received()
+            for message in messages:
+                self.handle(message)
+            if self.link.exhausted and not messages:
+                break
+            if status.due():
+                self.publish_status()
+            if summary.due():
+                log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
+            if watchdog.due():
+                self.feed_watchdog()
+            if checkpoint.due():
+                self.save()
+        self.save()
+        for pipeline in self.pipelines.values():
+            self._publish(pipeline.flush())
+        self.publish_status()
+
+    def save(self) -> None:
+        """Write a checkpoint of every craft that has taken samples since its last one."""
+        if self.checkpoints is not None:
+            self.checkpoints.save(self.pipelines.values())
+
+    def handle(self, message: Message) -> None:
+        """Give one message to its craft and publish what comes of it."""
+        pipeline = self.pipelines.get(message.craft)
+        if pipeline is None:
+            self.counters["unknown_craft"] += 1
+            return
+        if self.recorder is not None:
+            self.recorder.add(message)
+        reply = self._commander.carry_out(message, pipeline) if isinstance(message, Command) else None
+        self._publish(pipeline.answer(message) if reply is None else [reply])
+        self._publish(pipeline.advance())
+        self._tell(pipeline.take_events())
+        if isinstance(message, Command) and message.name == "status":
+            self._publish_status(pipeline)
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        for message in messages:
+            self._send(message)
+            if isinstance(message, Estimate):
+                self.health.lateness.note()
+                self._note(message)
+
+    def _send(self, message: Message) -> None:
+        self.link.send(message)
+        if self.recorder is not None:
+            self.recorder.add(message)
+
+    def _note(self, estimate: Estimate) -> None:
+        """Write the row and log a changed verdict."""
+        if self.csv_error is not None:
+            self.counters["csv_lost"] += 1
+        elif self.csv is not None:
+            self._to_disk(lambda csv: csv.add(estimate))
+        state = " ".join((estimate.verdict, *estimate.reasons))
+        if self._verdicts.get(estimate.craft) != state:
+            self._verdicts[estimate.craft] = state
+            log.info("%s: %s at tick %d; %s", estimate.craft, state, estimate.tick, estimate.remedy or "nothing to do")
+
+    def publish_status(self) -> None:
+        """Send each craft's status, and put the rows written so far on disk."""
+        for pipeline in self.pipelines.values():
+            self._publish_status(pipeline)
+        self._publish_metrics()
+        self._to_disk(EstimateCsv.flush)
+
+    def _publish_metrics(self) -> None:
+        if self.metrics is not None:
+            others = sum(self._others(), Counter(self.counters))
+            self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
+
+    def _others(self) -> list[Counter[str]]:
+        """What recorder and checkpoints have counted."""
+        return [part.counters for part in (self.recorder, self.checkpoints) if part is not None]
+
+    def _publish_status(self, pipeline: Pipeline) -> None:
+        """With the link's counters as ``link.*``, the craft's newest event, and what is amiss with disk and link."""
+        counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
+        troubles = self.health.troubles(pipeline)
+        if self.recorder is not None and self.recorder.trouble:
+            troubles.append(f"not recording: {self.recorder.trouble}")
+        if self.checkpoints is not None and self.checkpoints.trouble:
+            troubles.append(f"no checkpoints: {self.checkpoints.trouble}")
+        counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
+        event = self._last_events.get(pipeline.config.name)
+        remarks = [*troubles, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
+        status = pipeline.status(self.health.uptime_s, counters)
+        self._send(replace(status, text=fitting("; ".join((status.text, *remarks)))))
+
+    def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
+        """A full disk ends the file, not the service: the error is kept, and rows from then on are counted."""
+        if self.csv is None or self.csv_error is not None:
+            return
+        try:
+            work(self.csv)
+        except InputRefusedError as error:
+            self.csv_error = error
+            with suppress(InputRefusedError):
+                self.csv.close()
+            log.error("no more rows are written: %s", error)
+
+    def feed_watchdog(self) -> None:
+        """Tell the service manager that all is well: ticks were made of the samples that came, or none came.
+
+        A daemon that takes samples and makes nothing of them is not well, and is to be restarted.
+        """
+        accepted = sum(pipeline.ticks.counters["accepted"] for pipeline in self.pipelines.values())
+        closed = sum(pipeline.ticks.closed for pipeline in self.pipelines.values())
+        if closed > self._fed[1] or accepted == self._fed[0]:
+            text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
+            notify.notify(notify.WATCHDOG, notify.status(text))
+        self._fed = (accepted, closed)
+
+
+def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:
+    path = config.output.csv
+    return None if path is None else stack.enter_context(EstimateCsv(path, append=True))
+
+
+def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
+    if config.record is None:
+        return None
+    from magcal_service.recordings.recorder import (
+        open_recorder,  # the packages of its extra are loaded where it is asked for
+    )
+
+    return stack.enter_context(open_recorder(config.record, config.crafts))
+
+
+def _check_directories(config: Config) -> None:
+    """Refuse folders that everybody could write before anything is read from them."""
+    for part in (config.state, config.record):
+        if part is not None and part.directory.exists():
+            check_state_directory(part.directory)
+
+
+def _check_history(config: Config, link: Link) -> None:
+    """Refuse a longer history than the samples that a state remembers: what lies before would be taken twice."""
+    if config.state is not None and link.history > REMEMBERED:
+        accepted = f"with [state], history=0 to history={REMEMBERED} is accepted"
+        raise ConfigError([Fault("link", f"history={link.history}", accepted)])
+
+
+def run_daemon(config: Config, stop: threading.Event) -> None:
+    """Open what the configuration names and serve until ``stop`` is set.
+
+    Raises ``LinkAddressError``, ``LinkError`` or ``InputRefusedError`` where something cannot be opened at all.
+    """
+    crafts = [craft.name for craft in config.crafts]
+    _check_directories(config)
+    with ExitStack() as stack:
+        csv, recorder = _csv(config, stack), _recorder(config, stack)
+        checkpoints = None if config.state is None else Checkpoints(config.state, config.crafts)
+        link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
+        _check_history(config, link)
+        metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
+        service = Service(config, link, csv, recorder, checkpoints, metrics)
+        service.restore()
+        log.info("serving %s on %s", ", ".join(crafts), config.link)
+        for warning in link.warnings:
+            log.warning("%s: %s", config.link, warning)
+        notify.notify(notify.READY)
+        service.run(stop)
+        notify.notify(notify.STOPPING)
+        log.info("stopped")

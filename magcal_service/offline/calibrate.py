@@ -1,0 +1,198 @@
+"""Offline use of the estimators on a whole recording, and how well the result explains it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service.config.settings import (
+    CraftConfig,
+    PhysicsConfig,
+)
+from magcal_service.errors import Fault, RecordingError
+from magcal_service.estimators import find_method
+from magcal_service.estimators.interface import Method
+from magcal_service.estimators.parts.start import StartGate, batch_start
+from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, scalar_residual
+from magcal_service.offline.replay import craft_of, replay
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.usable import refuse_hopeless
+from magcal_service.residuals import noise_floor, rms
+from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.wire.messages import Verdict
+
+_HELD_OUT_BLOCKS: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """rms of |(I+D)B - b| - |H| over a recording [nT].
+
+    Parameters
+    ----------
+    before: with x = 0.
+    after: with the estimate.
+    noise_floor: the noise that was given, or the white level of the residual after.
+    held_out: on blocks that took no part in a batch fit to the others; None where no such fit could be made.
+    """
+
+    before: float
+    after: float
+    noise_floor: float
+    held_out: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The result of ``calibrate``.
+
+    Parameters
+    ----------
+    x, covariance: state (9,) and its covariance (9, 9) in the order of ``model.STATE_NAMES`` [nT, -].
+    trusted, verdict, reasons: as the service judged at the end, with what the whole recording adds.
+    samples, ticks: rows in the recording, ticks used.
+    counters: what happened to the samples, by kind.
+    model_doubt: what the model seems to leave out, in words; empty where nothing was found.
+    """
+
+    method: str
+    x: Array
+    covariance: Array
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    samples: int
+    ticks: int
+    residuals: Residuals
+    counters: dict[str, int]
+    model_doubt: str
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the estimate may be used."""
+        return self.verdict is Verdict.TRUSTED
+
+    @property
+    def remedy(self) -> str:
+        """What to do about the first reason, empty where there is none."""
+        return REMEDIES[self.reasons[0]] if self.reasons else ""
+
+    def as_json(self) -> str:
+        """The contract's JSON, with ``verdict``, ``remedy``, ``held_out``, ``counters`` and ``model_doubt`` added."""
+        sigma = np.sqrt(np.diagonal(self.covariance))
+        content: dict[str, Any] = {
+            "method": self.method,
+            "trusted": self.trusted,
+            "verdict": self.verdict,
+            "reasons": list(self.reasons),
+            "remedy": self.remedy,
+            "samples": self.samples,
+            "ticks": self.ticks,
+            "bias_nt": self.x[BIAS].tolist(),
+            "D": d_matrix(self.x).tolist(),
+            "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+            "residual_rms_nt": {
+                "before": self.residuals.before,
+                "after": self.residuals.after,
+                "noise_floor": self.residuals.noise_floor,
+                "held_out": self.residuals.held_out,
+            },
+            "counters": self.counters,
+            "model_doubt": self.model_doubt,
+        }
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def refuse_without_channel(recording: Recording, method: Method) -> None:
+    """Raise ``RecordingError`` where a method needs a telemetry channel that the recording does not have."""
+    quantities = {c.spec.quantity for c in recording.channels.values() if len(c.spec.columns) == 3}
+    if method.needs and method.needs not in quantities:
+        accepted = f"the method {method.name} needs a channel of three columns with a unit of {method.needs}; add it"
+        raise RecordingError([Fault(f"{recording.name}: channels", "missing", accepted)])
+
+
+def calibrate_file(path: Path, method: str = "ukf") -> Calibration:
+    """Read a recording and calibrate it.
+
+    Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method.
+    """
+    return calibrate_recording(read_recording(path), method)
+
+
+def calibrate_recording(recording: Recording, method: str = "ukf") -> Calibration:
+    """Run a method over a recording and judge the result on the whole of it."""
+    refuse_hopeless(recording)
+    refuse_without_channel(recording, find_method(method))
+    craft = craft_of(recording, method)
+    pipeline = replay(recording, craft).pipeline
+    state = pipeline.estimator.estimate()
+    residuals = residuals_of(recording, state.x, craft)
+    reasons = list(pipeline.trust.reasons)
+    reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]
+    verdict = pipeline.trust.verdict
+    if verdict in (Verdict.TRUSTED, Verdict.CONVERGING) and Reason.STRUCTURED_RESIDUAL in reasons:
+        verdict = Verdict.DOUBTFUL
+    return Calibration(
+        method=pipeline.estimator.name,
+        x=state.x,
+        covariance=state.covariance,
+        verdict=verdict,
+        reasons=tuple(reasons),
+        samples=len(recording),
+        ticks=pipeline.ticks.counters["ticks"],
+        residuals=residuals,
+        counters=dict(pipeline.ticks.counters + pipeline.counters),
+        model_doubt=pipeline.model_doubt,
+    )
+
+
+def _whole_recording(residuals: Residuals, craft: CraftConfig) -> Sequence[Reason]:
+    """What the whole recording shows and a running window may not."""
+    limit = craft.trust.residual_ratio * residuals.noise_floor
+    worst = max(residuals.after, residuals.held_out or 0.0)
+    return (Reason.STRUCTURED_RESIDUAL,) if worst > limit else ()
+
+
+def residuals_of(recording: Recording, x: Array, craft: CraftConfig) -> Residuals:
+    """Residual levels of a recording before and after calibration with x (9,), and by ``physics.toml`` where given."""
+    usable = recording.sorted_unique()
+    field, magnitude = usable.field_body_nt, usable.reference.magnitude_nt
+    corrected, grown = (field, magnitude) if craft.physics is None else _compensated(usable, craft.physics)
+    after = scalar_residual(x, corrected, grown)
+    noise = craft.sensor.noise_nt
+    return Residuals(
+        before=rms(scalar_residual(np.zeros(STATE_SIZE), field, magnitude)),
+        after=rms(after),
+        noise_floor=noise if noise is not None else noise_floor(usable.time_ns, after),
+        held_out=_held_out(field, magnitude, craft),
+    )
+
+
+def _compensated(usable: Recording, physics: PhysicsConfig) -> tuple[Array, Array]:
+    """B (n, 3) without what the model holds and |H| (n,) as it should be; as recorded where a driver is absent."""
+    from magcal_service.diagnosis.prepare import cleaned, scene_of  # the catalogue is loaded where it is asked for
+    from magcal_service.physics.apply.forward import DriverMissingError, effects_on
+    from magcal_service.physics.apply.model_file import parse_model
+
+    model = parse_model(physics.text.encode())
+    try:
+        body, growth = effects_on(cleaned(scene_of(usable), model.x), model)
+    except DriverMissingError:
+        return usable.field_body_nt, usable.reference.magnitude_nt
+    disturbance = np.linalg.solve(np.eye(3) + d_matrix(model.x), body.T).T
+    return usable.field_body_nt - disturbance, usable.reference.magnitude_nt + growth
+
+
+def _held_out(field: Array, magnitude: Array, craft: CraftConfig) -> float | None:
+    """rms [nT] on every second of ten contiguous blocks, with a batch fitted to the others."""
+    block = np.arange(len(field)) * _HELD_OUT_BLOCKS // len(field)
+    fit = block % 2 == 0
+    solution = batch_start(field[fit], magnitude[fit], (), craft.sensor.noise_nt, craft.filter)
+    if isinstance(solution, StartGate):
+        return None
+    return rms(scalar_residual(solution.x, field[~fit], magnitude[~fit]))

@@ -1,0 +1,354 @@
+"""Live compensation: what ``physics.toml`` holds is taken off every sample and every reference as they come.
+
+A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
+model says it should have had.  Drivers are the newest values on the link: a channel is held until its next value, a
+position carried on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its
+form or its driver, or that comes out beyond all measure, is left out and named in ``missing``.  Effects with a past go
+on from sample to sample (``scene.Memory``).
+
+Error of holding a channel: its rate times its age; a channel that turns with the craft has to be sent with the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service import geomagnetic
+from magcal_service.model import Array, calibrate, d_matrix
+from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
+from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
+from magcal_service.snapshot import Saved
+from magcal_service.units import CHANNEL_UNITS
+from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
+from magcal_service.wire.messages import (
+    Clock,
+    Frame,
+    MagnetometerSample,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+    Vector,
+)
+
+OF_REFERENCE: Final = ("time_offset", "external_field", "position_offset", "reference_epoch")
+"""Effects that are errors of the reference."""
+
+_NOT_LIVE: Final = ("inferred:detumbling", "inferred:dumping")
+"""Drivers that need the course of the field before a sample, which no single sample tells."""
+
+_NOT_LIVE_FORMS: Final = ("by minutes", "far along")
+"""Forms that need the orbit ahead or behind."""
+
+_MOST_CHANNELS: Final = 64
+_STALE_PACES: Final = 3.0
+_STALE_S: Final = (2.0, 120.0)
+"""A channel is stale after three of its own intervals, but not before the first and not after the second."""
+
+_SLOW: Final = {"temperature": 30.0}
+"""What changes slowly is held so long at least [s]: minutes of time constant make it tenths of a kelvin."""
+
+_POSITION_S: Final = 120.0
+_WARM: Final = 3.0
+"""Time constants after which a temperature that began unknown is known to 5 %."""
+
+_MOST_GROWTH: Final = 0.5
+"""Share of the magnitude by which a reference may be wrong."""
+
+_MOST_SHIFT_S: Final = 3600.0
+"""By how much time tags may disagree [s]."""
+
+_AT_START_S: Final = 60.0
+_KNOT_S: Final = 10.0
+_GROWTH_NS: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """The newest value of a channel, in its base unit, and the interval [s] to the one before."""
+
+    time_ns: int
+    pace_s: float
+    quantity: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A position, Earth-fixed [km]."""
+
+    time_ns: int
+    ecef_km: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A sample as it was measured [nT]."""
+
+    time_ns: int
+    field_nt: Vector
+
+
+class Compensation(Saved):
+    """One craft's compensation.
+
+    Parameters
+    ----------
+    model: from ``physics.toml``.
+
+    Attributes
+    ----------
+    missing: effects that the newest sample or reference was not corrected for.
+    """
+
+    _channels: dict[str, Held]
+    _places: list[Place]
+    _last: Row | None
+    _reference: Vector | None
+    _reference_ns: int
+    _growth_nt: float
+    _growth_ns: int
+    _begun_ns: int
+    _states: list[dict[str, Array]]
+    _missing_field: list[str]
+    _missing_reference: list[str]
+
+    def __init__(self, model: PhysicsModel) -> None:
+        self.model = model
+        self._field_terms = tuple(term for term in model.terms if term.effect not in OF_REFERENCE)
+        self._growth_terms = tuple(t for t in model.terms if t.effect in OF_REFERENCE and t.effect != "time_offset")
+        self._time_terms = tuple(term for term in model.terms if term.effect == "time_offset")
+        self._channels = {}
+        self._places = []
+        self._last = None
+        self._reference = None
+        self._reference_ns = self._growth_ns = self._begun_ns = 0
+        self._growth_nt = 0.0
+        self._states = [{} for _ in model.terms]
+        self._missing_field, self._missing_reference = [], []
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the effects that are not compensated for want of their driver."""
+        return tuple(sorted({*self._missing_field, *self._missing_reference}))
+
+    @property
+    def wait_s(self) -> float:
+        """How much later a reference for a sample comes than it would without a time offset [s]."""
+        return max(0.0, sum(shifts_s(self._time_terms, 0.0)[0]))
+
+    # What comes
+
+    def telemetry(self, sample: TelemetrySample) -> None:
+        """Take a channel's value."""
+        unit = CHANNEL_UNITS.get(sample.unit)
+        before = self._channels.get(sample.channel)
+        if unit is None or (before is None and len(self._channels) >= _MOST_CHANNELS):
+            return
+        if before is not None and sample.time_ns <= before.time_ns:
+            if before.time_ns - sample.time_ns < 1e9 * _STALE_S[1]:
+                return  # late or doubled; older than that, the clock was set back
+            before = None
+        pace_s = _STALE_S[1] if before is None else (sample.time_ns - before.time_ns) * 1e-9
+        values = tuple(unit.to_base(sample.values).tolist())
+        self._channels[sample.channel] = Held(sample.time_ns, pace_s, unit.quantity, values)
+
+    def position(self, sample: PositionSample) -> None:
+        """Take a position."""
+        if self._places and abs(sample.time_ns - self._places[-1].time_ns) > 1e9 * _POSITION_S:
+            self._places.clear()
+        if self._places and sample.time_ns <= self._places[-1].time_ns:
+            return
+        km = np.array([sample.position_km])
+        if sample.frame is not Frame.ECEF:
+            if sample.clock is not Clock.UTC:
+                return
+            km = geomagnetic.ecef_from_eci(np.array([sample.time_ns]), km)
+        x, y, z = km[0].tolist()
+        self._places = [*self._places[-1:], Place(sample.time_ns, (x, y, z))]
+
+    def reference(self, sample: ReferenceSample) -> ReferenceSample:
+        """The reference as the model says that it should have been."""
+        if sample.field_nt is not None and sample.frame is Frame.ECI:
+            self._reference, self._reference_ns = sample.field_nt, sample.time_ns
+        shift_s, unfit = shifts_s(self._time_terms, (sample.time_ns - self.model.origin_ns) * 1e-9)
+        sample = replace(sample, time_ns=sample.time_ns - sum(round(one_s * 1e9) for one_s in shift_s))
+        sample = self._grown(sample) if self._growth_terms else sample
+        self._missing_reference = [*(name for name in self._missing_reference if name != "time_offset"), *unfit]
+        return sample
+
+    def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
+        """The sample without the model's disturbances."""
+        if not self._field_terms:
+            return sample
+        self._begun_ns = self._begun_ns or sample.time_ns
+        in_order = self._last is not None and sample.time_ns > self._last.time_ns
+        row = Row(sample.time_ns, sample.field_body_nt)
+        rows = [self._last, row] if self._last is not None and in_order else [row]
+        scene = self._scene(rows, sample.clock)
+        corrected, missing = np.array(sample.field_body_nt), []
+        for index, term in enumerate(self._field_terms):
+            memory = Memory(-1, self._states[index] if in_order or self._last is None else dict(self._states[index]))
+            try:
+                without = corrected - self._offset(term, scene, memory, sample.time_ns)
+                if not np.abs(without).max() <= MAX_SAMPLE_FIELD_NT:
+                    raise MisfitError(f"{term.effect}: without it the sample would be {without.tolist()}")
+                corrected = without
+            except (DriverMissingError, MisfitError):
+                missing.append(term.effect)
+        if in_order or self._last is None:
+            self._last = row
+        self._missing_field = missing
+        x, y, z = corrected.tolist()
+        return replace(sample, field_body_nt=(x, y, z))
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.asarray(np.linalg.inv(np.eye(3) + d_matrix(self.model.x)))
+
+    # How it is applied
+
+    def _offset(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Array:
+        """What a term makes of the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self._inverse @ self._bound(term, scene, memory, time_ns).disturbance()[0][-1])
+
+    def _bound(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Bound:
+        if term.variant in _NOT_LIVE_FORMS:
+            raise DriverMissingError(
+                f"{term.effect}, {term.variant}: needs the orbit ahead, correct the reference itself"
+            )
+        if term.driver in _NOT_LIVE or (term.effect == "axis_skew" and scene.rate_body is None):
+            raise DriverMissingError(f"{term.effect}: {term.driver} cannot be followed live")
+        if term.driver == "inferred:temperature" and not self._is_warm(term, time_ns):
+            raise DriverMissingError(f"{term.effect}: its temperature at the start is not known yet")
+        return bind(term, scene, memory)
+
+    def _is_warm(self, term: ModelTerm, time_ns: int) -> bool:
+        """Whether an inferred temperature is known: from the model's own start on, or once its start is forgotten."""
+        if abs(self._begun_ns - self.model.origin_ns) < 1e9 * _AT_START_S:
+            return True
+        settled_s = _WARM * sum(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
+        return (time_ns - self._begun_ns) * 1e-9 > settled_s
+
+    def _scene(self, rows: list[Row], clock: Clock) -> Scene:
+        """The sample, and the one before it, with the drivers of this moment."""
+        measured = np.array([row.field_nt for row in rows])
+        calibrated = calibrate(self.model.x, measured)
+        times_ns = [row.time_ns for row in rows]
+        now_ns = times_ns[-1]
+        utc = clock is Clock.UTC
+        same = utc is (self.model.clock is Clock.UTC)
+        origin_ns = self.model.origin_ns if same else self._begun_ns
+        spin = self.model.spin
+        attitude = self._attitude(calibrated, now_ns) if utc else None
+        return Scene(
+            time_s=np.array([(time_ns - origin_ns) * 1e-9 for time_ns in times_ns]),
+            origin_ns=origin_ns,
+            utc=utc,
+            field_nt=measured,
+            calibrated_nt=calibrated,
+            clean_field_nt=measured,
+            magnitude_nt=np.linalg.norm(calibrated, axis=1),
+            position_ecef_km=self._place(times_ns),
+            channels={
+                name: Telemetry(name, held.quantity, np.tile(np.array(held.values), (len(rows), 1)))
+                for name, held in self._channels.items()
+                if abs(now_ns - held.time_ns) * 1e-9 <= stale_after_s(held.pace_s, held.quantity)
+            },
+            body_from_eci=attitude,
+            turning_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
+        )
+
+    def _place(self, times_ns: list[int]) -> NDArray[np.float64] | None:
+        """Positions (n, 3) along the line through the last two, or None."""
+        if not self._places or abs(times_ns[-1] - self._places[-1].time_ns) * 1e-9 > _POSITION_S:
+            return None
+        last = self._places[-1]
+        place = np.array(last.ecef_km)
+        velocity = np.zeros(3)
+        if len(self._places) > 1:
+            before = self._places[0]
+            velocity = (place - np.array(before.ecef_km)) / (last.time_ns - before.time_ns)
+        return np.stack([place + velocity * (time_ns - last.time_ns) for time_ns in times_ns])
+
+    def _attitude(self, calibrated: Array, now_ns: int) -> Array | None:
+        """(n, 3, 3) from the model's spin axis and each sample's own phase; None without axis or reference."""
+        spin = self.model.spin
+        if spin is None or self._reference is None or abs(now_ns - self._reference_ns) > 1e9 * _KNOT_S:
+            return None
+        body, inertial = np.array(spin.axis_body), np.array(spin.axis_eci)
+        reference = np.broadcast_to(np.array(self._reference), calibrated.shape)
+        turn, _ = turns_of(calibrated, reference, body, inertial)
+        return attitude_of(body, inertial, np.angle(turn))
+
+    def _grown(self, sample: ReferenceSample) -> ReferenceSample:
+        """The reference brought to the magnitude that acts; worked out once a second, held in between."""
+        vector = None if sample.field_nt is None else np.array(sample.field_nt)
+        magnitude = float(np.linalg.norm(vector)) if vector is not None else sample.magnitude_nt or 0.0
+        if abs(sample.time_ns - self._growth_ns) >= _GROWTH_NS:
+            self._growth_ns = sample.time_ns
+            self._growth_nt = self._growth(sample, vector, magnitude)
+        factor = 1.0 + self._growth_nt / max(magnitude, 1.0)
+        if vector is None:
+            return replace(sample, magnitude_nt=magnitude * factor)
+        x, y, z = (vector * factor).tolist()
+        return replace(sample, field_nt=(x, y, z))
+
+    def _growth(self, sample: ReferenceSample, vector: Array | None, magnitude: float) -> float:
+        """Growth of the magnitude [nT]; the scene has two earlier places, for the direction of flight."""
+        times_ns = [sample.time_ns - round(k * _KNOT_S * 1e9) for k in (2, 1, 0)]
+        along = np.tile([magnitude, 0.0, 0.0], (3, 1))
+        inertial = None
+        if vector is not None and sample.frame is Frame.ECI:
+            inertial = np.tile(vector, (3, 1))
+        elif vector is not None and sample.frame is Frame.ECEF and sample.clock is Clock.UTC:
+            inertial = geomagnetic.eci_from_ecef(np.array(times_ns), np.tile(vector, (3, 1)))
+        scene = Scene(
+            time_s=np.array([(time_ns - self.model.origin_ns) * 1e-9 for time_ns in times_ns]),
+            origin_ns=self.model.origin_ns,
+            utc=sample.clock is Clock.UTC,
+            field_nt=along,
+            calibrated_nt=along,
+            clean_field_nt=along,
+            magnitude_nt=np.full(3, magnitude),
+            reference_eci_nt=inertial,
+            position_ecef_km=self._place(times_ns),
+        )
+        total, missing = 0.0, []
+        for term in self._growth_terms:
+            try:
+                with np.errstate(all="ignore"):
+                    growth = float(np.broadcast_to(bind(term, scene).disturbance()[1], 3)[-1])
+                if not abs(total + growth) <= _MOST_GROWTH * magnitude:
+                    raise MisfitError(f"{term.effect}: the reference would grow by {growth:g} nT")
+                total += growth
+            except (DriverMissingError, MisfitError):
+                missing.append(term.effect)
+        self._missing_reference = missing
+        return total
+
+
+def shifts_s(terms: Sequence[ModelTerm], elapsed_s: float) -> tuple[list[float], list[str]]:
+    """By how much each term's reference is late [s], so long after the model's origin; and what does not fit."""
+    found, unfit = [], []
+    for term in terms:
+        drift_ppm = term.amplitudes.get("drift_ppm", np.float64(0.0))
+        shift_s = np.asarray(term.amplitudes.get("offset_s", np.nan) + drift_ppm * 1e-6 * elapsed_s)
+        if shift_s.ndim == 0 and abs(float(shift_s)) <= _MOST_SHIFT_S:
+            found.append(float(shift_s))
+        else:
+            unfit.append(term.effect)
+    return found, unfit
+
+
+def stale_after_s(pace_s: float, quantity: str) -> float:
+    """Age [s] beyond which a channel of a quantity that comes every ``pace_s`` is no driver any more."""
+    return min(max(_STALE_PACES * pace_s, _SLOW.get(quantity, _STALE_S[0])), _STALE_S[1])

@@ -1,0 +1,109 @@
+"""A model of ``physics.toml`` applied to any scene: what its effects add to the field and to the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_service.errors import MagcalError
+from magcal_service.model import Array
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.scene import Memory, Scene
+from magcal_service.wire.messages import Clock
+
+
+class DriverMissingError(MagcalError):
+    """A scene lacks what drives an effect of the model."""
+
+
+class MisfitError(MagcalError):
+    """An effect's numbers do not fit its form in the catalogue."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """A term whose hypothesis was found on a scene, with nonlinear numbers (m,) and amplitudes (k,)."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    amplitudes: Array
+
+    def disturbance(self) -> tuple[Array, Array | float]:
+        """Body field (n, 3) and growth of the magnitude (n,) [nT]."""
+        columns = self.hypothesis.columns(self.theta)
+        return columns.field(self.amplitudes), columns.growth(self.amplitudes)
+
+
+def at_origin(scene: Scene, model: PhysicsModel) -> Scene:
+    """The scene with its time counted from the model's origin, where both go by one clock; else as it is."""
+    if scene.utc is not (model.clock is Clock.UTC) or scene.origin_ns == model.origin_ns:
+        return scene
+    shift_s = (scene.origin_ns - model.origin_ns) * 1e-9
+    return replace(scene, time_s=scene.time_s + shift_s, origin_ns=model.origin_ns)
+
+
+def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
+    """Find a term's hypothesis on a scene (times from the model's origin), under the term's own constants.
+
+    Raises DriverMissingError where the scene has no such driver, MisfitError where names or shapes differ.
+    """
+    given = replace(scene, given=term.constants, memory=memory)
+    for hypothesis in effect_named(term.effect).hypotheses(given):
+        if (hypothesis.driver, hypothesis.variant) == (term.driver, term.variant):
+            theta = _theta(term, hypothesis)
+            return Bound(hypothesis, theta, _amplitudes(term, hypothesis))
+    raise DriverMissingError(f"{term.effect}: driver {described(term)} is not there")
+
+
+def described(term: ModelTerm) -> str:
+    """Driver and form in one text."""
+    return f"{term.driver!r}, form {term.variant!r}" if term.variant else repr(term.driver)
+
+
+def _theta(term: ModelTerm, hypothesis: Hypothesis) -> Array:
+    names = [number.name for number in hypothesis.nonlinear]
+    _check_names(term, "nonlinear", names, term.nonlinear)
+    return np.array([term.nonlinear[name] for name in names])
+
+
+def _amplitudes(term: ModelTerm, hypothesis: Hypothesis) -> Array:
+    _check_names(term, "amplitudes", [block.name for block in hypothesis.blocks], term.amplitudes)
+    parts = []
+    for block in hypothesis.blocks:
+        values = term.amplitudes[block.name]
+        if values.shape != block.shape:
+            raise MisfitError(f"{term.effect}: {block.name} has shape {values.shape}; {block.shape} is accepted")
+        parts.append(values.reshape(-1))
+    return np.concatenate(parts)
+
+
+def _check_names(term: ModelTerm, what: str, wanted: Iterable[str], found: Mapping[str, object]) -> None:
+    names = list(wanted)
+    if set(names) != set(found):
+        accepted = ", ".join(names) or "none"
+        raise MisfitError(f"{term.effect}: {what} {', '.join(found) or 'none'}; {accepted} is accepted for this form")
+
+
+def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
+    """What a model's effects add on a scene.
+
+    Parameters
+    ----------
+    scene: with ``calibrated_nt`` and ``clean_field_nt`` by the model's nine errors, as ``diagnosis.prepare.cleaned``
+        makes them.
+    model: from ``physics.toml``.
+
+    Returns (d, m): body field (n, 3) and growth of the reference's magnitude (n,) [nT], as in ``physics.interface``.
+    Raises DriverMissingError, MisfitError.
+    """
+    body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
+    placed = at_origin(scene, model)
+    for term in model.terms:
+        field, growth = bind(term, placed).disturbance()
+        body += field
+        magnitude += growth
+    return body, magnitude

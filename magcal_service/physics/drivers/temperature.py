@@ -1,0 +1,76 @@
+"""Temperature as a driver: recorded, or inferred as a first-order answer to sunlight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
+from magcal_service.physics.scene.scene import Scene
+
+TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
+"""2 minutes (a bare board) to 4 hours (the middle of a craft)."""
+
+SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
+"""What is heated first: nothing between, a panel, a structure."""
+
+_AGAINST_GUESSING: Final = 5.0
+
+_LEAST_SWING_K: Final = 0.05
+
+Act = Callable[[Array], Columns]
+"""From a signal (n,) to its columns."""
+
+
+def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+    """One hypothesis for each recorded temperature, T - T0 with T0 the recording's mean."""
+    for channel in scene.of_quantity("temperature"):
+        several = channel.values.shape[1] > 1
+        for index, values in enumerate(channel.values.T):
+            if float(np.std(values)) < _LEAST_SWING_K and not scene.is_given:
+                continue
+            zero = scene.constant("zero_degc", round(float(values.mean()), 1))
+            yield Hypothesis(
+                effect,
+                f"channel:{channel.name}",
+                _fixed(act, values - zero),
+                (block,),
+                variant=f"column {index + 1}" if several else "",
+                constants={"zero_degc": zero, "column": float(index)},
+            )
+
+
+def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
+    return lambda _: act(signal)
+
+
+def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+    """Temperature as an answer to light, in units of the swing between light and shadow.
+
+    Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
+    the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  Where a
+    temperature was recorded, guessing another one has odds against it.
+    """
+    if scene.lit is None or not scene.eclipses:
+        return
+
+    def columns(theta: Array) -> Columns:
+        answer, decay = scene.warmed(float(theta[0]), float(theta[1]))
+        return joined(act(answer), act(decay))
+
+    yield Hypothesis(
+        effect,
+        "inferred:temperature",
+        columns,
+        (block, Block(f"start_{block.name}", block.unit, block.shape)),
+        variant="answer to light",
+        nonlinear=(
+            Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),
+            Nonlinear("skin_s", "s", SKINS_S),
+        ),
+        odds=_AGAINST_GUESSING if any(recorded(scene, effect, act, block)) else 0.0,
+        constants={"mean_light": scene.mean_light},
+    )

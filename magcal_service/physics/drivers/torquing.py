@@ -1,0 +1,231 @@
+"""What torquers do that nobody has recorded: a regular duty, detumbling by the sign of dB/dt, dumping of momentum.
+
+Detumbling fires against dB/dt, seen just before, for part of every cycle, maybe for part of the recording only; dumping
+fires along B x h at intervals and holds for a moment.  Their few numbers (cycle, phase, share) jump, so they are
+searched by sums over stretches of time rather than by columns made anew for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, Segments, Sums, along_axes
+from magcal_service.physics.scene.scene import Scene
+
+CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0])
+"""Controllers measure, fire and pause in whole seconds; slower ones would not detumble."""
+
+LEADS_S: Final = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
+"""How long before it fires a controller has seen dB/dt."""
+
+HOLDS_S: Final = np.array([0.0, 2.0, 4.0, 5.0, 10.0])
+"""For how long a dipole is held while momentum is dumped; 0: it follows the field."""
+
+INTERVAL_S: Final = (250.0, 1600.0)
+"""From the beginning of one dump of momentum to the next."""
+
+LARGEST_NT: Final = 5000.0
+"""rms of a pattern that is only inferred: what is larger would have been recorded, or is something else."""
+
+_SHARES: Final = np.array([0.3, 0.5, 0.75])
+_PHASES: Final = 8
+_PARTS: Final = 24
+_SHORTEST_PART: Final = 7
+_SLOTS: Final = 24
+_ON_SLOTS: Final = (3, 5, 7, 10)
+_SEGMENT_S: Final = 8.0
+_MOST: Final = 6
+_LONGEST_PERIOD_S: Final = 20.0
+_LEAST_SAMPLES: Final = 200
+
+
+def inferred(scene: Scene) -> Iterator[Hypothesis]:
+    """Every pattern, where the samples are close enough to see one."""
+    if (scene.period_s > _LONGEST_PERIOD_S or len(scene) < _LEAST_SAMPLES) and not scene.is_given:
+        return
+    yield _regular(scene)
+    yield _detumbling(scene)
+    steady = along_axes(-np.sign(scene.field_slope))
+    block = Block("detumbling_nt", "nT", (3, 3))
+    yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
+    yield from _dumping(scene)
+
+
+def _regular(scene: Scene) -> Hypothesis:
+    """A constant dipole, on and off."""
+    duty = (
+        Nonlinear("period_s", "s", np.empty(0), True, "period"),
+        Nonlinear("on_share", "1", _SHARES, role="held"),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, _PHASES, endpoint=False), role="held"),
+    )
+
+    def columns(theta: Array) -> Columns:
+        period_s, share, phase = (float(value) for value in theta)
+        on = np.mod(scene.time_s / period_s - phase, 1.0) < share
+        return along_axes(on.astype(np.float64))
+
+    return Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
+
+
+# Detumbling
+
+
+def _pulsed(scene: Scene, period_s: float, phase: float, lead_s: float) -> tuple[Array, Array]:
+    """Dipoles (n, 3) of full coils against dB/dt as seen a lead before each cycle, and each row's place in it (n,)."""
+    cycle = scene.time_s / period_s - phase
+    seen_s = (np.floor(cycle) + phase) * period_s - lead_s
+    measured = np.clip(np.searchsorted(scene.time_s, seen_s - 0.5 * scene.period_s), 0, len(scene) - 1)
+    return -np.sign(scene.field_slope[measured]), np.mod(cycle, 1.0)
+
+
+def _detumbling(scene: Scene) -> Hypothesis:
+    edges = np.linspace(float(scene.time_s[0]), float(scene.time_s[-1]), _PARTS + 1)
+    edges[-1] += scene.period_s
+    numbers = (
+        Nonlinear("period_s", "s", CYCLES_S * max(1.0, scene.period_s), role="held"),
+        Nonlinear("on_share", "1", _SHARES, role="held"),
+        Nonlinear("phase", "1", np.linspace(0.0, 1.0, _PHASES, endpoint=False), role="held"),
+        Nonlinear("lead_s", "s", LEADS_S, role="held"),
+        Nonlinear("from_s", "s", edges[:-1], role="held"),
+        Nonlinear("to_s", "s", edges[1:], role="held"),
+    )
+
+    def columns(theta: Array) -> Columns:
+        period_s, share, phase, lead_s, first_s, last_s = (float(value) for value in theta)
+        dipole, into = _pulsed(scene, period_s, phase, lead_s)
+        on = (into < share) & (scene.time_s >= first_s) & (scene.time_s < last_s)
+        return along_axes(dipole * on[:, None])
+
+    def proposals(sums: Sums) -> Array:
+        firsts = np.searchsorted(scene.time_s, edges[:-1])
+        lead_s = float(LEADS_S[1])
+        tried: list[tuple[float, tuple[float, float, float], Segments]] = []
+        for period_s in numbers[0].grid.tolist():
+            count = int(np.clip(round(period_s / scene.period_s), 2, _PHASES))
+            for phase in np.arange(count) / count:
+                dipole, into = _pulsed(scene, period_s, float(phase), lead_s)
+                for share in _SHARES.tolist():
+                    segments = sums(along_axes(dipole * (into < share)[:, None]), firsts)
+                    whole = float(segments.drop(np.ones((1, _PARTS)))[0])
+                    tried.append((whole, (period_s, share, float(phase)), segments))
+        tried.sort(key=lambda trial: -trial[0])
+        parts = _parts()
+        found = []
+        for whole, numbers_found, segments in tried[:_MOST]:
+            drops = segments.drop(parts)
+            best = int(np.argmax(drops))
+            used = np.flatnonzero(parts[best]) if drops[best] > whole else np.arange(_PARTS)
+            found.append([*numbers_found, lead_s, edges[used[0]], edges[used[-1] + 1]])
+            found.append([*numbers_found, lead_s, edges[0], edges[-1]])
+        return np.array(found)
+
+    block = Block("detumbling_nt", "nT", (3, 3))
+    variant = "sign of dB/dt on a duty"
+    return Hypothesis(
+        "torquer",
+        "inferred:detumbling",
+        columns,
+        (block,),
+        variant,
+        numbers,
+        odds=7.0,
+        largest_nt=LARGEST_NT,
+        proposals=proposals,
+    )
+
+
+def _parts() -> Array:
+    """Every stretch (m, parts) of consecutive parts that is long enough."""
+    pairs = [(i, j) for i in range(_PARTS) for j in range(i + _SHORTEST_PART, _PARTS + 1)]
+    number = np.arange(_PARTS)
+    return np.array([(number >= i) & (number < j) for i, j in pairs], dtype=np.float64)
+
+
+# Dumping
+
+
+def _held(scene: Scene, into_s: Array, hold_s: float) -> NDArray[np.intp]:
+    """Rows (n,) whose field the dipole of each row was made for, ``into_s`` (n,) after its interval has begun."""
+    rows = np.arange(len(scene))
+    if hold_s <= scene.period_s:
+        return rows
+    made_s = scene.time_s - np.mod(into_s, hold_s)
+    return np.minimum(np.searchsorted(scene.time_s, made_s - 0.5 * scene.period_s), rows)
+
+
+def _dumping(scene: Scene) -> Iterator[Hypothesis]:
+    span = float(scene.time_s[-1] - scene.time_s[0])
+    if span < 3.0 * INTERVAL_S[0] and not scene.is_given:
+        return
+    periods = _intervals(max(span, 3.0 * INTERVAL_S[0]))
+    numbers = (
+        Nonlinear("period_s", "s", periods, role="held"),
+        Nonlinear("on_share", "1", np.array(_ON_SLOTS) / _SLOTS, role="held"),
+        Nonlinear("phase", "1", np.arange(_SLOTS) / _SLOTS, role="held"),
+        Nonlinear("hold_s", "s", np.unique(np.maximum(HOLDS_S, np.where(HOLDS_S > 0, scene.period_s, 0))), role="held"),
+    )
+    middle_s = scene.constant("middle_s", float(0.5 * (scene.time_s[0] + scene.time_s[-1])))
+
+    def columns(theta: Array) -> Columns:
+        period_s, share, phase, hold_s = (float(value) for value in theta)
+        into = np.mod((scene.time_s - middle_s) / period_s - phase, 1.0)
+        made = _held(scene, into * period_s, hold_s)
+        return along_axes(scene.calibrated_nt[made] * (into < share)[:, None])
+
+    def proposals(sums: Sums) -> Array:
+        w = scene.calibrated_nt
+        body = np.zeros((6, len(scene), 3))
+        for number, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+            body[number, :, i] = w[:, j]
+            body[number, :, j] = w[:, i]
+        width = max(_SEGMENT_S, scene.period_s)
+        firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
+        segments = sums(Columns(body=body), firsts)
+        times = scene.time_s[firsts] + 0.5 * width - middle_s
+        drops, places = [], []
+        for period_s in periods.tolist():
+            slot = np.minimum((np.mod(times / period_s, 1.0) * _SLOTS).astype(np.intp), _SLOTS - 1)
+            folded = segments.grouped(slot, _SLOTS)
+            drops.append(folded.drop(_ON))
+            places.append(period_s)
+        table = np.array(drops)
+        best = np.argsort(table.max(axis=1))[::-1][:_MOST]
+        found = []
+        for row in best.tolist():
+            share, slot = _ON_NUMBERS[int(np.argmax(table[row]))]
+            found += [[places[row], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in numbers[3].grid.tolist()]
+        return np.array(found)
+
+    block = Block("dumping", "1", (3, 3))
+    variant = "momentum dumped at intervals"
+    yield Hypothesis(
+        "torquer",
+        "inferred:dumping",
+        columns,
+        (block,),
+        variant,
+        numbers,
+        {"middle_s": middle_s},
+        largest_nt=LARGEST_NT,
+        proposals=proposals,
+    )
+
+
+def _intervals(span_s: float) -> Array:
+    """Intervals so close to one another that a dump at either end is met by a seventh of its length."""
+    found = [INTERVAL_S[0]]
+    while found[-1] < min(INTERVAL_S[1], span_s / 3.0):
+        found.append(found[-1] * (1.0 + 0.12 * found[-1] / span_s))
+    return np.array(found)
+
+
+_ON_NUMBERS: Final = [(share, slot) for share in _ON_SLOTS for slot in range(_SLOTS)]
+_ON: Final = np.array(
+    [[float((number - slot) % _SLOTS < share) for number in range(_SLOTS)] for share, slot in _ON_NUMBERS]
+)
+"""(m, slots): which slots of an interval are on."""

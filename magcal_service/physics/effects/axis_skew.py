@@ -1,0 +1,38 @@
+"""Axes digitised one after another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> tuple[Hypothesis, ...]:
+    slope = scene.field_slope
+    body = np.zeros((2, len(scene), 3))
+    body[0, :, 1], body[1, :, 2] = slope[:, 1], slope[:, 2]
+    return (Hypothesis("axis_skew", "none", lambda _: Columns(body=body), (Block("after_x_s", "s", (2,)),)),)
+
+
+def _derived(parameters: Values) -> Values:
+    """The delays of all three axes, x taken as the first."""
+    after = parameters["after_x_s"]
+    return {"delay_s": value_of([0.0, *after.value], [0.0, *after.sigma], "s")}
+
+
+EFFECT = Effect(
+    name="axis_skew",
+    title="axes digitised one after another",
+    equation="d_i = delay_i dB_i/dt for y and z against x",
+    units={"after_x_s": "s", "delay_s": "s"},
+    prior=(1.0, 1000.0),
+    valid="delays far below a turn",
+    confused_with=("response_lag",),
+    separated_by="another spin rate: at a steady rate it is a non-orthogonality, and the nine errors absorb it",
+    source="0.1-10 ms between channels of a multiplexed converter",
+    says=("The axes are digitised one after another: y and z {after_x_s} s after x.",),
+    derived=_derived,
+    hypotheses=_hypotheses,
+    absorbed="at a constant spin rate the nine errors take up the delays as D12, D13, D23",
+)

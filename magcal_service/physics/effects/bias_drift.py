@@ -1,0 +1,24 @@
+"""The bias changes smoothly in time: ageing, outgassing, charging."""
+
+from __future__ import annotations
+
+from magcal_service.physics.drivers.change import drifts
+from magcal_service.physics.interface import Block, Effect, along_axes
+
+EFFECT = Effect(
+    name="bias_drift",
+    title="the bias drifts",
+    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample",
+    units={"nt_per_s": "nT/s", "nt_per_s2": "nT/s2", "nt_end": "nT", "time_constant_s": "s"},
+    prior=(5.0, 5000.0),
+    valid="smooth over the recording",
+    confused_with=("thermal_bias", "external_field", "bias_step", "scale_drift"),
+    separated_by="a longer recording: temperature comes back every orbit, a drift does not",
+    source="nT to uT per month (Olsen et al. 2020, monthly drift of platform magnetometers)",
+    says=(
+        "The bias drifts by {nt_per_s} nT/s at first, bending by {nt_per_s2} nT/s2.",
+        "The bias drifts by {nt_per_s} nT/s.",
+        "The bias relaxes by {nt_end} nT with a time constant of {time_constant_s} s.",
+    ),
+    hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))),
+)

@@ -1,0 +1,168 @@
+"""Noise with a memory: 1/f, a driver that averages, or another level than stated."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.scene.view import View
+
+ORDER: Final = 8
+_LEAST_NATS: Final = 15.0
+_LEAST_CORRELATION: Final = 0.05
+_SIGNIFICANT_SIGMAS: Final = 5.0
+_FADING: Final = 0.3
+_OWN: Final = 0.85
+_AT_ONCE: Final = 8
+
+
+def autoregression(
+    residual: Array, pauses: NDArray[np.intp] | None = None, unit: Array | None = None
+) -> tuple[Array, float]:
+    """Coefficients (p,) of an autoregressive model of a residual (n,), and the nats that it gains over white noise.
+
+    With the field's directions ``unit`` (n, 3) in the body the noise is one that is fixed in the body and seen along
+    them: what was seen a lag before counts by the cosine of the turn since, e_k = sum_l a_l (u_k . u_(k-l)) e_(k-l).
+
+    Source: Yule-Walker equations, solved by least squares on the samples' own products.
+    """
+    count = len(residual)
+    order = min(ORDER, max(1, count // 50))
+    usable = np.ones(count, dtype=bool)
+    usable[:order] = False
+    for first in () if pauses is None else pauses.tolist():
+        usable[first : first + order] = False
+    rows = np.flatnonzero(usable)
+    if len(rows) < 10 * order:
+        return np.zeros(0), 0.0
+    along, body = _in_body(residual, unit)
+    design = np.stack([_dot(along[rows], body[rows - lag]) for lag in range(1, order + 1)], axis=1)
+    target = residual[rows]
+    coefficients = np.linalg.lstsq(design, target, rcond=1e-10)[0]
+    left = target - design @ coefficients
+    gain = 0.5 * len(rows) * math.log(float(target @ target) / max(float(left @ left), 1e-300))
+    return coefficients, gain - 0.5 * order * math.log(count)
+
+
+def _in_body(residual: Array, unit: Array | None) -> tuple[Array, Array]:
+    """Directions (n, d), and the residual put along them (n, d)."""
+    along = np.ones((len(residual), 1)) if unit is None else unit
+    return along, along * residual[:, None]
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("nd,nd->n", first, second))
+
+
+def long_memory(residual: Array, unit: Array | None = None) -> Array:
+    """Coefficients (p,) of an autoregressive model with a memory of up to 2048 samples, few of them free.
+
+    The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs: 1/f noise.
+    ``unit`` as in ``autoregression``.
+    Source: Corsi 2009, a heterogeneous autoregressive model, J. Financial Econometrics 7, 174-196.
+    """
+    spans = [1, 2, 3, 4, *(span for span in (8, 32, 128, 512, 2048) if span < len(residual) // 8)]
+    longest = spans[-1]
+    along, body = _in_body(residual, unit)
+    sums = np.concatenate([np.zeros((1, along.shape[1])), np.cumsum(body, axis=0)])
+    rows = np.arange(longest, len(residual))
+    design = [_dot(along[rows], body[rows - lag]) for lag in spans[:4]]
+    design += [_dot(along[rows], sums[rows] - sums[rows - span]) / span for span in spans[4:]]
+    weights = np.linalg.lstsq(np.stack(design, axis=1), residual[rows], rcond=1e-10)[0]
+    coefficients = np.zeros(longest)
+    coefficients[:4] = weights[:4]
+    for span, weight in zip(spans[4:], weights[4:].tolist(), strict=True):
+        coefficients[:span] += weight / span
+    return coefficients
+
+
+def whitened(rows: Array, coefficients: Array, unit: Array) -> Array:
+    """Rows (n, k) less what an autoregressive model (p,) of noise fixed in the body foretells of them.
+
+    Directions ``unit`` (n, 3) as in ``autoregression``; by transforms, a few columns at a time.
+    """
+    size = 1 << int(np.ceil(np.log2(len(rows) + len(coefficients) + 1)))
+    kernel = np.fft.rfft(np.concatenate([[0.0], coefficients]), size)[:, None]
+    result = np.array(rows, dtype=np.float64)
+    for first in range(0, rows.shape[1], _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        for direction in unit.T:
+            spectrum = np.fft.rfft(rows[:, part] * direction[:, None], size, axis=0)
+            result[:, part] -= np.fft.irfft(spectrum * kernel, size, axis=0)[: len(rows)] * direction[:, None]
+    return result
+
+
+def is_noise(view: View) -> bool:
+    """Whether a residual that hangs together is the noise itself, rather than something slow on top of it.
+
+    The covariance of a noise fixed in the body at a lag l is C_l = sum e_k e_(k+l) c / sum c^2, c the cosine of the
+    turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's own square if that is white, and
+    less if it has a memory; and a memory of the noise begins to fade within ten samples.
+    """
+    unit, e = view.scene.unit, view.residual_nt
+    zero, one, ten = (covariance(unit, e, lag) for lag in (0, 1, 10))
+    turned = _dot(unit[1:], unit[:-1])
+    least = max(_LEAST_CORRELATION, _SIGNIFICANT_SIGMAS / math.sqrt(max(float(turned @ turned), 1.0)))
+    if one < least * zero:
+        return one < -3.0 * least * zero
+    fading = (one - ten) / one
+    stated = view.stated_noise_nt
+    if stated is None:
+        return fading > _FADING
+    return fading > 0.5 * _FADING and zero - one < _OWN * stated**2
+
+
+def covariance(unit: Array, residual: Array, lag: int) -> float:
+    """Covariance [nT^2] at a lag of noise fixed in the body, seen along directions ``unit`` (n, 3)."""
+    count = len(residual) - lag
+    cosine = _dot(unit[:count], unit[lag:])
+    return float((residual[:count] * residual[lag:]) @ cosine / max(float(cosine @ cosine), 1e-300))
+
+
+def body_correlation(view: View) -> float:
+    """Correlation at one sample of noise that is fixed in the body."""
+    unit, e = view.scene.unit, view.residual_nt
+    return float(np.clip(covariance(unit, e, 1) / max(covariance(unit, e, 0), 1e-300), -0.999, 0.999))
+
+
+def _find(view: View) -> Finding | None:
+    coefficients, nats = autoregression(view.residual_nt, view.scene.pauses, view.scene.unit)
+    if not len(coefficients):
+        return None
+    correlation = body_correlation(view)
+    level = float(np.sqrt(np.mean(view.residual_nt**2)))
+    stated = view.stated_noise_nt
+    other = stated is not None and abs(level / stated - 1.0) > max(0.03, 6.0 / math.sqrt(2.0 * len(view.residual_nt)))
+    coloured = nats > _LEAST_NATS and max(abs(correlation), float(np.abs(coefficients).max())) > _LEAST_CORRELATION
+    if not coloured and not (other and stated is not None and level > stated):
+        return None
+    sigma = 2.0 / math.sqrt(len(view.residual_nt))
+    parameters = {
+        "correlation": value_of(correlation, sigma, "1"),
+        "level_nt": value_of(level, level / math.sqrt(2.0 * len(view.residual_nt)), "nT"),
+    }
+    if stated is not None:
+        parameters["stated_nt"] = value_of(stated, 0.0, "nT")
+    white = 1.0 if not coloured else 1.0 - math.exp(-2.0 * nats / len(view.residual_nt))
+    return Finding(parameters, max(nats, _LEAST_NATS), white)
+
+
+EFFECT = Effect(
+    name="coloured_noise",
+    title="the noise has a memory, or another level than stated",
+    equation="eps_k = sum_j a_j eps_(k-j) + white; correlation at one sample rho",
+    units={"correlation": "1", "level_nt": "nT", "stated_nt": "nT"},
+    prior=(1.0, 2000.0),
+    valid="stationary over the recording; slower structure than a few samples is looked for as physics first",
+    confused_with=("bias_drift", "response_lag", "quantisation"),
+    separated_by="a stretch in a shielded room: noise keeps its colour there, physics does not",
+    source="Box & Jenkins 1970 (autoregressive models); drivers that average give 0.3-0.9 at one sample",
+    says=("The noise has a correlation of {correlation} at one sample and a level of {level_nt} nT.",),
+    find=_find,
+    absorbed="a filter that takes the noise as white is too sure, by (1 + rho) / (1 - rho) in variance",
+)

@@ -1,0 +1,51 @@
+"""The sensor's answer is not straight: a cubic term of each axis, and the transverse field effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    field = scene.clean_field_nt
+    own = np.zeros((3, len(field), 3))
+    across = np.zeros((6, len(field), 3))
+    index = 0
+    for axis in range(3):
+        own[axis, :, axis] = field[:, axis] ** 3
+        for other in range(3):
+            if other != axis:
+                across[index, :, axis] = field[:, axis] * field[:, other] ** 2
+                index += 1
+    cubic = Block("per_nt2", "1/nT2")
+    yield Hypothesis("cubic_response", "none", lambda _: Columns(body=own), (cubic,))
+    both = np.concatenate([own, across])
+    cross = Block("cross_per_nt2", "1/nT2", (3, 2))
+    yield Hypothesis("cubic_response", "none", lambda _: Columns(body=both), (cubic, cross), "with cross terms")
+    length: Array = np.einsum("ni,ni->n", field, field)
+    common = (field * length[:, None])[None]
+    one = Block("common_per_nt2", "1/nT2", ())
+    yield Hypothesis("cubic_response", "none", lambda _: Columns(body=common), (one,), "by the field's size")
+
+
+EFFECT = Effect(
+    name="cubic_response",
+    title="the sensor's answer bends with the field",
+    equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2",
+    units={"per_nt2": "1/nT2", "cross_per_nt2": "1/nT2", "common_per_nt2": "1/nT2"},
+    prior=(5.0, 3000.0),
+    valid="small against the field: 0.02-0.5 % of full scale",
+    confused_with=("saturation", "hysteresis"),
+    separated_by="a larger field on one axis: a knee is flat below its start, a cube is not",
+    source="Brauer et al. 1997 (transverse field effect); data sheets of AMR sensors (linearity 0.1-1 %)",
+    says=(
+        "The answer bends with the cube of the field, by {per_nt2} per nT2.",
+        "The answer bends with the field's size, by {common_per_nt2} per nT2.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,112 @@
+"""Currents in the harness and the solar arrays: each circuit adds a field in a fixed direction of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.scene.scene import Scene
+
+_LEAST_SWING = 1e-3  # of the channel's largest value
+
+
+def _fixed(signals: Array) -> Callable[[Array], Columns]:
+    return lambda _: along_axes(signals)
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    for channel in scene.of_quantity("current"):
+        moving = np.std(channel.values, axis=0) > _LEAST_SWING * np.abs(channel.values).max(axis=0)
+        chosen = scene.chosen("column", np.flatnonzero(moving).tolist())
+        circuits = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
+        if len(circuits) == 0:
+            continue
+        shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
+        block = Block("nt_per_a", "nT/A", shape)
+        yield Hypothesis(
+            "current_loop",
+            f"channel:{channel.name}",
+            _fixed(channel.values[:, circuits]),
+            (block,),
+            constants={f"column_{index}": float(column) for index, column in enumerate(circuits)},
+        )
+        for column in circuits if len(circuits) > 1 or scene.is_given else ():
+            one = Block("nt_per_a", "nT/A")
+            signal, name = channel.values[:, [column]], f"channel:{channel.name}"
+            yield Hypothesis(
+                "current_loop",
+                name,
+                _fixed(signal),
+                (one,),
+                f"circuit {column + 1}",
+                constants={"column_0": float(column)},
+            )
+    yield from _together(scene)
+    yield from _inferred(scene)
+
+
+def _together(scene: Scene) -> Iterator[Hypothesis]:
+    """All circuits of all current channels at once."""
+    channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
+    if len(channels) < 2:
+        return
+    signals = np.concatenate([channel.values for channel in channels], axis=1)
+    moving = np.flatnonzero(np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0))
+    used = [column for column in scene.chosen("column", moving.tolist()) if column < signals.shape[1]]
+    if len(used) < 2:
+        return
+    driver = "channel:" + "+".join(channel.name for channel in channels)
+    block = Block("nt_per_a", "nT/A", (len(used), 3))
+    constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
+    yield Hypothesis("current_loop", driver, _fixed(signals[:, used]), (block,), "all circuits", constants=constants)
+
+
+def _inferred(scene: Scene) -> Iterator[Hypothesis]:
+    """Array currents from light and, with the attitude known, from the Sun's angle on panels along the body axes."""
+    if scene.lit is None:
+        return
+    block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
+    if scene.eclipses:
+        yield Hypothesis("current_loop", driver, _fixed(scene.lit[:, None]), (block,), "lit or not")
+    if scene.sun_body is None:
+        return
+    faces = np.concatenate([np.maximum(scene.sun_body, 0.0), np.maximum(-scene.sun_body, 0.0)], axis=1)
+    faces = faces * scene.lit[:, None]
+    names = ("+x", "+y", "+z", "-x", "-y", "-z")
+    used = [i for i in range(6) if float(np.std(faces[:, i])) > 0.02 or scene.is_given]
+    for i in used:
+        yield Hypothesis("current_loop", driver, _fixed(faces[:, [i]]), (block,), f"panel {names[i]}")
+    sides = (("x", (0, 3)), ("y", (1, 4)), ("z", (2, 5)))
+    for name, pair in sides:
+        if all(i in used for i in pair):
+            both = Block("nt_full_sun", "nT", (2, 3))
+            yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
+    used = scene.chosen("face", used)
+    if len(used) >= 3:
+        constants = {f"face_{index}": float(face) for index, face in enumerate(used)}
+        total = faces[:, used].sum(axis=1, keepdims=True)
+        yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels", constants=constants)
+        every = Block("nt_full_sun", "nT", (len(used), 3))
+        form = "every panel its own circuit"
+        yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
+
+
+EFFECT = Effect(
+    name="current_loop",
+    title="currents in the harness or the solar arrays",
+    equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
+    units={"nt_per_a": "nT/A", "nt_full_sun": "nT"},
+    prior=(1.0, 2000.0),
+    valid="the sensor is at rest against the wires; quasi-static",
+    confused_with=("thermal_bias", "sun_disturbance", "torquer"),
+    separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
+    source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
+    says=(
+        "Currents add {nt_per_a} nT per ampere, with {driver}.",
+        "Currents add {nt_full_sun} nT in full sun, with {driver}.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

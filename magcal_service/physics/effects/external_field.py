@@ -1,0 +1,70 @@
+"""Currents above: the ring current, nearly uniform along the dipole's axis, with the part it induces in the Earth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.scene.scene import Scene
+
+INDUCED: Final = 0.27
+_EARTH_KM: Final = 6371.2
+
+
+def ring_current(scene: Scene) -> Array | None:
+    """(n,) growth of |H| per nT of uniform field along the dipole axis (towards north), induced part included."""
+    if scene.reference_eci_nt is None or scene.dipole_eci is None:
+        return None
+    field = np.array(scene.dipole_eci)
+    if scene.position_eci_km is not None:
+        radius = np.linalg.norm(scene.position_eci_km, axis=1)[:, None]
+        up = scene.position_eci_km / radius
+        axial = np.einsum("ni,ni->n", up, scene.dipole_eci)[:, None]
+        field = field + INDUCED * (_EARTH_KM / radius) ** 3 * (1.5 * axial * up - 0.5 * scene.dipole_eci)
+    direction = scene.reference_eci_nt / scene.magnitude_nt[:, None]
+    return np.asarray(np.einsum("ni,ni->n", field, direction))
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    column = ring_current(scene)
+    if column is None:
+        return
+    middle_s = scene.constant("middle_s", float(scene.time_s.mean()))
+    span_s = scene.constant("span_s", max(float(np.ptp(scene.time_s)), 1.0))
+    share = (scene.time_s - middle_s) / span_s * 2.0
+    if scene.is_given:  # a course is known within its recording only; beyond, its ends hold
+        share = np.clip(share, -1.0, 1.0)
+    constants = {"middle_s": middle_s, "span_s": span_s}
+    for order, variant in ((0, ""), (1, "changing"), (2, "curved"), (4, "storm")):
+        powers = np.polynomial.legendre.legvander(share, order).T
+        made = Columns(magnitude=powers * column[None])
+        blocks: tuple[Block, ...] = (Block("mean_nt", "nT", ()),)
+        if order:
+            blocks = (*blocks, Block("course_nt", "nT", (order,)))
+        yield Hypothesis(
+            "external_field",
+            "none",
+            lambda _, made=made: made,  # type: ignore[misc]
+            blocks,
+            variant,
+            constants=constants if order else {},
+        )
+
+
+EFFECT = Effect(
+    name="external_field",
+    title="currents above the craft: the ring current",
+    equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials in time",
+    units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s"},
+    prior=(5.0, 500.0),
+    valid="below 60 degrees of dipole latitude; field-aligned currents are not in it",
+    confused_with=("reference_epoch", "bias_drift", "position_offset"),
+    separated_by="the Dst or SYM-H index of the day; a second craft at the same time",
+    source="Olsen et al. 2006 (CHAOS): ring current with Q1 = 0.27; Dst -20 to -400 nT",
+    says=("A field of {mean_nt} nT along the Earth's dipole axis, from currents above, is not in the reference.",),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

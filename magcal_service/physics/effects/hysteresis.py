@@ -1,0 +1,77 @@
+"""Permeable parts remember: play operators of the field that acts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.scene.scene import Scene
+
+_WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
+
+
+def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
+    """The play operator (n, 3) of each axis: it follows the input once the slack of +-half_width is used up.
+
+    ``start`` is its state before the first sample.
+
+    Source: Visintin 1994, Differential Models of Hysteresis, chapter III.
+    """
+    answer = np.empty_like(values)
+    before = np.broadcast_to(start, values.shape[1:])
+    for axis in range(values.shape[1]):
+        state, found = float(before[axis]), []
+        for value in values[:, axis].tolist():
+            low, high = value - half_width, value + half_width
+            state = low if state < low else high if state > high else state
+            found.append(state)
+        answer[:, axis] = found
+    return answer
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    field = scene.calibrated_nt
+    scale = scene.constant("scale_nt", float(np.percentile(np.abs(field), 99)))
+    known: dict[float, Array] = {}
+
+    def lagging(share: float) -> Array:
+        if share not in known:
+            answer = play(field, share * scale, scene.begin("answer", 0.0))
+            scene.keep("answer", answer)
+            known[share] = answer - field
+        return known[share]
+
+    def own(theta: Array) -> Columns:
+        return Columns(axes=lagging(float(theta[0]))[None])
+
+    def rods(theta: Array) -> Columns:
+        return along_axes(lagging(float(theta[0])))
+
+    width = Nonlinear("half_width", "1", _WIDTHS)
+    constants = {"scale_nt": scale}
+    yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants)
+    block = Block("share_matrix", "1", (3, 3))
+    yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants)
+
+
+EFFECT = Effect(
+    name="hysteresis",
+    title="permeable parts remember the field",
+    equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
+    units={"share": "1", "share_matrix": "1", "half_width": "1", "scale_nt": "nT"},
+    prior=(10.0, 2000.0),
+    valid="one play operator stands for the part's spread of them; sampled several times a turn",
+    confused_with=("cubic_response", "response_lag", "axis_skew"),
+    separated_by="the two branches: the same field approached from both sides",
+    source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
+    says=(
+        "Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",
+        "Permeable rods remember {share_matrix} of the field's turns, a row for each axis, with a half width of "
+        "{half_width} of the largest.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,121 @@
+"""Coning about the momentum: the axis that is fixed in space moves in the body, and the body's axis in space."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.scene.steady_spin import across
+from magcal_service.physics.scene.view import View
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+_LEAST_NATS: Final = 40.0
+_LEAST_SIGMAS: Final = 0.1
+_STEEPEST: Final = 0.999
+_SLOWEST_HZ: Final = 2e-3
+
+
+def _find(view: View) -> Finding | None:
+    spin, scene = view.spin, view.scene
+    if spin is None or scene.reference_eci_nt is None or len(scene) < 200:
+        return None
+    b1, b2 = across(spin.axis_body)
+    w = scene.calibrated_nt
+    turning = w @ b1 + 1j * (w @ b2)
+    i1, i2 = across(spin.axis_eci)
+    tilts = [w @ b1, w @ b2, scene.reference_eci_nt @ i1, scene.reference_eci_nt @ i2, np.ones(len(scene))]
+    steady = np.stack(tilts, axis=1)
+    misfit = spin.axial_misfit_nt - steady @ np.linalg.lstsq(steady, spin.axial_misfit_nt, rcond=1e-10)[0]
+    product = misfit * np.conj(turning)
+    frequency, line = _spectrum(scene.time_s, product, scene.period_s)
+    turn_hz = spin.rate_rad_s / (2.0 * math.pi)
+    span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
+    side_hz = max(_SLOWEST_HZ, span_hz)  # what is fixed in the body or in space has its lines there
+    allowed = np.ones(len(frequency), dtype=bool)
+    for still_hz in (0.0, turn_hz, 2.0 * turn_hz):
+        allowed &= ~_near(frequency, still_hz, side_hz, scene.period_s)
+    if not allowed.any():
+        return None
+    power_of, elapsed = np.abs(turning) ** 2, scene.time_s - scene.time_s[0]
+    power = float(power_of.sum())
+    best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
+    line_hz, height = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
+    amplitude = 2.0 * height / power  # sin(angle) cos(angle): both sides are taken along and across the mean axis
+    around = allowed & (np.abs(np.arange(len(line)) - best) < max(len(line) // 40, 40))
+    around &= np.abs(np.arange(len(line)) - best) > 6
+    usual = float(np.mean(np.abs(line[around]) ** 2)) if around.any() else math.inf
+    nats = float(np.abs(line[best])) ** 2 / max(usual, power * view.noise_nt**2 * 0.5) - math.log(len(scene))
+    strength = amplitude * math.sqrt(power / len(scene) / 2.0)
+    if nats < _LEAST_NATS or strength < _LEAST_SIGMAS * view.noise_nt:
+        return None
+    before = float(np.mean(misfit**2))
+    explained = amplitude**2 * power / 2.0 / len(scene)
+    excess = max(before - view.noise_nt**2, explained)
+    halves = [
+        2.0 * abs(complex(np.exp(2j * math.pi * line_hz * elapsed[part]) @ product[part])) / float(power_of[part].sum())
+        for part in (slice(None, len(scene) // 2), slice(len(scene) // 2, None))
+    ]
+    sigma = math.hypot(view.noise_nt * math.sqrt(2.0 / power), 0.5 * (halves[0] - halves[1]))
+    angle = 0.5 * math.asin(min(2.0 * amplitude, _STEEPEST))
+    parameters = {
+        "angle_deg": value_of(math.degrees(angle), math.degrees(sigma / math.cos(2.0 * angle)), "deg"),
+        "rate_rad_s": value_of(
+            2.0 * math.pi * abs(line_hz), 2.0 * math.pi * span_hz / 3.0 * sigma / amplitude, "rad/s"
+        ),
+        "frequency_hz": value_of(abs(line_hz), span_hz / 3.0 * sigma / amplitude, "Hz"),
+    }
+    return Finding(parameters, nats, min(1.0, explained / excess))
+
+
+def _spectrum(time_s: Array, signal: Complex, period_s: float) -> tuple[Array, Complex]:
+    """Two-sided frequencies [Hz] and sum of signal exp(+i 2 pi f t) of samples put on an even grid."""
+    slot = np.rint((time_s - time_s[0]) / period_s).astype(np.intp)
+    size = 2 * (int(slot[-1]) + 1)
+    grid = np.zeros(size, dtype=np.complex128)
+    np.add.at(grid, slot, signal)
+    return np.fft.fftfreq(size, period_s), np.fft.ifft(grid) * size
+
+
+def _peak(time_s: Array, signal: Complex, near_hz: float, width_hz: float) -> tuple[float, float]:
+    """Frequency [Hz] and height of the largest sum of signal exp(+i 2 pi f t) within a width of a frequency.
+
+    Between the lines of a transform padded to twice its length up to a tenth of the height is lost.
+    """
+    offsets = np.linspace(-width_hz, width_hz, 17)
+    elapsed = time_s - time_s[0]
+    centred = signal * np.exp(2j * math.pi * near_hz * elapsed)
+    heights = np.array([abs(complex(np.exp(2j * math.pi * offset * elapsed) @ centred)) for offset in offsets.tolist()])
+    best = int(np.clip(np.argmax(heights), 1, len(heights) - 2))
+    low, top, high = heights[best - 1 : best + 2].tolist()
+    share = 0.5 * (low - high) / min(low - 2.0 * top + high, -1e-300)
+    found_hz = near_hz + float(offsets[best]) + share * float(offsets[1] - offsets[0])
+    return found_hz, top - 0.25 * (low - high) * share
+
+
+def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) -> NDArray[np.bool_]:
+    """Whether frequencies lie at a line, of either sign, or where it is folded to."""
+    rate = 1.0 / period_s
+    distance = [np.abs((frequency - sign * line_hz + rate / 2.0) % rate - rate / 2.0) for sign in (1.0, -1.0)]
+    return np.asarray(np.minimum(*distance) < width_hz, dtype=np.bool_)
+
+
+EFFECT = Effect(
+    name="nutation",
+    title="the craft nutates",
+    equation="the momentum cones in the body: h = a_b + tan(angle) (b1 cos nu t + b2 sin nu t), w . h = H . a_i",
+    units={"angle_deg": "deg", "rate_rad_s": "rad/s", "frequency_hz": "Hz"},
+    prior=(10.0, 20000.0),
+    valid="small angles, a body with two equal moments of inertia; seen in the vectors, never in their magnitude",
+    confused_with=("spin_rate",),
+    separated_by="side lines of the spin: nutation has them at a frequency of its own",
+    source="Wertz 1978, section 16.2: coning at (I3 / I1 - 1) times the spin rate",
+    says=("The craft nutates by {angle_deg} deg at {frequency_hz} Hz in the body.",),
+    find=_find,
+    absorbed="the magnitude is the same whatever the attitude: the nine errors and the scalar residual do not see it",
+)

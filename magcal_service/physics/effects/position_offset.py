@@ -1,0 +1,116 @@
+"""The reference was computed at the wrong place: stale orbit elements, a wrong altitude."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service import geomagnetic
+from magcal_service.model import Array
+from magcal_service.physics.drivers.far import shifted
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.scene.scene import Scene
+
+_STEP_KM = 10.0
+_LARGEST_NT = 3000.0  # of a place that is wrong by about 100 km
+
+
+def gradients(scene: Scene) -> dict[str, Array]:
+    """d|H| (n,) [nT/km] for a craft further out, along its track, and to the left of it, by central differences."""
+    rows = scene.knots
+    assert scene.position_ecef_km is not None
+    position = scene.position_ecef_km[rows]
+    inertial = geomagnetic.eci_from_ecef(scene.time_ns[rows], position)
+    time_s = scene.time_s[rows]
+    velocity = np.gradient(inertial, time_s, axis=0) if len(rows) > 2 else np.zeros_like(inertial)
+    up = inertial / np.linalg.norm(inertial, axis=1)[:, None]
+    normal = np.cross(up, velocity)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    found = {}
+    for name, direction in (("radial", up), ("along", np.cross(normal, up)), ("cross", normal)):
+        step = geomagnetic.ecef_from_eci(scene.time_ns[rows], _STEP_KM * direction)
+        change = scene.model_magnitude(position + step) - scene.model_magnitude(position - step)
+        found[name] = scene.from_knots(change / (2.0 * _STEP_KM))
+    return found
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    if not scene.has_model:
+        if scene.position_ecef_km is not None:
+            radius = np.linalg.norm(scene.position_ecef_km, axis=1)
+            column = (-3.0 * scene.magnitude_nt / radius)[None]
+            block = Block("radial_km", "km", ())
+            yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
+        return
+    gradient = scene.once("gradients", lambda: gradients(scene))
+    hours = scene.time_s / 3600.0
+
+    def of(*columns: Array) -> Columns:
+        return Columns(magnitude=np.stack(columns))
+
+    radial, along, cross = gradient["radial"], gradient["along"], gradient["cross"]
+    forms = {
+        "radial": ((radial,), ("radial_km",)),
+        "along": ((along,), ("along_km",)),
+        "cross": ((cross,), ("cross_km",)),
+        "radial and along": ((radial, along), ("radial_km", "along_km")),
+        "three axes": ((radial, along, cross), ("radial_km", "along_km", "cross_km")),
+        "along, growing": ((along, along * hours), ("along_km", "along_km_per_h")),
+        "along, growing faster": (
+            (along, along * hours, along * hours**2),
+            ("along_km", "along_km_per_h", "along_km_per_h2"),
+        ),
+        "three axes, growing along": (
+            (radial, along, cross, along * hours),
+            ("radial_km", "along_km", "cross_km", "along_km_per_h"),
+        ),
+    }
+    for variant, (columns, names) in forms.items():
+        made = of(*columns)
+        blocks = tuple(Block(name, name.partition("_")[2].replace("_per_", "/"), ()) for name in names)
+        yield Hypothesis(
+            "position_offset",
+            "none",
+            lambda _, made=made: made,  # type: ignore[misc]
+            blocks,
+            variant,
+            largest_nt=_LARGEST_NT,
+        )
+    yield from shifted(scene, "position_offset", "far along", ("ahead_s", "ahead_s_per_h"), with_earth=False)
+
+
+EFFECT = Effect(
+    name="position_offset",
+    title="the reference was computed at the wrong place",
+    equation="H_ref at r + dr: |A H| = |H_ref| + grad|H| . dr, dr radial, along the track and across it",
+    units={
+        "radial_km": "km",
+        "along_km": "km",
+        "cross_km": "km",
+        "along_km_per_h": "km/h",
+        "along_km_per_h2": "km/h2",
+        "ahead_s": "s",
+        "ahead_s_per_h": "s/h",
+        "share": "1",
+    },
+    prior=(10.0, 30000.0),
+    valid="to first order: below about 100 km; far along the orbit, up to 20 minutes",
+    confused_with=("time_offset", "reference_epoch", "external_field"),
+    separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
+    source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
+    says=(
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out, {along_km} km ahead, "
+        "{cross_km} km to the left.",
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out and {along_km} km "
+        "ahead.",
+        "The reference was computed at the wrong place: the craft is {along_km} km ahead at the start, growing by "
+        "{along_km_per_h} km/h.",
+        "The reference was computed at the wrong place: the craft is {radial_km} km further out.",
+        "The reference was computed at the wrong place: the craft is {along_km} km ahead.",
+        "The reference was computed at the wrong place: the craft is {cross_km} km to the left of it.",
+        "The reference was computed at the wrong place: the craft is {ahead_s} s ahead on its orbit at the "
+        "start, growing by {ahead_s_per_h} s with every hour.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

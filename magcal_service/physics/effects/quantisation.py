@@ -1,0 +1,67 @@
+"""Values on a lattice: the converter's step against the noise."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.scene.view import View
+
+_ON_LATTICE: Final = 0.04
+_LEAST_SIGMAS: Final = 0.3
+_LEAST_DETECTABILITY: Final = 10.0
+"""A step counts from 0.3 sigma on, and where its noise stands out of the recording: sqrt(n) (q / sqrt 12) / sigma."""
+
+
+def step_of(values: Array) -> float:
+    """Lattice step of values (n,), 0 where there is none."""
+    levels = np.unique(values)
+    if len(levels) < 3 or len(levels) > 0.6 * len(values):
+        return 0.0
+    gaps = np.diff(levels)
+    smallest = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.05) + 1e-12]))
+    if smallest <= 1e-9 * max(float(np.abs(values).max()), 1.0):
+        return 0.0
+    number = (levels - levels[0]) / smallest
+    refined = float(levels[-1] - levels[0]) / max(round(float(number[-1])), 1)
+    number = (levels - levels[0]) / refined
+    off = np.abs(number - np.round(number))
+    return refined if float(np.quantile(off, 0.95)) < _ON_LATTICE else 0.0
+
+
+def _find(view: View) -> Finding | None:
+    field = view.scene.field_nt
+    steps = np.array([step_of(field[:, axis]) for axis in range(3)])
+    step = float(steps.max())
+    if step < _LEAST_SIGMAS * view.noise_nt:
+        return None
+    own_nt = step / math.sqrt(12.0)
+    detectability = math.sqrt(len(field)) * own_nt / max(view.noise_nt, 1e-9)
+    if detectability < _LEAST_DETECTABILITY:
+        return None
+    share = min(1.0, own_nt**2 / max(float(np.mean(view.residual_nt**2)), 1e-12))
+    parameters = {
+        "lsb_nt": value_of(step, step * 1e-3, "nT"),
+        "lsb_by_axis_nt": value_of(steps, steps * 1e-3, "nT"),
+        "added_noise_nt": value_of(own_nt, 0.0, "nT"),
+    }
+    return Finding(parameters, nats=detectability, share=share)
+
+
+EFFECT = Effect(
+    name="quantisation",
+    title="values on a lattice",
+    equation="B_i rounded to a multiple of q: adds a variance of q^2 / 12",
+    units={"lsb_nt": "nT", "lsb_by_axis_nt": "nT", "added_noise_nt": "nT"},
+    prior=(1.0, 500.0),
+    valid="the step is seen in the values themselves; below 0.3 noise sigma it does not matter",
+    confused_with=("coloured_noise",),
+    separated_by="gaps in the histogram of each axis",
+    source="Widrow & Kollar 2008: q^2 / 12, and lines where the field moves slowly against q",
+    says=("Values lie on a lattice of {lsb_nt} nT, which adds {added_noise_nt} nT of noise per axis.",),
+    find=_find,
+)

@@ -1,0 +1,91 @@
+"""An axis that stops, or bends, at the end of its range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Finding, Hypothesis, Nonlinear, value_of
+from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.view import View
+
+_KNEES: Final = np.linspace(0.5, 0.97, 12)
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    for axis, name in enumerate("xyz"):
+        values = scene.clean_field_nt[:, axis]
+        largest = scene.constant("full_scale_nt", float(np.percentile(np.abs(values), 99.9)))
+
+        def columns(theta: Array, axis: int = axis, values: Array = values, largest: float = largest) -> Columns:
+            knee = float(theta[0]) * largest
+            beyond = np.maximum(np.abs(values) - knee, 0.0) / max(largest - knee, 1.0)
+            body = np.zeros((1, len(values), 3))
+            body[0, :, axis] = -np.sign(values) * beyond**2
+            return Columns(body=body)
+
+        knee = Nonlinear("knee", "1", _KNEES)
+        constants = {"axis": float(axis), "full_scale_nt": largest}
+        block = Block("missing_nt", "nT", ())
+        yield Hypothesis("saturation", "none", columns, (block,), f"soft knee of {name}", (knee,), constants, odds=1.0)
+
+
+_FEWEST_CLIPPED: Final = 8
+_FLAT_TO_NEXT: Final = 5.0
+
+
+def _find(view: View) -> Finding | None:
+    """A hard stop: the largest value of an axis comes again and again, far oftener than the values beside it."""
+    field = view.scene.field_nt
+    spoiled = np.zeros(len(field), dtype=bool)
+    limit, axis_found = 0.0, 0
+    for axis in range(3):
+        values = field[:, axis]
+        for end in (float(values.max()), float(values.min())):
+            at = values == end
+            inside = np.abs(values - end)
+            levels = np.unique(inside[~at])[:5]
+            usual = max([float(np.count_nonzero(inside == level)) for level in levels], default=0.0)
+            if np.count_nonzero(at) >= _FEWEST_CLIPPED and np.count_nonzero(at) > _FLAT_TO_NEXT * usual:
+                spoiled |= at
+                limit, axis_found = abs(end), axis
+    if not spoiled.any():
+        return None
+    rows = np.flatnonzero(spoiled)
+    parameters = {
+        "axis": value_of(np.eye(3)[axis_found], np.zeros(3), "1"),
+        "limit_nt": value_of(limit, 0.0, "nT"),
+        "share_of_samples": value_of(float(spoiled.mean()), 0.0, "1"),
+    }
+    time_s = view.scene.time_s
+    window = (float(time_s[rows[0]]), float(time_s[rows[-1]]))
+    return Finding(parameters, nats=float(len(rows)), share=1.0, spoiled=spoiled, time_s=window)
+
+
+EFFECT = Effect(
+    name="saturation",
+    title="an axis stops or bends at the end of its range",
+    equation="B_i = +-L beyond L; soft knee: what is missing grows as ((|B_i| - K) / (L - K))^2",
+    units={
+        "missing_nt": "nT",
+        "knee": "1",
+        "full_scale_nt": "nT",
+        "limit_nt": "nT",
+        "share_of_samples": "1",
+        "axis": "1",
+    },
+    prior=(10.0, 30000.0),
+    valid="a hard stop loses the sample: clipped samples are left out of every fit, not repaired",
+    confused_with=("cubic_response", "stuck_axis"),
+    separated_by="the sensor's range in its data sheet; a field of another size",
+    source="data sheets of AMR and fluxgate sensors (full scale, linearity near it)",
+    says=(
+        "An axis stops at {limit_nt} nT: {share_of_samples} of the samples are clipped.",
+        "An axis bends near the end of its range, from {knee} of it on: {missing_nt} nT are missing at the end.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    find=_find,
+)

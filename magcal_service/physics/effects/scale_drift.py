@@ -1,0 +1,26 @@
+"""The gain changes smoothly in time."""
+
+from __future__ import annotations
+
+from magcal_service.physics.drivers.change import drifts
+from magcal_service.physics.interface import Block, Effect, gains
+
+EFFECT = Effect(
+    name="scale_drift",
+    title="the gain drifts",
+    equation="D + diag(rate) t, so d = -diag(rate) t B; quadratic or relaxing as for a bias, t from the first sample",
+    units={"per_s": "1/s", "per_s2": "1/s2", "end": "1", "time_constant_s": "s"},
+    prior=(5.0, 5000.0),
+    valid="smooth over the recording",
+    confused_with=("thermal_scale", "bias_drift"),
+    separated_by="a longer recording: temperature comes back every orbit, a drift does not",
+    source="Swarm: -79 ppm per year (Toeffner-Clausen et al. 2016)",
+    says=(
+        "The gain drifts by {per_s} per second at first, bending by {per_s2} per s2.",
+        "The gain drifts by {per_s} per second.",
+        "The gain relaxes by {end} with a time constant of {time_constant_s} s.",
+    ),
+    hypotheses=lambda scene: tuple(
+        drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
+    ),
+)

@@ -1,0 +1,42 @@
+"""The gain changes at one instant: a range switch, a bridge reset, an upset register."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magcal_service.physics.drivers.change import step
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield step(scene, "scale_step", lambda s: gains(scene.clean_field_nt, s), Block("step", "1"))
+    common = Block("step_common", "1", ())
+    yield step(scene, "scale_step", lambda s: common_gain(scene.clean_field_nt, s), common, "one gain")
+
+
+def _derived(parameters: Values) -> Values:
+    """One step for all axes as three."""
+    one = parameters.get("step_common")
+    return {} if one is None else {"step": value_of(np.full(3, one.value), np.full(3, one.sigma), one.unit)}
+
+
+EFFECT = Effect(
+    name="scale_step",
+    title="the gain changes at one instant",
+    equation="D + diag(step) from t >= at, so d = -diag(step) B",
+    units={"step": "1", "step_common": "1", "at_s": "s"},
+    prior=(10.0, 5000.0),
+    valid="one instant; the change is over within a sample",
+    confused_with=("bias_step", "scale_drift"),
+    separated_by="a field of another size after the change",
+    source="range switches and set/reset straps of AMR bridges: 0.1-100 %",
+    says=(
+        "The gain of all axes jumps by {step_common} at {at_s} s.",
+        "The gain jumps by {step} at {at_s} s.",
+    ),
+    derived=_derived,
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,94 @@
+"""The rate is not what was assumed, or changes: torque, despin, spin-up."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.scene.view import View
+
+_LEAST_NATS: Final = 15.0
+_LEAST_BEND_RAD: Final = math.radians(3.0)
+_LEAST_SHARE: Final = 0.001
+_SIGMAS: Final = 5.0
+TO_RPM: Final = 30.0 / math.pi
+
+
+def _tolerance(nominal_rad_s: float) -> float:
+    """How far a steady rate may be from the stated one [rad/s]: half a unit of its last digit, at least 0.1 %."""
+    rpm = abs(nominal_rad_s) * TO_RPM
+    text = f"{rpm:.9g}".partition("e")[0]
+    unit = 10.0 ** -len(text.partition(".")[2])
+    return max(_LEAST_SHARE * rpm, 0.5 * unit) / TO_RPM
+
+
+def _find(view: View) -> Finding | None:
+    turn, scene = view.turn, view.scene
+    if turn is None or len(scene.pauses) > 1 or len(scene) < 200:
+        return None
+    time_s = scene.time_s - scene.time_s[0]
+    span = max(float(time_s[-1]), 1.0)
+    sigma = view.noise_nt / np.maximum(turn.across_nt, 1e-3 * scene.magnitude_nt)
+    line, curve, cubic = (_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in (1, 2, 3))
+    scatter = max(1.0, float(np.mean(curve.left**2)))
+    bend = abs(float(curve.values[2])) / 4.0
+    wandered = turn.wander_rad_s * span / 4.0  # what the direction may bend that the phase is counted from
+    nats = 0.5 * (float(line.left @ line.left) - float(curve.left @ curve.left)) / scatter - math.log(len(scene))
+    drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + wandered
+    nominal = view.nominal_rate_rad_s
+    steady_sigma = math.sqrt(line.covariance[1, 1] * max(1.0, float(np.mean(line.left**2)))) / span
+    allowed = 0.0 if nominal is None else _tolerance(nominal) + turn.wander_rad_s + _SIGMAS * steady_sigma
+    other = nominal is not None and abs(turn.rate_rad_s - nominal) > allowed
+    if not drifting and not other:
+        return None
+    sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
+    # a rate that does not change evenly: what one order more says otherwise, and the direction's own turn
+    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.wander_rad_s * span)
+    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.wander_rad_s * span)
+    parameters = {
+        "rate_rpm": value_of(float(curve.values[1]) / span * TO_RPM, rate_sigma / span * TO_RPM, "rpm"),
+        "rate_rpm_per_s": value_of(
+            2.0 * float(curve.values[2]) / span**2 * TO_RPM, 2.0 * change_sigma / span**2 * TO_RPM, "rpm/s"
+        ),
+    }
+    if nominal is not None:
+        parameters["nominal_rpm"] = value_of(nominal * TO_RPM, 0.0, "rpm")
+    total = float(line.left @ line.left) - len(scene)
+    drop = float(line.left @ line.left - curve.left @ curve.left)
+    share = 1.0 if other and not drifting else min(1.0, drop / max(total, 1.0))
+    return Finding(parameters, max(nats, _LEAST_NATS), max(share, 0.0))
+
+
+class _Fitted(NamedTuple):
+    """Polynomial (order + 1,), what it leaves (n,) in sigmas, and its covariance."""
+
+    values: Array
+    left: Array
+    covariance: Array
+
+
+def _fitted(phase_rad: Array, share: Array, sigma_rad: Array, order: int) -> _Fitted:
+    weight = 1.0 / np.maximum(sigma_rad, 1e-6)
+    design = np.vander(share, order + 1, increasing=True) * weight[:, None]
+    values, *_ = np.linalg.lstsq(design, phase_rad * weight, rcond=None)
+    return _Fitted(values, phase_rad * weight - design @ values, np.linalg.inv(design.T @ design))
+
+
+EFFECT = Effect(
+    name="spin_rate",
+    title="the spin rate is not what was assumed, or changes",
+    equation="phase = phase_0 + rate t + change t^2 / 2, from the part of the field across the axis",
+    units={"rate_rpm": "rpm", "rate_rpm_per_s": "rpm/s", "nominal_rpm": "rpm"},
+    prior=(10.0, 50000.0),
+    valid="turn about one axis; the rate changes smoothly; seen in the vectors, never in their magnitude",
+    confused_with=("nutation", "time_offset"),
+    separated_by="a gyro; a later recording",
+    source="Wertz 1978, section 17.2: eddy-current torque despins over hours to months",
+    says=("The craft turns at {rate_rpm} rpm at the start, changing by {rate_rpm_per_s} rpm per second.",),
+    find=_find,
+    absorbed="the magnitude is the same whatever the attitude: only the windows of the pseudo-measurements leak",
+)

@@ -1,0 +1,69 @@
+"""A disturbance locked to the Sun's direction in the body: thermoelectric currents, heated structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.scene.scene import Scene, Telemetry
+
+
+def _fixed(signals: Array) -> Callable[[Array], Columns]:
+    return lambda _: along_axes(signals)
+
+
+def harmonics(sun: Array) -> Array:
+    """The five second-degree harmonics of a direction (n, 3): xy, xz, yz, x^2 - y^2, 3 z^2 - |s|^2 -> (n, 5)."""
+    x, y, z = sun.T
+    return np.stack([x * y, x * z, y * z, x * x - y * y, 2.0 * z * z - x * x - y * y], axis=1)
+
+
+def _directions(scene: Scene) -> Iterator[tuple[str, Array, dict[str, float]]]:
+    """Names of drivers, the Sun in the body (n, 3), zero in shadow, and constants."""
+    for channel in scene.channels.values():
+        if _is_sun(channel) and (float(np.std(channel.values)) > 0.0 or scene.is_given):
+            own = float(np.percentile(np.linalg.norm(channel.values, axis=1), 99))
+            size = scene.constant("full_sun", own if channel.quantity == "counts" else 1.0)
+            yield f"channel:{channel.name}", channel.values / size, {"full_sun": size}
+    if scene.sun_body is not None and scene.lit is not None:
+        yield "inferred:sun_direction", scene.sun_body * scene.lit[:, None], {}
+
+
+def _is_sun(channel: Telemetry) -> bool:
+    name = channel.name.lower()
+    named = "sun" in name or "photo" in name or "css" in name
+    return channel.values.shape[1] == 3 and named and channel.quantity in ("dimensionless", "counts", "irradiance", "")
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    for driver, sun, constants in _directions(scene):
+        linear = Block("nt", "nT", (3, 3))
+        yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,), constants=constants)
+        square = Block("second_nt", "nT", (5, 3))
+        both = np.concatenate([sun, harmonics(sun)], axis=1)
+        second = (linear, square)
+        yield Hypothesis("sun_disturbance", driver, _fixed(both), second, "second degree", constants=constants)
+        light = np.linalg.norm(sun, axis=1, keepdims=True)
+        if float(np.std(light)) > 0.05 or scene.is_given:
+            whole = np.concatenate([sun, harmonics(sun), light], axis=1)
+            blocks = (linear, square, Block("light_nt", "nT"))
+            form = "second degree and light"
+            yield Hypothesis("sun_disturbance", driver, _fixed(whole), blocks, form, constants=constants)
+
+
+EFFECT = Effect(
+    name="sun_disturbance",
+    title="a disturbance locked to the Sun's direction in the body",
+    equation="d = lit (F s + second-degree harmonics of s), s the Sun's direction in the body",
+    units={"nt": "nT", "second_nt": "nT", "light_nt": "nT"},
+    prior=(1.0, 300.0),
+    valid="no thermal delay: structure that follows the light within a sample",
+    confused_with=("current_loop", "thermal_bias"),
+    separated_by="array currents beside it, or a craft that turns its panels: panels give half waves, heat full ones",
+    source="Toeffner-Clausen et al. 2016 and Lesur et al. 2016 (Swarm, Sun-driven disturbance, 1-5 nT)",
+    says=("A field of {nt} nT per unit of the Sun's direction in the body turns with {driver} and is gone in shadow.",),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

@@ -1,0 +1,40 @@
+"""A bias that follows the sensor's temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from magcal_service.physics.drivers.temperature import inferred, recorded
+from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield from recorded(scene, "thermal_bias", along_axes, Block("nt_per_k", "nT/K"))
+    yield from inferred(scene, "thermal_bias", along_axes, Block("nt_swing", "nT"))
+
+
+EFFECT = Effect(
+    name="thermal_bias",
+    title="a bias that follows the sensor's temperature",
+    equation="d = k (T - T0); where T is not recorded, dT/dt = (T_eq(lit) - T) / tau",
+    units={
+        "nt_per_k": "nT/K",
+        "nt_swing": "nT",
+        "start_nt_swing": "nT",
+        "time_constant_s": "s",
+        "skin_s": "s",
+        "zero_degc": "degC",
+    },
+    prior=(5.0, 5000.0),
+    valid="linear in T over tens of kelvin; T0 is the mean of the recording",
+    confused_with=("current_loop", "thermal_scale", "bias_drift", "sun_disturbance"),
+    separated_by="eclipse edges sampled every second: a temperature rounds them, a current does not; a heater test",
+    source="Belsten et al. 2023 (AERO-VISTA): 5-50 nT/K for AMR; Primdahl 1979: 0.1-1 nT/K for fluxgates",
+    says=(
+        "A bias of {nt_per_k} nT per kelvin follows {driver}.",
+        "A bias that swings by {nt_swing} nT between light and shadow follows {driver}, with a time constant of "
+        "{time_constant_s} s.",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

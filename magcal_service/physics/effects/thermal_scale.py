@@ -1,0 +1,67 @@
+"""A gain that follows the sensor's temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.drivers.temperature import inferred, recorded
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    def each(signal: Array) -> Columns:
+        return gains(scene.clean_field_nt, signal)
+
+    def common(signal: Array) -> Columns:
+        return common_gain(scene.clean_field_nt, signal)
+
+    yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K"))
+    for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):
+        yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
+    yield from inferred(scene, "thermal_scale", each, Block("swing", "1"))
+    for hypothesis in inferred(scene, "thermal_scale", common, Block("swing_common", "1", ())):
+        yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
+
+
+def _derived(parameters: Values) -> Values:
+    """One gain for all axes as three."""
+    one = parameters.get("per_k_common")
+    return {} if one is None else {"per_k": value_of(np.full(3, one.value), np.full(3, one.sigma), one.unit)}
+
+
+EFFECT = Effect(
+    name="thermal_scale",
+    title="a gain that follows the sensor's temperature",
+    equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B",
+    units={
+        "per_k": "1/K",
+        "per_k_common": "1/K",
+        "swing": "1",
+        "start_swing": "1",
+        "swing_common": "1",
+        "start_swing_common": "1",
+        "time_constant_s": "s",
+        "skin_s": "s",
+        "zero_degc": "degC",
+    },
+    prior=(5.0, 5000.0),
+    valid="linear in T over tens of kelvin; T0 is the mean of the recording",
+    confused_with=("thermal_bias", "current_loop", "scale_drift"),
+    separated_by="a field of another size at the same temperature: another phase of the orbit, or another spin axis",
+    source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
+    says=(
+        "One gain of {per_k_common} per kelvin for all axes follows {driver}.",
+        "A gain of {per_k} per kelvin and axis follows {driver}.",
+        "One gain for all axes swings by {swing_common} between light and shadow and follows {driver}, with a time "
+        "constant of {time_constant_s} s.",
+        "A gain that swings by {swing} between light and shadow follows {driver}, with a time constant of "
+        "{time_constant_s} s.",
+    ),
+    derived=_derived,
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
+)

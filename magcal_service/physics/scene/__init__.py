@@ -1,0 +1,4 @@
+"""What a recording offers to an effect: field, places, light, spin, channels.
+
+Imports the ground; no effect.
+"""

@@ -1,0 +1,373 @@
+"""What a recording offers to the catalogue: samples, reference, place, light, telemetry, and where the field points.
+
+A scene is the samples of one recording (or of one moment of a live stream) with everything derived that a driver may
+need, each worked out once and only when asked for; None where the recording cannot tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service import geomagnetic
+from magcal_service.errors import ExtraMissingError, InputRefusedError
+from magcal_service.model import Array
+from magcal_service.physics.scene import sunlight
+
+_DIPOLE_POLE_DEG = (80.8, -72.8)  # geomagnetic north pole (IGRF-14, epoch 2025): latitude, longitude
+_KNOT_S = 10.0  # between knots the field of a model, and its differences, are taken as linear
+
+
+_KEPT = (
+    "memo",
+    "period_s",
+    "pauses",
+    "time_ns",
+    "magnitude_slope",
+    "position_eci_km",
+    "sun_eci",
+    "lit",
+    "sun_body",
+    "_warmed",
+    "eclipses",
+    "dipole_eci",
+    "dipole_latitude_sine",
+    "knots",
+    "has_model",
+)
+"""What a scene has worked out that does not depend on the calibrated vectors."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Telemetry:
+    """One channel on the samples' times: kind by its unit, and values (n, k) in the base unit without gaps."""
+
+    name: str
+    quantity: str
+    values: Array
+
+
+@dataclass(slots=True, eq=False)
+class Memory:
+    """What an effect with a past carries from one scene of a stream to the next, which begins at row ``next_row``."""
+
+    next_row: int = -1
+    states: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Samples in rising time order.
+
+    Parameters
+    ----------
+    time_s: (n,) seconds since the origin.
+    origin_ns: source time of the origin [ns].
+    utc: whether the source time is UTC.
+    field_nt: (n, 3) measured vector B, sensor axes [nT].
+    calibrated_nt: (n, 3) w = (I + D) B - b - d by what is known so far, radial noise taken off [nT].
+    clean_field_nt: (n, 3) the measured vector that would give ``calibrated_nt``: what columns are made of, because the
+        residual is the radial noise, and a column that holds it too would explain it.
+    magnitude_nt: (n,) |H_ref| [nT].
+    reference_eci_nt: (n, 3) H_ref, ECI [nT], or None where only its magnitude is known.
+    position_ecef_km: (n, 3) or None.
+    channels: telemetry by name.
+    body_from_eci: (n, 3, 3) attitude, recorded or from a steady spin, or None.
+    given: constants of a model that is applied here, which hold in place of what the scene itself suggests; nothing is
+        left out then for want of change.  None while effects are looked for.
+    memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
+    turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro tells it, or None.
+    """
+
+    time_s: Array
+    origin_ns: int
+    utc: bool
+    field_nt: Array
+    calibrated_nt: Array
+    clean_field_nt: Array
+    magnitude_nt: Array
+    reference_eci_nt: Array | None = None
+    position_ecef_km: NDArray[np.float64] | None = None
+    channels: Mapping[str, Telemetry] = field(default_factory=dict)
+    body_from_eci: Array | None = None
+    given: Mapping[str, float] | None = None
+    memory: Memory | None = None
+    turning_rad_s: Array | None = None
+    memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What ``make`` gives, worked out once for this recording, whatever is calibrated meanwhile.
+
+        For what depends on times, places, reference and telemetry alone.
+        """
+        if name not in self.memo:
+            self.memo[name] = make()
+        found: T = self.memo[name]
+        return found
+
+    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> Scene:
+        """The same recording with other calibrated vectors; what does not depend on them is kept."""
+        scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt)
+        for name in _KEPT:
+            if name in self.__dict__:
+                scene.__dict__[name] = self.__dict__[name]
+        return scene
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether a known model is applied, rather than one looked for."""
+        return self.given is not None
+
+    def constant(self, name: str, own: float) -> float:
+        """A constant of the model that is applied; ``own`` while one is looked for."""
+        return own if self.given is None else self.given.get(name, own)
+
+    def chosen(self, name: str, own: Sequence[int]) -> list[int]:
+        """Numbers kept as the constants ``NAME_0``, ``NAME_1``, ... of the model that is applied; else ``own``."""
+        if self.given is None:
+            return [int(number) for number in own]
+        keys = (f"{name}_{index}" for index in range(len(self.given)))
+        return [int(self.given[key]) for key in keys if key in self.given]
+
+    def begin(self, name: str, default: Array | float) -> Array | float:
+        """State at the first row of an effect with a past, as the scene before it has left it."""
+        return default if self.memory is None else self.memory.states.get(name, default)
+
+    def keep(self, name: str, states: Array) -> None:
+        """Leave the states (n, ...) of an effect with a past to the next scene."""
+        if self.memory is not None:
+            self.memory.states[name] = np.array(states[self.memory.next_row])
+
+    def of_quantity(self, *quantities: str) -> list[Telemetry]:
+        """Channels of these kinds, in the descriptor's order."""
+        return [channel for channel in self.channels.values() if channel.quantity in quantities]
+
+    @cached_property
+    def period_s(self) -> float:
+        """Usual time between samples [s]."""
+        return float(np.median(np.diff(self.time_s))) if len(self) > 1 else 1.0
+
+    @cached_property
+    def pauses(self) -> NDArray[np.intp]:
+        """Rows (k,) that begin a new stretch after a gap of more than ten sample periods, with row 0."""
+        gaps = np.flatnonzero(np.diff(self.time_s) > 10.0 * self.period_s) + 1
+        return np.concatenate([[0], gaps]).astype(np.intp)
+
+    @cached_property
+    def time_ns(self) -> NDArray[np.int64]:
+        """(n,) source time [ns]."""
+        return np.asarray(self.origin_ns + np.rint(self.time_s * 1e9).astype(np.int64), dtype=np.int64)
+
+    @cached_property
+    def unit(self) -> Array:
+        """(n, 3) direction of the field in the body."""
+        return np.asarray(self.calibrated_nt / np.linalg.norm(self.calibrated_nt, axis=1)[:, None])
+
+    def slope(self, values: Array) -> Array:
+        """Time derivative of values (n, ...), central, one-sided at the ends of each stretch."""
+        result = np.zeros_like(values, dtype=np.float64)
+        ends = np.append(self.pauses[1:], len(self))
+        for first, end in zip(self.pauses.tolist(), ends.tolist(), strict=True):
+            if end - first >= 3:
+                result[first:end] = np.gradient(values[first:end], self.time_s[first:end], axis=0)
+        return result
+
+    @cached_property
+    def magnitude_slope(self) -> Array:
+        """(n,) d|H|/dt [nT/s]."""
+        return self.slope(self.magnitude_nt)
+
+    @cached_property
+    def rate_body(self) -> Array | None:
+        """(n, 3) angular rate [rad/s], body, from the attitude or a gyro channel; None without either."""
+        if self.body_from_eci is not None and self.period_s < 30.0 and self.turning_rad_s is None:
+            return _rate_of(self.body_from_eci, self)
+        for channel in self.of_quantity("angular rate"):
+            if channel.values.shape[1] == 3:
+                return channel.values
+        if self.turning_rad_s is not None:
+            return np.broadcast_to(self.turning_rad_s, (len(self), 3))
+        return None
+
+    @cached_property
+    def field_slope(self) -> Array:
+        """(n, 3) dw/dt of the calibrated vector in the body [nT/s].
+
+        With a known rate: -rate x w plus the field's own change in space, right however fast the craft turns; without
+        one by differences, which are short by 1 - sinc(rate x period).  Where only the magnitude's change is known in
+        space, the part along a steady axis is the course of w along it, over a minute or four turns.
+        """
+        if self.rate_body is None:
+            return self.slope(self.calibrated_nt)
+        turning: Array = -np.cross(self.rate_body, self.calibrated_nt)
+        if self.body_from_eci is not None and self.reference_eci_nt is not None:
+            turned: Array = np.einsum("nij,nj->ni", self.body_from_eci, self.slope(self.reference_eci_nt))
+            return turning + turned
+        found: Array = turning + self.unit * self.magnitude_slope[:, None]
+        if self.turning_rad_s is None or self.is_given:
+            return found
+        mean = np.mean(self.turning_rad_s.reshape(-1, 3), axis=0)
+        rate = float(np.linalg.norm(mean))
+        axis = mean / max(rate, 1e-12)
+        width = max(60.0, 8.0 * np.pi / max(rate, 1e-6))
+        along = self._smooth_slope(self.calibrated_nt @ axis, width)
+        corrected: Array = found + (along - found @ axis)[:, None] * axis
+        return corrected
+
+    def _smooth_slope(self, values: Array, width_s: float) -> Array:
+        """Slope (n,) of values (n,) between their means over the stretches of a width before and after each."""
+        half = max(round(0.5 * width_s / self.period_s), 1)
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        times = np.concatenate([[0.0], np.cumsum(self.time_s)])
+        row, result = np.arange(len(self)), np.zeros(len(self))
+        ends = np.append(self.pauses[1:], len(self))
+        for first, end in zip(self.pauses.tolist(), ends.tolist(), strict=True):
+            if end - first < 4:
+                continue
+            middle = np.clip(row[first:end], first + 1, end - 1)
+            low, high = np.maximum(middle - half, first), np.minimum(middle + half, end)
+            rise = (sums[high] - sums[middle]) / (high - middle) - (sums[middle] - sums[low]) / (middle - low)
+            taken = (times[high] - times[middle]) / (high - middle) - (times[middle] - times[low]) / (middle - low)
+            result[first:end] = rise / taken
+        return result
+
+    # The Sun
+
+    @cached_property
+    def _utc_s(self) -> Array | None:
+        return self.time_ns * 1e-9 if self.utc else None
+
+    @cached_property
+    def position_eci_km(self) -> NDArray[np.float64] | None:
+        """(n, 3) or None without a position or UTC."""
+        if self.position_ecef_km is None or not self.utc:
+            return None
+        return geomagnetic.eci_from_ecef(self.time_ns, self.position_ecef_km)
+
+    @cached_property
+    def sun_eci(self) -> Array | None:
+        """(n, 3) direction of the Sun, ECI; None without UTC."""
+        return None if self._utc_s is None else sunlight.sun_eci(self._utc_s)
+
+    @cached_property
+    def lit(self) -> Array | None:
+        """(n,) share of sunlight; None without UTC and position."""
+        if self.position_eci_km is None or self.sun_eci is None:
+            return None
+        return sunlight.sunlit(self.position_eci_km, self.sun_eci)
+
+    @cached_property
+    def sun_body(self) -> Array | None:
+        """(n, 3) direction of the Sun in the body, unit; None without UTC and attitude."""
+        if self.sun_eci is None or self.body_from_eci is None:
+            return None
+        return np.asarray(np.einsum("nij,nj->ni", self.body_from_eci, self.sun_eci))
+
+    @property
+    def mean_light(self) -> float:
+        """Light that counts as zero of what follows it: the recording's mean."""
+        assert self.lit is not None
+        return self.constant("mean_light", float(self.lit.mean()))
+
+    def warmed(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
+        """Answer (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
+        key = (tau_s, skin_s)
+        if key not in self._warmed:
+            assert self.lit is not None
+            drive = self.lit - self.mean_light
+            if skin_s > 0.0:
+                drive = sunlight.first_order(self.time_s, drive, skin_s, self.begin("skin", 0.0))
+                self.keep("skin", drive)
+            answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
+            self.keep("answer", answer)
+            self._warmed[key] = answer, np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
+        return self._warmed[key]
+
+    @cached_property
+    def _warmed(self) -> dict[tuple[float, float], tuple[Array, Array]]:
+        return {}
+
+    @cached_property
+    def eclipses(self) -> bool:
+        """Whether light changes enough for anything to follow it."""
+        if self.is_given:
+            return self.lit is not None
+        return self.lit is not None and 0.02 < float(self.lit.mean()) < 0.98
+
+    # The reference field
+
+    @cached_property
+    def dipole_eci(self) -> Array | None:
+        """(n, 3) axis of the Earth's dipole, towards geomagnetic north, ECI; None without UTC."""
+        if not self.utc:
+            return None
+        latitude, longitude = np.radians(_DIPOLE_POLE_DEG)
+        pole = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+        return geomagnetic.eci_from_ecef(self.time_ns, np.broadcast_to(np.array(pole), (len(self), 3)))
+
+    @cached_property
+    def dipole_latitude_sine(self) -> Array | None:
+        """(n,) sine of the latitude from the dipole's equator; None without position and UTC."""
+        if self.dipole_eci is None or self.position_eci_km is None:
+            return None
+        up = self.position_eci_km / np.linalg.norm(self.position_eci_km, axis=1)[:, None]
+        return np.asarray(np.einsum("ni,ni->n", self.dipole_eci, up))
+
+    @cached_property
+    def knots(self) -> NDArray[np.intp]:
+        """Rows (k,) between which a slowly changing field may be interpolated: 10 s apart, and around each gap."""
+        bins = np.floor(self.time_s / max(_KNOT_S, self.period_s)).astype(np.int64)
+        first = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+        return np.unique(np.concatenate([first, self.pauses, self.pauses[1:] - 1, [len(self) - 1]])).astype(np.intp)
+
+    def from_knots(self, values: Array) -> Array:
+        """Values (k,) at the knots as (n,) at the samples."""
+        return np.asarray(np.interp(self.time_s, self.time_s[self.knots], values))
+
+    def model_magnitude(
+        self, position_ecef_km: NDArray[np.float64], times_ns: NDArray[np.int64] | None = None, degree: int = 13
+    ) -> Array:
+        """(k,) magnitude of the main field [nT] at places (k, 3), one a knot, at the knots' or at other times."""
+        times = self.time_ns[self.knots] if times_ns is None else times_ns
+        return np.asarray(np.linalg.norm(geomagnetic.igrf_ecef_nt(times, position_ecef_km, degree), axis=1))
+
+    @cached_property
+    def has_model(self) -> bool:
+        """Whether the field model can be evaluated here: UTC within its years, a position in its range, its package."""
+        if not self.utc or self.position_ecef_km is None:
+            return False
+        try:
+            geomagnetic.igrf_ecef_nt(self.time_ns[:1], self.position_ecef_km[:1])
+        except (InputRefusedError, ExtraMissingError):
+            return False
+        return True
+
+
+def _rate_of(body_from_eci: Array, scene: Scene) -> Array:
+    """(n, 3) body rate [rad/s] of attitudes (n, 3, 3): the turn from each sample to the next, as rotation vectors."""
+    change = np.einsum("nij,nkj->nik", body_from_eci[1:], body_from_eci[:-1])
+    cosine = np.clip((np.trace(change, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
+    angle = np.arccos(cosine)
+    axis = np.stack(
+        [change[:, 1, 2] - change[:, 2, 1], change[:, 2, 0] - change[:, 0, 2], change[:, 0, 1] - change[:, 1, 0]],
+        axis=1,
+    )
+    sine = np.maximum(2.0 * np.sin(angle), 1e-12)
+    steps = np.diff(scene.time_s)
+    rate = axis / sine[:, None] * (angle / steps)[:, None]
+    usable = np.ones(len(steps), dtype=bool)
+    usable[scene.pauses[1:] - 1] = False
+    middle = 0.5 * (scene.time_s[1:] + scene.time_s[:-1])
+    if not usable.any():
+        return np.zeros((len(scene), 3))
+    return np.stack([np.interp(scene.time_s, middle[usable], column[usable]) for column in rate.T], axis=1)

@@ -1,0 +1,275 @@
+"""Attitude of a craft that turns about one axis, from calibrated and reference vectors of a whole recording.
+
+With a_b the axis in the body and a_i in inertial space, w . a_b = H . a_i at every instant, whatever the phase: the six
+numbers are the singular vector of [w, -H] with the smallest singular value.  The phase at each sample follows from the
+parts across the axes, one complex number each.  Nothing is assumed of the rate: it may change.
+
+Source: the axis condition is that of Shuster & Oh 1981 for one common direction; phase as in spin-plane demodulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.scene.scene import Scene
+
+LARGEST_MISFIT: Final = 0.3
+"""Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
+
+ORBITAL_RATE_RAD_S: Final = 1.1e-3
+"""Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
+
+_KNOT_TURNS: Final = 12.0
+_LEAST_ACROSS: Final = 0.1  # of |H|
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpinSolution:
+    """A turn about one axis.
+
+    Parameters
+    ----------
+    axis_body, axis_eci: unit vectors (3,).
+    phase_rad: (n,) smoothed angle about +axis, unwrapped.
+    raw_phase_rad: (n,) the same from each sample alone.
+    rate_rad_s: mean rate about +axis.
+    body_from_eci: (n, 3, 3).
+    axial_misfit_nt: (n,) w . a_b - H . a_i.
+    across_nt: (n,) part of H across the axis.
+    """
+
+    axis_body: Array
+    axis_eci: Array
+    phase_rad: Array
+    raw_phase_rad: Array
+    rate_rad_s: float
+    body_from_eci: Array
+    axial_misfit_nt: Array
+    across_nt: Array
+
+    @property
+    def rate_rpm(self) -> float:
+        """Mean rate [rpm] about +axis."""
+        return self.rate_rad_s * 30.0 / np.pi
+
+    @property
+    def turn(self) -> Turn:
+        """The turn alone."""
+        return Turn(self.axis_body, self.phase_rad, self.raw_phase_rad, self.rate_rad_s, self.across_nt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """How far a craft has turned about one axis of its body.
+
+    Parameters
+    ----------
+    axis_body: unit vector (3,).
+    phase_rad, raw_phase_rad: (n,) angle about +axis, unwrapped, smoothed and from each sample alone.
+    rate_rad_s: mean rate about +axis.
+    across_nt: (n,) part of the field across the axis.
+    wander_rad_s: how fast the direction that the phase is counted from may turn itself.
+    """
+
+    axis_body: Array
+    phase_rad: Array
+    raw_phase_rad: Array
+    rate_rad_s: float
+    across_nt: Array
+    wander_rad_s: float = 0.0
+
+
+def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None) -> Turn | None:
+    """The turn about a known axis (3,) against the field itself, whose direction in space nobody has told.
+
+    That direction goes round twice an orbit at most.  None where the field does not turn about the axis.
+    """
+    b1, b2 = across(axis_body)
+    body = scene.calibrated_nt @ b1 + 1j * (scene.calibrated_nt @ b2)
+    strength = np.abs(body)
+    if len(scene) < 60 or float(np.mean(strength)) < _LEAST_ACROSS * float(np.mean(scene.magnitude_nt)):
+        return None
+    turn = np.conj(body) / np.maximum(strength, 1e-9)
+    rate = _rate(scene, turn, nominal_rate_rad_s)
+    if rate is None:
+        return None
+    raw, smooth = _phases(scene, turn, strength, rate)
+    if raw is None or smooth is None:
+        return None
+    mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
+    return Turn(axis_body, smooth, raw, mean_rate, strength, 2.0 * ORBITAL_RATE_RAD_S)
+
+
+def across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make a right-handed triad with the axis (3,)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(axis, helper)
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)
+
+
+def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: float | None) -> SpinSolution | None:
+    """The spin of a recording, or None where it has no vector reference or does not turn about a fixed axis.
+
+    Parameters
+    ----------
+    nominal_axis: body axis (3,) that gives the solution its sign; None: that which makes the rate positive.
+    nominal_rate_rad_s: about the nominal axis; only needed where the phase step between samples exceeds half a turn.
+    """
+    reference, w = scene.reference_eci_nt, scene.calibrated_nt
+    if reference is None or len(scene) < 60:
+        return None
+    axes = _axes(w, reference)
+    if axes is None:
+        return None
+    axis_body, axis_eci = axes
+    if nominal_axis is not None and float(axis_body @ nominal_axis) < 0.0:
+        axis_body, axis_eci = -axis_body, -axis_eci
+    misfit = w @ axis_body - reference @ axis_eci
+    if float(np.sqrt(np.mean(misfit**2))) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
+        return None
+    turn, strength = turns_of(w, reference, axis_body, axis_eci)
+    rate = _rate(scene, turn, nominal_rate_rad_s)
+    if rate is None:
+        return None
+    if nominal_axis is None and rate < 0.0:
+        axis_body, axis_eci, turn, rate = -axis_body, -axis_eci, np.conj(turn), -rate
+        misfit = -misfit
+    raw, smooth = _phases(scene, turn, strength, rate)
+    if raw is None or smooth is None:
+        return None
+    attitude = attitude_of(axis_body, axis_eci, smooth)
+    mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
+    return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength)
+
+
+def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
+    """Axis in the body and in inertial space (3,) each; None where the two do not come out as unit vectors alike."""
+    rows = np.hstack([w, -reference])
+    normal = rows.T @ rows
+    _, vectors = np.linalg.eigh(normal)
+    body, inertial = vectors[:3, 0], vectors[3:, 0]
+    sizes = np.linalg.norm(body), np.linalg.norm(inertial)
+    if min(sizes) < 0.5 * max(sizes):
+        return None
+    return body / sizes[0], inertial / sizes[1]
+
+
+def turns_of(w: Array, reference: Array, axis_body: Array, axis_eci: Array) -> tuple[Array, Array]:
+    """exp(i phase) of each sample (n,), complex, and the part of the reference across the axis (n,) [nT]."""
+    b1, b2 = across(axis_body)
+    i1, i2 = across(axis_eci)
+    body = w @ b1 + 1j * (w @ b2)
+    inertial = reference @ i1 + 1j * (reference @ i2)
+    turn = inertial * np.conj(body)
+    return turn / np.maximum(np.abs(turn), 1e-9), np.abs(inertial)
+
+
+def _rate(scene: Scene, turn: Array, nominal: float | None) -> float | None:
+    """Rate [rad/s] from the mean phase step between neighbours, by the strongest line of exp(i phase)."""
+    period = scene.period_s
+    steps = np.diff(scene.time_s)
+    near = np.abs(steps - period) < 0.2 * period
+    product = (turn[1:] * np.conj(turn[:-1]))[near]
+    if len(product) < 30:
+        return None
+    mean = product.mean()
+    if abs(mean) < 0.2:
+        return None
+    rate = float(np.angle(mean)) / period
+    if nominal is not None:
+        alias = 2.0 * np.pi / period
+        rate += alias * round((nominal - rate) / alias)
+    return rate
+
+
+def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array | None, Array | None]:
+    """Raw and smoothed phases (n,): local straight lines carried from stretch to stretch, then a spline through knots.
+
+    Each stretch is unwrapped by itself, relative to its own mean rate; over a gap the phase is carried on at the rate
+    of the two sides, which is right while it drifts by less than half a turn.
+    """
+    raw = np.empty(len(scene))
+    ends = np.append(scene.pauses[1:], len(scene))
+    last: tuple[float, float, float] | None = None
+    for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
+        time_s = scene.time_s[first:end] - scene.time_s[first]
+        local = _tracked(turn[first:end], time_s, rate)
+        if last is not None:
+            expected = last[0] + last[1] * (scene.time_s[first] - last[2])
+            local += 2.0 * np.pi * np.round((expected - local[0]) / (2.0 * np.pi))
+        raw[first:end] = local
+        if end - first >= 10:
+            slope, level = np.polyfit(time_s, local, 1)
+            last = (float(level + slope * time_s[-1]), float(slope), float(scene.time_s[end - 1]))
+        else:
+            last = (float(local[-1]), rate if last is None else last[1], float(scene.time_s[end - 1]))
+    return raw, _smooth(scene, raw, strength, rate)
+
+
+def _tracked(turn: Array, time_s: Array, rate: float) -> Array:
+    """Unwrapped phase of one stretch: a running estimate of phase and rate, each sample within half a turn of it."""
+    angles = np.angle(turn).tolist()
+    times = time_s.tolist()
+    phase, speed = angles[0], rate
+    found = [phase]
+    for index in range(1, len(times)):
+        step = times[index] - times[index - 1]
+        expected = phase + speed * step
+        miss = (angles[index] - expected + np.pi) % (2.0 * np.pi) - np.pi
+        phase = expected + 0.25 * miss
+        if step > 0.0:
+            speed += 0.02 * miss / step
+        found.append(expected + miss)
+    return np.array(found)
+
+
+def _smooth(scene: Scene, raw: Array, strength: Array, rate: float) -> Array:
+    """Least-squares line through knots about a dozen turns apart, in each stretch: slow changes of rate are kept."""
+    weight = strength / np.maximum(strength.max(), 1e-9)
+    smooth = np.empty_like(raw)
+    width_s = _KNOT_TURNS * 2.0 * np.pi / max(abs(rate), 1e-6)
+    ends = np.append(scene.pauses[1:], len(scene))
+    for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
+        time_s, values, heft = scene.time_s[first:end], raw[first:end], weight[first:end]
+        if end - first < 4:
+            smooth[first:end] = values
+            continue
+        count = int(np.clip((time_s[-1] - time_s[0]) / width_s, 1, 60)) + 1
+        count = min(count, (end - first) // 2)
+        slope, level = np.polyfit(time_s - time_s[0], values, 1)
+        line = level + slope * (time_s - time_s[0])
+        smooth[first:end] = line + _through_knots(time_s, values - line, heft, max(count, 2))
+    return smooth
+
+
+def _through_knots(time_s: Array, values: Array, weight: Array, count: int) -> Array:
+    """Weighted least-squares piecewise-linear curve with ``count`` even knots, at the samples (n,)."""
+    position = (time_s - time_s[0]) / max(time_s[-1] - time_s[0], 1e-9) * (count - 1)
+    left = np.minimum(position.astype(np.intp), count - 2)
+    share = position - left
+    design = np.zeros((len(time_s), count))
+    rows = np.arange(len(time_s))
+    design[rows, left] = 1.0 - share
+    design[rows, left + 1] = share
+    weighted = design * weight[:, None]
+    normal = weighted.T @ weighted + 1e-6 * np.eye(count)
+    knots = np.linalg.solve(normal, weighted.T @ (values * weight))
+    result: Array = design @ knots
+    return result
+
+
+def attitude_of(axis_body: Array, axis_eci: Array, phase: Array) -> Array:
+    """(n, 3, 3) body from ECI: inertial triad -> turned by -phase about the axis -> body triad."""
+    body = np.stack([*across(axis_body), axis_body])
+    inertial = np.stack([*across(axis_eci), axis_eci])
+    cosine, sine = np.cos(phase), np.sin(phase)
+    turn = np.zeros((len(phase), 3, 3))
+    turn[:, 0, 0], turn[:, 0, 1] = cosine, sine
+    turn[:, 1, 0], turn[:, 1, 1] = -sine, cosine
+    turn[:, 2, 2] = 1.0
+    return np.asarray(body.T @ turn @ inertial)

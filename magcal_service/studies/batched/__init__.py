@@ -1,0 +1,4 @@
+"""The filters of the studies, many runs at once.
+
+Imports estimators and the ground.
+"""

@@ -1,0 +1,332 @@
+"""Samples in, 1 s ticks out: pairing with the reference, gaps, late and doubled samples.  Time is the samples' own.
+
+A tick is one second of sample time, centred on whole seconds after the first sample.  It closes when a later sample
+has arrived and the reference covers it, or without, ``hold_s`` after it and after the time the next reference was due.
+While each stream is in order and the reference no later than that, a tick's contents don't depend on how the two were
+interleaved, which is why a replay equals the live run bit for bit.
+
+What happens to a sample that is not simply next (each outcome is counted under its name):
+
+=================  ===================================================================================================
+``out_of_order``   older than its predecessor, its tick still open: accepted, sorted in.
+``late``           its tick is closed: refused.
+``doubled``        the time of a sample already taken: refused.
+``stuck``          the same vector for ``stuck_samples`` samples: refused from then on, until it changes.
+``time_behind``    more than ``late_s`` behind: refused; the third in a row that agree is a ``clock_step`` backwards.
+``time_ahead``     more than ``step_confirm_s`` ahead: refused; the third in a row that agree is believed.
+``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
+``clock_changed``  other clock (UTC or elapsed) than the samples before: refused; the third is a ``clock_step``.
+``saturated``      a component reaches ``range_nt``: refused.
+``axis_stuck``     one component stands still while noise or the others should move it: refused until it changes.
+``zero``           all three components are 0, as of a sensor that has not measured yet: refused.
+``crowded``        its second holds ``_MOST_IN_TICK`` samples already: refused.
+``no_reference``   no reference at its time when its tick closes: it was answered, but takes no part in the estimate.
+=================  ===================================================================================================
+
+A tick of which no sample has a reference is skipped and counted under ``ticks_skipped``; a second without samples,
+between two that are less than ``gap_s`` apart, under ``ticks_empty``.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.config.settings import SensorConfig, TickConfig
+from magcal_service.model import Array
+from magcal_service.snapshot import Saved
+from magcal_service.ticks.axis_watch import AxisWatch
+from magcal_service.ticks.rate_track import RateTrack
+from magcal_service.ticks.reference_track import ReferenceTrack
+from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample, Vector
+
+SECOND_NS: Final = 1_000_000_000
+
+REFUSALS: Final = (
+    "late",
+    "doubled",
+    "stuck",
+    "axis_stuck",
+    "saturated",
+    "time_behind",
+    "time_ahead",
+    "clock_changed",
+    "zero",
+    "crowded",
+)
+"""The outcomes above that refuse a sample."""
+
+_AGREEING: Final = 3
+"""Samples in a row that have to agree on a new time before it is believed."""
+
+_REMEMBERED: Final = 512
+"""Times of accepted samples that a new one is compared with to find doubles: 10 s at 50 Hz."""
+
+_MOST_IN_TICK: Final = 1000
+"""Samples in one second: 20 times the fastest sensor, so that a babbling source cannot fill the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """The samples of one second of sample time, each paired with the reference at its own time.
+
+    A tick with n = 0 had samples but no reference for any of them: it is skipped, and said so.
+
+    Parameters
+    ----------
+    index: number of the second since the first sample (steps of the clock taken out).
+    times_s: sample times since the first sample (n,) [s], rising.
+    field_body_nt: measured vectors B (n, 3) [nT].
+    reference_magnitude_nt: |H| (n,) [nT].
+    reference_eci_nt: H (n, 3) [nT] in the inertial frame, where the reference is such a vector.
+    after_gap: a gap or a clock step lies before this tick: nothing may be carried over from earlier ones.
+    time_ns, clock: source time of the last sample, for labels.
+    rate_body_rad_s: angular rate (n, 3) [rad/s] in the body, where a gyro's channel covers every sample.
+    """
+
+    index: int
+    times_s: Array
+    field_body_nt: Array
+    reference_magnitude_nt: Array
+    reference_eci_nt: Array | None = None
+    after_gap: bool = False
+    time_ns: int = 0
+    clock: Clock = Clock.ELAPSED
+    rate_body_rad_s: Array | None = None
+
+
+class TickAssembler(Saved):
+    """One craft's samples on their way into ticks.
+
+    Parameters
+    ----------
+    config: times of the tick stage.
+    sensor: when a sensor counts as stuck.
+    """
+
+    counters: Counter[str]
+    rates: RateTrack
+    references: ReferenceTrack
+    _clock: Clock | None
+    _base_ns: int
+    _newest_ns: int
+    _closed_ns: int
+    _open: list[tuple[int, MagnetometerSample]]
+    _last_ns: int | None
+    _broken: bool
+    _recent: dict[int, Vector]
+    _votes: list[tuple[str, int]]
+    _same: int
+    _last_field: Vector | None
+    _axes: AxisWatch
+    _done: list[Tick]
+
+    def __init__(self, config: TickConfig, sensor: SensorConfig) -> None:
+        self.sensor = sensor
+        self.counters = Counter()
+        self._gap_ns = round(config.gap_s * SECOND_NS)
+        self._late_ns = round(config.late_s * SECOND_NS)
+        self._configured_hold_ns = self._hold_ns = round(config.hold_s * SECOND_NS)
+        self._jump_ns = round(config.step_confirm_s * SECOND_NS)
+        max_gap_ns = round(config.reference_max_gap_s * SECOND_NS)
+        self.rates = RateTrack(max_gap_ns)
+        self.references = ReferenceTrack(max_gap_ns, self.counters, self._late_ns, self._jump_ns)
+        self._clock = None
+        self._base_ns = 0  # source time less elapsed time
+        self._newest_ns = 0  # elapsed time of the newest accepted sample
+        self._closed_ns = -SECOND_NS // 2  # elapsed time before which every tick is closed
+        self._open = []  # by elapsed time
+        self._last_ns = None  # elapsed time of the last sample in a closed tick, None after a clock step
+        self._broken = False  # a gap or a clock step since the last tick that had a reference
+        self._recent = {}  # accepted samples: their times and vectors
+        self._votes = []
+        self._same = 0
+        self._last_field = None
+        self._axes = AxisWatch(round(sensor.axis_stuck_s * SECOND_NS), sensor.stuck_samples, sensor.noise_nt)
+        self._done = []
+
+    @property
+    def closed(self) -> int:
+        """Ticks closed so far, with and without a reference."""
+        return self.counters["ticks"] + self.counters["ticks_skipped"]
+
+    @property
+    def newest_s(self) -> float:
+        """Elapsed time of the newest accepted sample [s]."""
+        return self._newest_ns * 1e-9
+
+    def wait_longer(self, seconds: float) -> None:
+        """References come so much later than the configuration knows [s]: their tags are shifted."""
+        self._hold_ns = self._configured_hold_ns + round(seconds * SECOND_NS)
+
+    def add_reference(self, sample: ReferenceSample) -> None:
+        """Take a reference sample; what is wrong with it is counted."""
+        self.references.add(sample)
+
+    def add_rate(self, sample: TelemetrySample) -> bool:
+        """Take a telemetry sample if it is the craft's angular rate; whether it was."""
+        return self.rates.add(sample)
+
+    def add(self, sample: MagnetometerSample) -> str:
+        """Take a magnetometer sample; the (counted) reason where it is refused, empty where it is accepted."""
+        reason = self.refuse(sample)
+        if not reason:
+            self.take(sample, sample)
+        return reason
+
+    def refuse(self, sample: MagnetometerSample) -> str:
+        """The (counted) reason why a sample is not to be taken, empty where it is; then ``take`` has to follow."""
+        reason = self._refusal(sample)
+        if reason:
+            self.counters[reason] += 1
+        return reason
+
+    def take(self, sample: MagnetometerSample, corrected: MagnetometerSample) -> None:
+        """Take a sample that was not refused; what was measured is remembered, ``corrected`` goes into the tick."""
+        self._votes.clear()
+        elapsed_ns = sample.time_ns - self._base_ns
+        if elapsed_ns < self._newest_ns:
+            self.counters["out_of_order"] += 1
+        elif elapsed_ns - self._newest_ns > self._gap_ns:
+            self.counters["gap"] += 1
+        self._newest_ns = max(self._newest_ns, elapsed_ns)
+        insort(self._open, (elapsed_ns, corrected), key=_elapsed)
+        self._recent[sample.time_ns] = sample.field_body_nt
+        if len(self._recent) > _REMEMBERED:
+            del self._recent[next(iter(self._recent))]
+        self.counters["accepted"] += 1
+
+    def _refusal(self, sample: MagnetometerSample) -> str:
+        if not any(sample.field_body_nt):
+            return "zero"
+        if self._clock is None:
+            self._anchor(sample, 0)
+        elapsed_ns = sample.time_ns - self._base_ns
+        if self._recent.get(sample.time_ns) == sample.field_body_nt and sample.clock is self._clock:
+            return "doubled"  # however far behind: a node's history after a restart, no step of its clock
+        if sample.clock is not self._clock:
+            return self._vote(sample, "clock_changed")
+        if elapsed_ns > self._newest_ns + self._jump_ns:
+            return self._vote(sample, "time_ahead")
+        if elapsed_ns < self._newest_ns - self._late_ns:
+            return self._vote(sample, "time_behind")
+        if sample.time_ns in self._recent:
+            return "doubled"
+        if elapsed_ns < self._closed_ns:
+            return "late"
+        if self._is_crowded(elapsed_ns):
+            return "crowded"
+        if self._is_stuck(sample):
+            return "stuck"
+        if self.sensor.range_nt is not None and max(map(abs, sample.field_body_nt)) >= self.sensor.range_nt:
+            return "saturated"
+        return "axis_stuck" if self._axes.stands_still(elapsed_ns, sample.field_body_nt) else ""
+
+    def _is_crowded(self, elapsed_ns: int) -> bool:
+        begin = bisect_left(self._open, _edge_after(elapsed_ns) - SECOND_NS, key=_elapsed)
+        return len(self._open) - begin >= _MOST_IN_TICK
+
+    def _is_stuck(self, sample: MagnetometerSample) -> bool:
+        self._same = self._same + 1 if sample.field_body_nt == self._last_field else 1
+        self._last_field = sample.field_body_nt
+        return self._same >= self.sensor.stuck_samples
+
+    def _vote(self, sample: MagnetometerSample, reason: str) -> str:
+        """A sample whose time does not fit is refused; the third of a rising series moves the clock and is accepted."""
+        if self._votes:
+            before, time_ns = self._votes[-1]
+            if before != reason or not 0 < sample.time_ns - time_ns <= self._gap_ns:
+                self._votes.clear()
+        self._votes.append((reason, sample.time_ns))
+        if len(self._votes) < _AGREEING:
+            return reason
+        if reason != "time_ahead":  # elapsed time goes on over the step
+            self.counters["clock_step"] += 1
+            self._close_all()
+            self._anchor(sample, self._newest_ns + SECOND_NS)
+            self._last_ns, self._broken = None, True
+            self._recent.clear()
+        return ""
+
+    def _anchor(self, sample: MagnetometerSample, elapsed_ns: int) -> None:
+        self._clock = sample.clock
+        self._base_ns = sample.time_ns - elapsed_ns
+
+    def ready(self) -> list[Tick]:
+        """The ticks that have closed since the last call, in order."""
+        while self._open:
+            edge_ns = _edge_after(self._open[0][0])
+            if self._newest_ns < edge_ns:
+                break
+            count = bisect_left(self._open, edge_ns, key=_elapsed)
+            last = self._open[count - 1][1]
+            covered = self.references.covers(last.time_ns, last.clock)
+            if not covered and self._newest_ns < self._patience_ns(edge_ns, last):
+                break
+            self._close(count, edge_ns)
+        done, self._done = self._done, []
+        return done
+
+    def _patience_ns(self, edge_ns: int, last: MagnetometerSample) -> int:
+        """Elapsed time up to which a tick waits for a reference that covers it."""
+        due_ns = self.references.due_ns(last.clock)
+        return self._hold_ns + (edge_ns if due_ns is None else max(edge_ns, due_ns - self._base_ns))
+
+    def flush(self) -> list[Tick]:
+        """Close every open tick with what is there: the end of a stream."""
+        self._close_all()
+        return self.ready()
+
+    def _close_all(self) -> None:
+        while self._open:
+            edge_ns = _edge_after(self._open[0][0])
+            self._close(bisect_left(self._open, edge_ns, key=_elapsed), edge_ns)
+
+    def _close(self, count: int, edge_ns: int) -> None:
+        """Pair the first ``count`` open samples with the reference and make a tick of those that have one."""
+        members, self._open = self._open[:count], self._open[count:]
+        self._closed_ns = edge_ns
+        index = edge_ns // SECOND_NS
+        pairs = [
+            (elapsed_ns, sample, self.references.at(sample.time_ns, sample.clock)) for elapsed_ns, sample in members
+        ]
+        paired = [(elapsed_ns, sample, found) for elapsed_ns, sample, found in pairs if found is not None]
+        self.references.forget_before(members[-1][1].time_ns)
+        if self._last_ns is not None and members[0][0] - self._last_ns > self._gap_ns:
+            self._broken = True
+        elif self._last_ns is not None:
+            self.counters["ticks_empty"] += index - _edge_after(self._last_ns) // SECOND_NS - 1
+        self._last_ns = members[-1][0]
+        self.counters["no_reference"] += len(pairs) - len(paired)
+        self.counters["ticks" if paired else "ticks_skipped"] += 1
+        vectors = [found.field_eci_nt for _, _, found in paired if found.field_eci_nt is not None]
+        rates = [self.rates.at(sample.time_ns, sample.clock) for _, sample, _ in paired]
+        known = [rate for rate in rates if rate is not None]
+        self._done.append(
+            Tick(
+                index=index,
+                times_s=np.array([elapsed_ns for elapsed_ns, _, _ in paired]) * 1e-9,
+                field_body_nt=np.array([sample.field_body_nt for _, sample, _ in paired]).reshape(-1, 3),
+                reference_magnitude_nt=np.array([found.magnitude_nt for _, _, found in paired]),
+                reference_eci_nt=np.array(vectors) if paired and len(vectors) == len(paired) else None,
+                after_gap=self._broken,
+                time_ns=members[-1][1].time_ns,
+                clock=members[-1][1].clock,
+                rate_body_rad_s=np.array(known) if known and len(known) == len(rates) else None,
+            )
+        )
+        self._broken = self._broken and not paired
+
+
+def _elapsed(entry: tuple[int, MagnetometerSample]) -> int:
+    return entry[0]
+
+
+def _edge_after(elapsed_ns: int) -> int:
+    """End of the tick that holds an elapsed time: ticks are centred on whole seconds [ns]."""
+    half = SECOND_NS // 2
+    return (elapsed_ns + half) // SECOND_NS * SECOND_NS + half

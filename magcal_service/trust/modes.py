@@ -1,0 +1,233 @@
+"""What is published when something is missing or wrong: one row for each degraded mode.
+
+This table is the promise; ``tests/daemon/test_pipeline_modes.py`` plays each row through a pipeline and holds it to
+it, and ``docs/degraded-modes.md`` is written from it (``python -m magcal_service.trust.modes``).  In no mode does a
+vector look better than it is: it is withheld, or its covariance is the prior's or grows, or its verdict says ``doubtful``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from magcal_service.trust.reasons import Reason
+from magcal_service.wire.messages import Verdict
+
+
+class Mode(StrEnum):
+    """Ways in which a daemon can have less than it needs."""
+
+    NO_REFERENCE = "no_reference"
+    NO_MAGNETOMETER = "no_magnetometer"
+    SATURATED_AXIS = "saturated_axis"
+    STUCK_SENSOR = "stuck_sensor"
+    STUCK_AXIS = "stuck_axis"
+    DEAD_AXIS = "dead_axis"
+    REFERENCE_JUMPS = "reference_jumps"
+    REFERENCE_WRONG = "reference_wrong"
+    TIME_STEPS = "time_steps"
+    OUTLIERS = "outliers"
+    UNKNOWN_CRAFT = "unknown_craft"
+    OVERLOAD = "overload"
+    ESTIMATOR_FAILED = "estimator_failed"
+    FROZEN = "frozen"
+    STALE = "stale"
+    MODEL_DOUBTFUL = "model_doubtful"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What holds in one mode, for a craft that was trusted before.
+
+    Parameters
+    ----------
+    when: what is seen.
+    vectors: what becomes of the samples' vectors.
+    covariance: what their covariance and that of the estimate say.
+    verdict: the verdict while it lasts.
+    reason: the reason in it; None where there is none.
+    counter: what counts it.
+    after: what happens when it is over.
+    """
+
+    when: str
+    vectors: str
+    covariance: str
+    verdict: Verdict
+    reason: Reason | None
+    counter: str
+    after: str
+
+
+MODES: Final = {
+    Mode.NO_REFERENCE: Row(
+        "samples come, no reference covers them",
+        "each sample's, by the last estimate",
+        "the last one, grown by the process noise since",
+        Verdict.DOUBTFUL,
+        Reason.NO_REFERENCE,
+        "ticks_skipped",
+        "the next tick with a reference; for the first 60 s the reason is given and the verdict stays",
+    ),
+    Mode.NO_MAGNETOMETER: Row(
+        "no sample comes",
+        "none: nothing is invented",
+        "at the first sample afterwards grown by the process noise since",
+        Verdict.TRUSTED,
+        None,
+        "troubles",
+        "at the first sample; spin windows begin anew after gap_s, and after 6000 s the mode is stale",
+    ),
+    Mode.SATURATED_AXIS: Row(
+        "a component reaches sensor.range_nt",
+        "none for the samples that reach it",
+        "unchanged: the samples are not used",
+        Verdict.DOUBTFUL,
+        Reason.SATURATED,
+        "saturated",
+        "60 accepted samples in a row",
+    ),
+    Mode.STUCK_SENSOR: Row(
+        "the same vector for sensor.stuck_samples samples",
+        "none from then on",
+        "unchanged: the samples are not used",
+        Verdict.DOUBTFUL,
+        Reason.STUCK,
+        "stuck",
+        "the first other vector",
+    ),
+    Mode.STUCK_AXIS: Row(
+        "one component keeps its value where noise would have changed it, or the field has (sensor.axis_stuck_s)",
+        "none from then on; sensor.stuck_samples before that, where the noise is given",
+        "unchanged: the samples are stopped by the gate or not used",
+        Verdict.DOUBTFUL,
+        Reason.AXIS_STUCK,
+        "axis_stuck",
+        "the first other value",
+    ),
+    Mode.DEAD_AXIS: Row(
+        "one component is 0 from a time on",
+        "as with a stuck axis",
+        "as with a stuck axis",
+        Verdict.DOUBTFUL,
+        Reason.AXIS_STUCK,
+        "axis_stuck",
+        "the first other value",
+    ),
+    Mode.REFERENCE_JUMPS: Row(
+        "the reference's time jumps, to and fro",
+        "each sample's, by the last estimate",
+        "the last one; samples at a time that is in doubt get no reference and are not used",
+        Verdict.TRUSTED,
+        None,
+        "reference_jump",
+        "three references in a row that agree",
+    ),
+    Mode.REFERENCE_WRONG: Row(
+        "the reference's field is another one from a time on, by more than the gate",
+        "each sample's, by the last estimate",
+        "the last one: the gate stops the samples; a filter that starts anew keeps it until it is sure again",
+        Verdict.DOUBTFUL,
+        Reason.MANY_REJECTED,
+        "rejected",
+        "the old field within half a minute; after that a new start, which says restarted",
+    ),
+    Mode.TIME_STEPS: Row(
+        "the samples' clock steps back or far ahead",
+        "none for the first two samples, which are refused; then each sample's",
+        "unchanged: a gap lies before, nothing is carried over",
+        Verdict.TRUSTED,
+        None,
+        "clock_step",
+        "the third sample of the new time",
+    ),
+    Mode.OUTLIERS: Row(
+        "one sample in ten is corrupted, and passes every check of the wire",
+        "each sample's, the corrupted ones' as well: they cannot be told before the filter has looked",
+        "the estimate's: the gate stops them",
+        Verdict.TRUSTED,
+        None,
+        "rejected",
+        "nothing: each outlier is its own",
+    ),
+    Mode.UNKNOWN_CRAFT: Row(
+        "messages of a craft that is not configured",
+        "none",
+        "of the others: untouched",
+        Verdict.TRUSTED,
+        None,
+        "unknown_craft",
+        "nothing: they are counted, at the link where it knows the craft",
+    ),
+    Mode.OVERLOAD: Row(
+        "more messages than the daemon can take",
+        "those of the messages that were taken; the oldest in the queue give way, each craft has its turn",
+        "the estimate's: a lost sample is a gap",
+        Verdict.TRUSTED,
+        None,
+        "overflow",
+        "nothing: it works on with what comes",
+    ),
+    Mode.ESTIMATOR_FAILED: Row(
+        "the estimator's arithmetic fails, or its result is not finite",
+        "each sample's, uncalibrated",
+        "the prior's",
+        Verdict.NOT_STARTED,
+        Reason.COLLECTING,
+        "estimator_failed",
+        "a new start",
+    ),
+    Mode.FROZEN: Row(
+        "command freeze",
+        "each sample's, by the estimate of then",
+        "that of then, grown by the process noise since",
+        Verdict.TRUSTED,
+        Reason.FROZEN,
+        "ticks_frozen",
+        "command resume; what lies before counts as before a gap",
+    ),
+    Mode.STALE: Row(
+        "nothing was learned for more than 6000 s of samples' time: frozen, without reference or without samples",
+        "each sample's, by the last estimate",
+        "that of then, grown by the process noise since",
+        Verdict.DOUBTFUL,
+        Reason.STALE,
+        "",
+        "the first tick that is learned from",
+    ),
+    Mode.MODEL_DOUBTFUL: Row(
+        "the residual follows physics that the nine errors leave out: a temperature, a current, a coil, a step, ...",
+        "each sample's, by the last estimate",
+        "the estimate's: what is left out is not in it",
+        Verdict.DOUBTFUL,
+        Reason.MODEL_DOUBTFUL,
+        "",
+        "a whole window of the watch in which nothing is found, or a physics.toml that holds it",
+    ),
+}
+
+
+def markdown() -> str:
+    """The page ``docs/degraded-modes.md``."""
+    lines = [
+        "# Degraded modes",
+        "",
+        "What is published when something is missing or wrong, for a craft that was trusted before. The table is that",
+        "of [`modes.py`](../magcal_service/modes.py), and `tests/daemon/test_pipeline_modes.py` plays each row",
+        "through a pipeline. In no mode does a vector look better than it is: it is withheld, or its covariance is the",
+        "prior's or grows, or its verdict says `doubtful`.",
+        "",
+        "| mode | when | vectors | covariance | verdict | reason | counted as | over with |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for mode, row in MODES.items():
+        reason = "-" if row.reason is None else f"`{row.reason}`"
+        counter = f"`{row.counter}`" if row.counter else "-"
+        cells = (mode, row.when, row.vectors, row.covariance, f"`{row.verdict}`", reason, counter, row.after)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")

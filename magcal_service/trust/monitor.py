@@ -1,0 +1,348 @@
+"""Is this estimate to be believed?  Running statistics of the residual -> a verdict with reasons and remedies.
+
+A small residual proves nothing (a collapsed solution has one), nor does a filter's own covariance (it is right
+only if the model is).  So the verdict asks several independent questions; each that is answered badly is a ``Reason``.
+
+Levels at which a question counts as answered badly are in ``_Levels`` with their false-alarm rate on good data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.config.settings import CraftConfig
+from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.parts.start import StartGate
+from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
+from magcal_service.residuals import white_floor
+from magcal_service.snapshot import Saved
+from magcal_service.ticks.assembler import Tick
+from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.wire.kinds import MAX_REASONS
+from magcal_service.wire.messages import Verdict
+
+_GATES: Final = {
+    StartGate.POOR_COVERAGE: Reason.POOR_COVERAGE,
+    StartGate.NOT_POSITIVE: Reason.NO_SOLUTION,
+    StartGate.COLLAPSED: Reason.NO_SOLUTION,
+    StartGate.NO_CONVERGENCE: Reason.NO_SOLUTION,
+    StartGate.BAD_FIT: Reason.INCONSISTENT,
+}
+
+
+class _Levels:
+    """Thresholds.  "Seldom" is below once a year of ticks on simulated good data."""
+
+    memory_ticks: Final = 300  # ticks over which innovations are averaged
+    innovation: Final = 1.6  # mean normalised innovation squared; 300 independent ones have 1 +- 0.08: seldom
+    block_samples: Final = 100  # residuals in one block mean
+    blocks: Final = 40
+    block_ratio: Final = 4.0  # mean of (block mean / its sigma)^2; 40 independent ones have at most 1 +- 0.22: seldom
+    spectrum_samples: Final = 512
+    spectrum_every: Final = 64
+    rejected_share: Final = 0.15
+    sudden_samples: Final = 10  # samples over which a sudden fault shows, and the rejected share that says so
+    sudden_share: Final = 0.5
+    stale_s: Final = 6000.0  # an orbit
+    eigenvalues: Final = (0.5, 2.0)  # of I + D
+    aliasing_turn: Final = 0.04  # of a turn, distance of the phase step from 0 or a half
+    noise_share: Final = 0.05  # noise over |H|; the covariance is found short beyond it
+    magnitude_spread: Final = 0.005  # std of |H| over its mean
+    silent_s: Final = 60.0  # without a reference or with a stuck sensor
+    coverage_ticks: Final = 12_000  # two orbits: by then every direction has been seen that will be
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """A verdict with the reasons against it and the first one's remedy."""
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    remedy: str
+
+
+NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])
+
+
+def _is_collapsed(x: Array) -> bool:
+    """Whether an eigenvalue of I + D is out of bounds; small elements of D settle it without computing any."""
+    low, high = _Levels.eigenvalues
+    if 3.0 * max(map(abs, x[D_ALL].tolist())) < min(1.0 - low, high - 1.0):  # Gershgorin's discs
+        return False
+    eigenvalues = np.linalg.eigvalsh(np.eye(3) + d_matrix(x))
+    return bool(eigenvalues[0] < low or eigenvalues[-1] > high)
+
+
+def _largest_variance(estimate: StateEstimate, field_nt: Array) -> float:
+    """Of a calibrated vector in any direction, by the uncertainty of the estimate alone [nT^2]."""
+    jacobian = field_jacobian(field_nt)
+    return float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1])
+
+
+class TrustMonitor(Saved):
+    """Watches one craft's ticks.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    """
+
+    _innovation: float
+    _rejected_share: float
+    _ticks: int
+    _since_start: int
+    _restarts: int
+    _residuals: deque[float]
+    _floor_nt: float
+    _block: list[float]
+    _block_spread_nt2: float
+    _blocks: deque[float]
+    _block_ratio: float
+    _magnitude: Moments
+    _square: float
+    _last_sample_s: float | None
+    _aliased: float
+    _unpaired_s: float
+    _fault: Reason | None
+    _driver_missing: bool
+    _model_doubtful: bool
+    _sudden_share: float
+    _frozen: bool
+    _unchecked_s: float
+
+    def __init__(self, config: CraftConfig) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, as after a reset of the estimator."""
+        self._innovation = self._rejected_share = 0.0
+        self._ticks = 0
+        self._since_start = 0
+        self._restarts = 0
+        self._residuals = deque(maxlen=_Levels.spectrum_samples)
+        self._floor_nt = 0.0
+        self._block = []
+        self._block_spread_nt2 = 0.0  # what the estimate's own error may add to the present block's mean
+        self._blocks = deque(maxlen=_Levels.blocks)
+        self._block_ratio = 0.0
+        self._magnitude = Moments()
+        self._square = 0.0
+        self._last_sample_s = None
+        self._aliased = 0.0
+        self._unpaired_s = 0.0
+        self._fault = None
+        self._driver_missing = False
+        self._model_doubtful = False
+        self._sudden_share = 0.0
+        self._frozen = False
+        self._unchecked_s = 0.0
+
+    @property
+    def residual_rms_nt(self) -> float:
+        """Running rms of the scalar residual [nT]; one beyond the filter's gate counts as if at the gate."""
+        return math.sqrt(self._square)
+
+    @property
+    def innovation(self) -> float:
+        """Running mean of the normalised innovation squared; 1 where the covariance is right."""
+        return self._innovation
+
+    @property
+    def rejected_share(self) -> float:
+        """Running share of samples that the gate stopped."""
+        return self._rejected_share
+
+    @property
+    def noise_floor_nt(self) -> float:
+        """White noise level of the newest residuals [nT], 0 while there are too few."""
+        return self._floor_nt
+
+    def observe(self, tick: Tick, outcome: TickOutcome, estimate: StateEstimate) -> None:
+        """Take in what one tick did."""
+        if estimate.restarts != self._restarts:
+            self._restarts, self._since_start = estimate.restarts, 0
+            self._block.clear()
+            self._blocks.clear()
+            self._residuals.clear()
+        self._ticks += 1
+        self._unpaired_s = self._unchecked_s = 0.0
+        self._frozen = False
+        self._magnitude.add(tick.reference_magnitude_nt)
+        self._observe_sampling(tick)
+        if outcome.phase is not Phase.RUNNING or not outcome.used + outcome.rejected:
+            return
+        self._since_start += 1
+        memory = 1.0 / min(self._since_start, _Levels.memory_ticks)
+        total = outcome.used + outcome.rejected
+        self._rejected_share += memory * (outcome.rejected / total - self._rejected_share)
+        weight = min(1.0, total / _Levels.sudden_samples)
+        self._sudden_share += weight * (outcome.rejected / total - self._sudden_share)
+        if outcome.degrees:
+            self._innovation += memory * (outcome.squared_innovation / outcome.degrees - self._innovation)
+        gate_nt = self.config.filter.gate_sigma * max(estimate.noise_nt, 1e-9)
+        # one absurd sample is no structure
+        residual_nt = [min(max(value, -gate_nt), gate_nt) for value in outcome.residual_nt.tolist()]
+        self._square += memory * (math.fsum(value * value for value in residual_nt) / total - self._square)
+        self._observe_residual(residual_nt, tick, estimate)
+
+    def _observe_sampling(self, tick: Tick) -> None:
+        """How far the phase step of the spin is from a whole or half turn, averaged."""
+        times = tick.times_s.tolist()
+        if self.config.spin is not None and self._last_sample_s is not None and not tick.after_gap:
+            turns = (times[0] - self._last_sample_s) * abs(self.config.spin.rate_rpm) / 60.0
+            near = abs(2.0 * turns - round(2.0 * turns)) / 2.0 < _Levels.aliasing_turn and turns > 0.25
+            self._aliased += (float(near) - self._aliased) / min(self._ticks, _Levels.memory_ticks)
+        self._last_sample_s = times[-1]
+
+    def _observe_residual(self, residual_nt: list[float], tick: Tick, estimate: StateEstimate) -> None:
+        for value in residual_nt:
+            if not self._block:
+                self._block_spread_nt2 = _largest_variance(estimate, tick.field_body_nt[0])
+            self._residuals.append(value)
+            self._block.append(value)
+            if len(self._block) == _Levels.block_samples:
+                variance = max(estimate.noise_nt, 1e-9) ** 2 / _Levels.block_samples + self._block_spread_nt2
+                self._blocks.append((math.fsum(self._block) / _Levels.block_samples) ** 2 / variance)
+                self._block_ratio = math.fsum(self._blocks) / len(self._blocks)
+                self._block.clear()
+        if self._since_start % _Levels.spectrum_every == 0 and len(self._residuals) >= _Levels.spectrum_samples // 2:
+            self._floor_nt = white_floor(np.array(self._residuals))
+
+    def observe_skipped(self, seconds: float) -> None:
+        """A tick was skipped: samples have had no reference for so long [s]."""
+        self._unpaired_s += seconds
+
+    def observe_frozen(self) -> None:
+        """A tick had its reference, but nothing was to be learned from it."""
+        self._unpaired_s = 0.0
+        self._frozen = True
+
+    def observe_driver(self, missing: bool) -> None:
+        """Whether an effect that is to be compensated could not be, for want of its driver."""
+        self._driver_missing = missing
+
+    def observe_model(self, doubtful: bool) -> None:
+        """Whether the residual follows something that the model leaves out (``model_watch``)."""
+        self._model_doubtful = doubtful
+
+    def observe_fault(self, fault: Reason | None) -> None:
+        """What is wrong with the sensor from now on; None: nothing any more."""
+        self._fault = fault
+
+    def observe_unchecked(self, seconds: float) -> bool:
+        """The newest sample is so much newer than those learned from [s]; whether staleness came or went."""
+        before = self._is_stale()
+        self._unchecked_s = seconds
+        return self._is_stale() != before
+
+    def _is_stale(self) -> bool:
+        return self._unchecked_s > _Levels.stale_s
+
+    def judge(self, estimate: StateEstimate) -> Trust:
+        """The verdict on an estimate as it stands."""
+        if estimate.phase is Phase.STARTING and not estimate.restarts:
+            return self._before_start(estimate)
+        reasons = tuple(self._doubts(estimate))
+        waiting = tuple(self._unfinished(estimate))
+        everything = (reasons + waiting)[:MAX_REASONS]
+        if set(reasons) - self._information():
+            verdict = Verdict.DOUBTFUL
+        elif waiting:
+            verdict = Verdict.CONVERGING
+        else:
+            verdict = Verdict.TRUSTED
+        return Trust(verdict, everything, REMEDIES[everything[0]] if everything else "")
+
+    def _before_start(self, estimate: StateEstimate) -> Trust:
+        reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
+        if estimate.waiting_for:
+            reasons.append(_GATES[estimate.waiting_for])
+        reasons += [*self._silence(), Reason.COLLECTING]
+        return Trust(Verdict.NOT_STARTED, tuple(reasons), REMEDIES[reasons[0]])
+
+    def _information(self) -> set[Reason]:
+        """Reasons that are worth saying but do not make the estimate doubtful by themselves."""
+        short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
+        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN} | short
+
+    def _silence(self) -> list[Reason]:
+        silent = [Reason.NO_REFERENCE] if self._unpaired_s > 0.0 else []
+        frozen = [Reason.FROZEN] if self._frozen else []
+        return [*silent, *([] if self._fault is None else [self._fault]), *frozen]
+
+    def _is_aliased(self) -> bool:
+        return self._aliased > 0.5 and self._ticks >= 30
+
+    def _doubts(self, estimate: StateEstimate) -> list[Reason]:
+        levels, noise_nt = _Levels, max(estimate.noise_nt, 1e-9)
+        settled = self._since_start >= levels.memory_ticks // 3
+        floor_nt = self.config.sensor.noise_nt or self._floor_nt or noise_nt
+        questions = (
+            (Reason.COLLAPSED, _is_collapsed(estimate.x)),
+            (Reason.RESTARTED, bool(estimate.restarts) and self._since_start < self.config.trust.min_ticks),
+            (Reason.INCONSISTENT, settled and self._innovation > levels.innovation),
+            (
+                Reason.STRUCTURED_RESIDUAL,
+                settled and self.residual_rms_nt > self.config.trust.residual_ratio * floor_nt,
+            ),
+            (Reason.DRIFTING_RESIDUAL, len(self._blocks) >= 10 and self._block_ratio > levels.block_ratio),
+            (Reason.MODEL_DOUBTFUL, self._model_doubtful),
+            (
+                Reason.MANY_REJECTED,
+                (settled and self._rejected_share > levels.rejected_share) or self._sudden_share > levels.sudden_share,
+            ),
+            (Reason.STALE, self._is_stale()),
+            (Reason.DRIVER_MISSING, self._driver_missing),
+            (Reason.SPIN_ALIASING, self._is_aliased()),
+            (Reason.SPIN_CONTRADICTED, estimate.spin_given_up),
+            (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self._magnitude.mean),
+            (
+                Reason.CONSTANT_REFERENCE,
+                self._magnitude.std < levels.magnitude_spread * self._magnitude.mean
+                and self._ticks >= levels.memory_ticks,
+            ),
+        )
+        return [reason for reason, bad in questions if bad] + self._silence()
+
+    def _unfinished(self, estimate: StateEstimate) -> list[Reason]:
+        settings = self.config.trust
+        variances = np.diagonal(estimate.covariance).tolist()
+        unfinished = []
+        if estimate.phase is Phase.STARTING:
+            unfinished.append(Reason.COLLECTING)
+        if max(variances[BIAS]) > settings.sigma_bias_nt**2 or max(variances[D_ALL]) > settings.sigma_D**2:
+            late = self._ticks > _Levels.coverage_ticks
+            unfinished.append(Reason.POOR_COVERAGE if late else Reason.NOT_SETTLED)
+        elif self._since_start < settings.min_ticks:
+            unfinished.append(Reason.NOT_SETTLED)
+        return unfinished
+
+
+class Moments(Saved):
+    """Running mean and standard deviation (Welford 1962)."""
+
+    mean: float
+    _count: int
+    _sum: float
+
+    def __init__(self) -> None:
+        self._count, self.mean, self._sum = 0, 0.0, 0.0
+
+    def add(self, values: Array) -> None:
+        """Take in values of any number."""
+        for value in values.tolist():
+            self._count += 1
+            delta = value - self.mean
+            self.mean += delta / self._count
+            self._sum += delta * (value - self.mean)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation, 0 before two values."""
+        return math.sqrt(self._sum / (self._count - 1)) if self._count > 1 else 0.0

@@ -1,0 +1,68 @@
+"""Why an estimate is not trusted, and what to do about it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Final
+
+
+class Reason(StrEnum):
+    """Why an estimate is not (yet) trusted; the code travels in messages, ``REMEDIES`` says what to do."""
+
+    COLLECTING = "collecting"
+    POOR_COVERAGE = "poor_coverage"
+    NO_SOLUTION = "no_solution"
+    NOT_SETTLED = "not_settled"
+    COLLAPSED = "collapsed"
+    INCONSISTENT = "inconsistent"
+    STRUCTURED_RESIDUAL = "structured_residual"
+    DRIFTING_RESIDUAL = "drifting_residual"
+    MODEL_DOUBTFUL = "model_doubtful"
+    MANY_REJECTED = "many_rejected"
+    RESTARTED = "restarted"
+    SPIN_ALIASING = "spin_aliasing"
+    SPIN_CONTRADICTED = "spin_contradicted"
+    NOISE_TOO_HIGH = "noise_too_high"
+    CONSTANT_REFERENCE = "constant_reference"
+    NO_REFERENCE = "no_reference"
+    STUCK = "stuck"
+    AXIS_STUCK = "axis_stuck"
+    DRIVER_MISSING = "driver_missing"
+    SATURATED = "saturated"
+    FROZEN = "frozen"
+    STALE = "stale"
+
+
+REMEDIES: Final = {
+    Reason.COLLECTING: "keep the samples and the reference coming",
+    Reason.POOR_COVERAGE: "more directions of the field in the body are needed: wait for more of the orbit, or change "
+    "the spin axis against the orbit's plane",
+    Reason.NO_SOLUTION: "no sound solution fits the samples so far, mostly for want of directions; if that lasts for "
+    "an orbit, check units, axes and the reference",
+    Reason.NOT_SETTLED: "wait",
+    Reason.COLLAPSED: "the solution shrinks an axis: check units and axes of sensor and reference, then reset",
+    Reason.INCONSISTENT: "the residual is larger than noise and estimate allow: check noise_nt, the reference and its "
+    "time tags; diagnose a recording",
+    Reason.STRUCTURED_RESIDUAL: "the residual is not white noise, so physics is missing: diagnose a recording",
+    Reason.DRIFTING_RESIDUAL: "the residual wanders over minutes, so the errors change: set process_noise, or diagnose "
+    "a recording",
+    Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: diagnose a "
+    "recording, load its physics.toml",
+    Reason.MANY_REJECTED: "look for spikes, a wrong noise_nt, or a step in the errors",
+    Reason.RESTARTED: "the samples contradicted the estimate and it started anew: wait until it has settled",
+    Reason.SPIN_ALIASING: "the sample period is close to a multiple of half the spin period: change one of them",
+    Reason.SPIN_CONTRADICTED: "the spin windows contradict the scalar measurement and are no longer used: check "
+    "spin.axis and spin.rate_rpm, and whether the errors drift",
+    Reason.NOISE_TOO_HIGH: "at this noise the covariance is no longer honest: average the sensor faster, or take the "
+    "sigmas as lower bounds",
+    Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: move through a changing "
+    "field, or give attitude",
+    Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock",
+    Reason.AXIS_STUCK: "one axis repeats one value while the others move: power-cycle the sensor",
+    Reason.SATURATED: "the field exceeds the sensor's full scale (range_nt): find what magnetises it",
+    Reason.FROZEN: "nothing is learned since the command freeze: resume",
+    Reason.STALE: "the estimate has met no sample for more than an orbit: resume, or look after sensor and reference",
+    Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
+    Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, so it is not compensated: bring "
+    "the channel, position or reference back, or take the effect out of the file",
+}

@@ -1,0 +1,1 @@
+"""``make run``: a simulated flight feeds a daemon over a real link."""

@@ -1,0 +1,133 @@
+"""The Prometheus text: well-formed by promtool's word, complete, and served to whoever asks in order."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.health.figures import BOUNDS_S, TickLateness
+from magcal_service.daemon.health.metrics import Metrics, MetricsServer
+from magcal_service.daemon.health.report import Health
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.errors import InputRefusedError
+from magcal_service.links import Role, open_link
+from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.simulation import Simulation
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    """What a daemon of two craft would serve, one of them after 400 s of the paper's scenario."""
+    craft = CraftConfig("paper", SensorConfig(noise_nt=300.0), SpinConfig(rate_rpm=7.5))
+    pipelines = [Pipeline(craft), Pipeline(CraftConfig("silent"))]
+    with (
+        open_link("loop:metrics", Role.SERVICE, crafts=["paper"]) as service,
+        open_link("loop:metrics", Role.NODE) as node,
+    ):
+        health = Health(service)
+        for message in Simulation(load_scenario("paper"), 1, 400.0).messages():
+            node.send(message)
+            for received in service.receive(0.0):
+                pipelines[0].handle(received)
+        health.lateness.note()
+        return health.metrics(pipelines, Counter({"state.writes": 3}))
+
+
+def test_promtool_finds_no_fault(text: str) -> None:
+    promtool = shutil.which("promtool")
+    if promtool is None:
+        pytest.skip("promtool (Debian: prometheus) is not installed")
+    checked = subprocess.run(
+        [promtool, "check", "metrics"], input=text, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'magcal_samples_total{craft="paper",outcome="accepted"} 400',
+        'magcal_messages_received_total{craft="paper",source="mag0",kind="magnetometer"} 400',
+        'magcal_messages_lost_total{craft="paper",source="mag0",kind="magnetometer"} 0',
+        'magcal_verdict{craft="silent",verdict="not_started"} 1',
+        'magcal_daemon_events_total{event="state.writes"} 3',
+        'magcal_link_events_total{event="received"} 800',
+        'magcal_tick_lateness_seconds_bucket{le="+Inf"} 1',
+        "magcal_tick_lateness_seconds_count 1",
+    ],
+)
+def test_it_says(text: str, line: str) -> None:
+    assert line in [re.sub(r'source="[^"]*"', 'source="mag0"', row) for row in text.splitlines()]
+
+
+def test_labels_cannot_break_out_of_their_quotes() -> None:
+    metrics = Metrics()
+    metrics.add("x", "gauge", "X.", [({"a": 'b"c\\d\ne'}, 1.5)])
+    assert metrics.render().splitlines()[-1] == 'magcal_x{a="b\\"c\\\\d\\ne"} 1.5'
+
+
+@pytest.fixture
+def server() -> Iterator[MetricsServer]:
+    with MetricsServer("127.0.0.1:0") as server:
+        yield server
+
+
+def fetch(server: MetricsServer, path: str = "/metrics") -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{server.port}{path}", timeout=30.0) as answer:
+        body: bytes = answer.read()
+    return body.decode()
+
+
+def test_what_was_published_last_is_served_with_its_age(server: MetricsServer) -> None:
+    server.publish("first 1\n")
+    server.publish("second 2\n")
+    assert fetch(server).startswith("second 2\n# HELP magcal_loop_age_seconds")
+
+
+def test_anything_else_is_not_found(server: MetricsServer) -> None:
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        fetch(server, "/etc/passwd")
+
+
+def test_who_says_nothing_keeps_nobody_waiting_for_long(server: MetricsServer) -> None:
+    """Five mute connections, a second each at most, then the answer; and garbage harms nobody."""
+    server.publish("x 1\n")
+    mute = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(5)]
+    with socket.create_connection(("127.0.0.1", server.port)) as rude:
+        rude.sendall(b"\x00\xff" * 5000)
+        assert fetch(server).startswith("x 1\n")
+    for connection in mute:
+        connection.close()
+
+
+def test_a_taken_port_is_refused_by_its_field(server: MetricsServer) -> None:
+    with pytest.raises(InputRefusedError, match=r"health.metrics: '127.0.0.1:[0-9]+' is refused; a free port"):
+        MetricsServer(f"127.0.0.1:{server.port}")
+
+
+def test_closing_ends_its_thread(server: MetricsServer) -> None:
+    server.close()
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.1", server.port), timeout=5.0)
+
+
+def test_lateness_counts_the_wait_in_front_of_the_daemon() -> None:
+    """A message found waiting counts from when the daemon last looked; one waited for, from when it came."""
+    lateness = TickLateness()
+    time.sleep(0.05)
+    lateness.looked(time.monotonic())
+    lateness.note()
+    lateness.looked(time.monotonic() - 1.0)
+    lateness.note()
+    assert (sum(lateness.counts[BOUNDS_S.index(0.05) :]), sum(lateness.counts)) == (1, 2)
+    assert lateness.quantiles_s()[1] > 0.045

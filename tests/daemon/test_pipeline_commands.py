@@ -1,0 +1,163 @@
+"""The commands that a craft answers itself, and what is none of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from magcal_service.daemon.pipeline import ALL_COMMANDS, COMMANDS, Pipeline
+from magcal_service.wire.codec import encode
+from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
+from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
+
+SECONDS = 1000
+
+
+@pytest.fixture
+def pipeline() -> Pipeline:
+    """A craft after 900 s of the paper's scenario: trusted."""
+    pipeline = Pipeline(paper_craft())
+    handle_all(pipeline, messages(0, 900))
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+    return pipeline
+
+
+def messages(first_s: int, end_s: int) -> list[Message]:
+    """What the paper's craft sends in a stretch of time: a reference and a sample a second."""
+    return list(paper(11, SECONDS).messages())[2 * first_s : 2 * end_s]
+
+
+def ask(pipeline: Pipeline, name: str, **arguments: float | str | bool) -> CommandReply:
+    command = Command(craft="paper", source="ops", sequence=7, time_ns=0, name=name, arguments=arguments)
+    (reply,) = pipeline.handle(command)
+    assert isinstance(reply, CommandReply)
+    return reply
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_answered_by_name(pipeline: Pipeline, name: str) -> None:
+    reply = ask(pipeline, name, **({"bias_nt": 1.0} if name == "process_noise" else {}))
+    assert (reply.name, reply.command_source, reply.command_sequence, reply.accepted) == (name, "ops", 7, True)
+
+
+def test_status_says_verdict_and_ticks(pipeline: Pipeline) -> None:
+    assert ask(pipeline, "status").text == "trusted, 899 ticks"
+
+
+def test_an_unknown_command_is_refused_and_told_what_is_known(pipeline: Pipeline) -> None:
+    reply = ask(pipeline, "x" * 32)
+    assert not reply.accepted
+    assert reply.text.endswith("is not known; known: " + ", ".join(ALL_COMMANDS))
+    encode(reply)
+
+
+def test_commands_are_counted_by_whether_they_were_understood(pipeline: Pipeline) -> None:
+    for name in ("status", "nonsense", "freeze"):
+        ask(pipeline, name)
+    assert (pipeline.counters["commands"], pipeline.counters["commands_refused"]) == (2, 1)
+
+
+def estimates(pipeline: Pipeline, first_s: int, end_s: int) -> list[Estimate]:
+    return [m for m in handle_all(pipeline, messages(first_s, end_s)) if isinstance(m, Estimate)]
+
+
+def test_a_frozen_craft_learns_nothing_and_counts_its_ticks(pipeline: Pipeline) -> None:
+    ask(pipeline, "freeze")
+    during = estimates(pipeline, 900, 950)
+    assert {(m.bias_nt, m.D, m.covariance, m.verdict) for m in during} == {
+        (during[0].bias_nt, during[0].D, during[0].covariance, Verdict.TRUSTED)
+    }
+    assert pipeline.counters["ticks_frozen"] == 50
+
+
+def test_a_resumed_craft_learns_again(pipeline: Pipeline) -> None:
+    ask(pipeline, "freeze")
+    frozen = estimates(pipeline, 900, 920)[-1]
+    ask(pipeline, "resume")
+    assert estimates(pipeline, 920, 940)[-1].covariance != frozen.covariance
+
+
+def test_no_spin_window_reaches_over_a_freeze(pipeline: Pipeline) -> None:
+    """Two turns take 16 s: after a pause the first window can end 15 s after the first tick that is used."""
+    before = pipeline.counters["spin_windows"]
+    ask(pipeline, "freeze")
+    handle_all(pipeline, messages(900, 960))
+    ask(pipeline, "resume")
+    counts = []
+    for second in range(960, 980):
+        handle_all(pipeline, messages(second, second + 1))
+        counts.append(pipeline.counters["spin_windows"] - before)
+    assert counts.index(1) >= 15
+
+
+def test_a_frozen_craft_whose_reference_comes_back_is_trusted_again(pipeline: Pipeline) -> None:
+    ask(pipeline, "freeze")
+    handle_all(pipeline, messages(900, 990)[1::2])
+    assert pipeline.trust.verdict is Verdict.DOUBTFUL
+    handle_all(pipeline, messages(990, 1000))
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+
+
+def test_a_reset_craft_begins_anew(pipeline: Pipeline) -> None:
+    ask(pipeline, "reset")
+    first = estimates(pipeline, 900, 902)[0]
+    assert (first.verdict, first.bias_nt, first.reasons) == (Verdict.NOT_STARTED, (0.0, 0.0, 0.0), ("collecting",))
+
+
+def test_a_reset_craft_ends_where_a_new_one_does() -> None:
+    used, new = Pipeline(paper_craft()), Pipeline(paper_craft())
+    handle_all(used, messages(0, 300))
+    used.flush()
+    ask(used, "reset")
+    stretch = messages(300, 1000)
+    last_used = [m for m in handle_all(used, stretch) if isinstance(m, Estimate)][-1]
+    last_new = [m for m in handle_all(new, stretch) if isinstance(m, Estimate)][-1]
+    assert last_used.bias_nt == pytest.approx(last_new.bias_nt, abs=1e-6)
+
+
+def test_a_sensor_that_is_stuck_during_a_reset_is_told_again(pipeline: Pipeline) -> None:
+    frozen = messages(900, 930)[1::2]
+    handle_all(pipeline, [replace(m, field_body_nt=(1.0, 2.0, 3.0)) for m in frozen[:15]])
+    ask(pipeline, "reset")
+    handle_all(pipeline, [replace(m, field_body_nt=(1.0, 2.0, 3.0)) for m in frozen[15:]])
+    assert "stuck" in pipeline.trust.reasons
+
+
+def test_process_noise_lets_the_covariance_grow_from_the_estimate_at_hand(pipeline: Pipeline) -> None:
+    """100 nT/sqrt(s) on the bias, for the tick that closes next."""
+    before = pipeline.estimator.estimate()
+    assert ask(pipeline, "process_noise", bias_nt=100.0).accepted
+    after = pipeline.estimator.estimate()
+    assert (after.x.tolist(), after.samples) == (before.x.tolist(), before.samples)
+    estimates(pipeline, 900, 902)
+    grown = pipeline.estimator.estimate().covariance[2, 2] - before.covariance[2, 2]
+    assert grown > 0.5 * 100.0**2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({}, "bias_nt (nT/sqrt(s)) and D"),
+        ({"bias": 1.0}, "bias_nt (nT/sqrt(s)) and D"),
+        ({"bias_nt": -1.0}, "bias_nt is -1.0; 0 to 1000"),
+        ({"D": 0.02}, "D is 0.02; 0 to 0.01"),
+        ({"D": True}, "D is True"),
+        ({"D": "much"}, "D is 'much'"),
+    ],
+)
+def test_process_noise_that_is_not_accepted_changes_nothing(
+    pipeline: Pipeline, arguments: dict[str, float | str | bool], told: str
+) -> None:
+    reply = ask(pipeline, "process_noise", **arguments)
+    assert (reply.accepted, told in reply.text, pipeline.take_events()[1:]) == (False, True, [])
+
+
+def test_every_change_is_an_event_with_its_source_and_time(pipeline: Pipeline) -> None:
+    for name in ("freeze", "resume", "reset"):
+        ask(pipeline, name)
+    last_ns = messages(899, 900)[-1].time_ns
+    told = [(event.what, event.source, event.time_ns) for event in pipeline.take_events()]
+    assert told[0][:2] == ("started", "magcal")
+    assert told[1:] == [(what, "ops", last_ns) for what in ("frozen", "resumed", "reset")]
+    assert pipeline.take_events() == []

@@ -1,0 +1,130 @@
+"""Nothing that passes the wire stops the pipeline, and all that it says passes the wire."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magcal_service.config.settings import SpinConfig
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.estimators.interface import TickOutcome
+from magcal_service.ticks.assembler import Tick
+from magcal_service.wire.codec import decode, encode
+from magcal_service.wire.messages import Message, Verdict
+from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.simulation import Simulation
+from tests.daemon.pipeline_streams import FIELDS, REFERENCES, handle_all, paper, paper_craft, quick_craft, rows
+
+
+def all_said(pipeline: Pipeline, stream: list[Message]) -> int:
+    """How many messages were published; each has to come through the wire as it was."""
+    published = [*handle_all(pipeline, stream), *pipeline.flush(), pipeline.status(1.0, Counter({"link.sent": 3}))]
+    for message in published:
+        assert decode(encode(message)) == message
+    return len(published)
+
+
+def test_everything_published_in_a_run_passes_the_wire() -> None:
+    assert all_said(Pipeline(paper_craft()), list(paper(11, 700).messages())) == 2 * 700 + 1
+
+
+def test_everything_published_on_a_bad_link_passes_the_wire() -> None:
+    scenario = load_scenario("lossy-link")
+    stream = list(Simulation(scenario, 3, 120.0).messages())
+    pipeline = Pipeline(quick_craft(spin=SpinConfig(rate_rpm=7.5)))
+    samples = sum(type(message).__name__ == "MagnetometerSample" for message in stream)
+    said = all_said(pipeline, stream)
+    counters = pipeline.ticks.counters
+    refused = sum(counters[kind] for kind in ("late", "doubled", "stuck", "time_behind", "time_ahead", "zero"))
+    assert counters["doubled"] > 0
+    assert samples == counters["accepted"] + refused
+    assert said == counters["accepted"] + counters["ticks"] + counters["ticks_skipped"] + 1
+
+
+regimes = st.lists(
+    st.tuples(st.sampled_from(sorted(FIELDS)), st.sampled_from(sorted(REFERENCES)), st.integers(1, 50)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    regimes,
+    st.sampled_from([None, 0.01, 300.0, 1e5]),
+    st.sampled_from([None, SpinConfig(rate_rpm=7.5), SpinConfig(rate_rpm=-3000.0)]),
+    st.integers(0, 2**32),
+)
+def test_no_field_or_reference_stops_the_pipeline(
+    parts: list[tuple[str, str, int]], noise_nt: float | None, spin: SpinConfig | None, seed: int
+) -> None:
+    rng, stream, first = np.random.default_rng(seed), [], 0
+    for field, reference, seconds in parts:
+        stream.append(rows(FIELDS[field](rng, seconds), REFERENCES[reference](rng, seconds), first))
+        first += seconds
+    pipeline = Pipeline(quick_craft(noise_nt, spin))
+    said = all_said(pipeline, list(chain(*stream)))
+    assert said > pipeline.ticks.counters["accepted"] + pipeline.ticks.closed
+
+
+@pytest.mark.parametrize("field", ["line", "zero", "tiny"])
+@pytest.mark.parametrize("reference", ["limit", "constant", "mixed"])
+@pytest.mark.parametrize("noise_nt", [None, 0.01, 1e5])
+def test_samples_that_no_start_can_be_made_of_are_waited_with(
+    field: str, reference: str, noise_nt: float | None
+) -> None:
+    """The start says no by itself: the pipeline's last resort is not needed."""
+    rng = np.random.default_rng(1)
+    pipeline = Pipeline(quick_craft(noise_nt))
+    handle_all(pipeline, rows(FIELDS[field](rng, 60), REFERENCES[reference](rng, 60), 0))
+    assert pipeline.counters["estimator_failed"] == 0
+    assert pipeline.trust.verdict is Verdict.NOT_STARTED
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sensor_that_reads_zeros_at_first_is_calibrated_all_the_same(seed: int) -> None:
+    stream = list(paper(seed, 1000).messages())
+    for row in (1, 3, 5):
+        stream[row] = replace(stream[row], field_body_nt=(0.0, 0.0, 0.0))
+    pipeline = Pipeline(paper_craft())
+    handle_all(pipeline, stream)
+    assert pipeline.ticks.counters["zero"] == 3
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+
+
+@pytest.mark.parametrize("reference", ["zero", "zero_vector", "tiny"])
+def test_a_reference_that_sends_zeros_is_refused_and_told(reference: str) -> None:
+    rng = np.random.default_rng(1)
+    pipeline = Pipeline(quick_craft())
+    handle_all(pipeline, rows(FIELDS["usual"](rng, 30), REFERENCES[reference](rng, 30), 0))
+    assert pipeline.ticks.counters["reference_zero"] == 30
+    assert set(pipeline.trust.reasons) == {"collecting", "no_reference"}
+
+
+@pytest.mark.parametrize("failure", ["raises", "not finite"])
+def test_an_estimator_whose_arithmetic_fails_begins_anew_and_is_counted(
+    failure: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipeline = Pipeline(paper_craft())
+    handle_all(pipeline, list(paper(11, 1000).messages())[:1800])
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+    handle = pipeline.estimator.handle
+
+    def fail(tick: Tick) -> TickOutcome:
+        if failure == "raises":
+            raise np.linalg.LinAlgError("singular")
+        outcome = handle(tick)
+        pipeline.estimator.estimate().x[0] = np.nan
+        return outcome
+
+    with monkeypatch.context() as context:
+        context.setattr(pipeline.estimator, "handle", fail)
+        handle_all(pipeline, list(paper(11, 1000).messages())[1800:1802])
+    assert (pipeline.counters["estimator_failed"], pipeline.trust.verdict) == (1, Verdict.NOT_STARTED)
+    assert all_said(pipeline, list(paper(11, 1000).messages())[1802:]) == 2 * 99 + 2

@@ -1,0 +1,115 @@
+"""Rows on disk: torn ones are cut off, and a disk that is full stops the file and nothing else."""
+
+from __future__ import annotations
+
+import csv
+import threading
+from pathlib import Path
+
+import pytest
+
+from magcal_service.config.settings import Config, CraftConfig
+from magcal_service.daemon.estimate_csv import COLUMNS, EstimateCsv
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.service import Service
+from magcal_service.errors import InputRefusedError
+from magcal_service.links import Role, open_link
+from magcal_service.links.base import Link
+from magcal_service.wire.messages import CalibratedVector, Estimate, Message, Status
+from tests.daemon.service_processes import stream
+
+FULL = Path("/dev/full")
+needs_full_disk = pytest.mark.skipif(not FULL.exists(), reason="/dev/full, a disk that is always full, is not here")
+
+
+@pytest.fixture(scope="module")
+def estimates() -> list[Estimate]:
+    pipeline = Pipeline(CraftConfig("paper"))
+    published = [answer for message in stream()[:60] for answer in pipeline.handle(message)]
+    return [message for message in published if isinstance(message, Estimate)]
+
+
+def rows(path: Path) -> list[list[str]]:
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def test_a_row_says_its_numbers_in_full_precision(tmp_path: Path, estimates: list[Estimate]) -> None:
+    with EstimateCsv(tmp_path / "rows.csv") as out:
+        out.add(estimates[5])
+    row = dict(zip(COLUMNS, rows(tmp_path / "rows.csv")[1], strict=True))
+    assert float(row["sigma_bx"]) == estimates[5].covariance[0] ** 0.5
+    assert float(row["residual_rms_nt"]) == estimates[5].residual_rms_nt
+    assert (row["craft"], int(row["time_ns"]), int(row["tick"])) == ("paper", estimates[5].time_ns, 6)
+
+
+@pytest.mark.parametrize("kept_bytes", [1, 40, 300, 5000])
+def test_a_restarted_daemon_goes_on_after_the_last_whole_row(
+    kept_bytes: int, tmp_path: Path, estimates: list[Estimate]
+) -> None:
+    """However the file was cut short, it ends as whole rows; 1 byte is a header that was cut short."""
+    path = tmp_path / "rows.csv"
+    with EstimateCsv(path) as out:
+        for estimate in estimates:
+            out.add(estimate)
+    content = path.read_bytes()
+    path.write_bytes(content[:kept_bytes])
+    whole = content[:kept_bytes].count(b"\n")
+    with EstimateCsv(path, append=True) as out:
+        out.add(estimates[0])
+    assert len(rows(path)) == max(whole, 1) + 1
+    assert {len(row) for row in rows(path)} == {len(COLUMNS)}
+
+
+def test_whole_rows_are_left_as_they_are(tmp_path: Path, estimates: list[Estimate]) -> None:
+    path = tmp_path / "rows.csv"
+    with EstimateCsv(path) as out:
+        out.add(estimates[0])
+    with EstimateCsv(path, append=True) as out:
+        out.add(estimates[1])
+    assert [row[2] for row in rows(path)] == ["tick", "1", "2"]
+
+
+@needs_full_disk
+def test_a_full_disk_is_told_by_name(estimates: list[Estimate]) -> None:
+    out = EstimateCsv(FULL)
+    with pytest.raises(InputRefusedError, match="/dev/full: 'No space left on device' is refused"):
+        out.flush()
+    with pytest.raises(InputRefusedError):
+        out.close()
+    out.close()
+
+
+def serve(link: Link, node: Link, out: EstimateCsv) -> tuple[Service, list[Message]]:
+    """A service over 300 s of the paper's scenario; what its node heard."""
+    service = Service(Config(link.address, (CraftConfig("paper"),)), link, out)
+    stop = threading.Event()
+    for message in stream()[:600]:
+        node.send(message)
+    for message in link.receive(1.0):
+        service.handle(message)
+    service.publish_status()
+    stop.set()
+    service.run(stop)
+    return service, node.receive(1.0)
+
+
+@needs_full_disk
+def test_a_full_disk_stops_the_rows_and_not_the_service() -> None:
+    with (
+        open_link("loop:full", Role.SERVICE) as link,
+        open_link("loop:full", Role.NODE) as node,
+        EstimateCsv(FULL) as out,
+    ):
+        service, heard = serve(link, node, out)
+    assert service.csv_error is not None
+    assert sum(isinstance(message, CalibratedVector) for message in heard) == 300
+    last = [message for message in heard if isinstance(message, Status)][-1]
+    assert last.counters["csv_lost"] > 100
+
+
+def test_a_craft_that_no_pipeline_serves_is_counted() -> None:
+    with open_link("loop:unknown", Role.SERVICE) as link:
+        service = Service(Config(link.address, (CraftConfig("other"),)), link)
+        service.handle(stream()[0])
+        assert service.counters == {"unknown_craft": 1}
