@@ -6,6 +6,8 @@ A message names the value that was refused, what is accepted, and the next step.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 __all__ = [
     "ConfigError",
     "DecodeError",
@@ -16,6 +18,7 @@ __all__ = [
     "LinkError",
     "MagcalError",
     "RecordingError",
+    "unwritable",
 ]
 
 
@@ -75,6 +78,11 @@ class ConfigError(InputRefusedError):
 
 class RecordingError(InputRefusedError):
     """A recording or its descriptor was refused."""
+
+
+def unwritable(path: Path, error: OSError) -> InputRefusedError:
+    """The refusal of an output file."""
+    return InputRefusedError([Fault(str(path), error.strerror or str(error), "give a file that can be written")])
 
 
 class LinkAddressError(MagcalError):

@@ -22,7 +22,7 @@ def add_calibrate(parser: argparse.ArgumentParser) -> None:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from magcal_service.daemon.estimate_csv import unwritable
+    from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
     from magcal_service.offline.calibrate import calibrate_recording
     from magcal_service.recordings.reader import read_recording

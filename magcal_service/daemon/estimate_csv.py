@@ -12,7 +12,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, InputRefusedError, unwritable
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.wire.messages import Estimate
 
@@ -32,11 +32,6 @@ COLUMNS: Final = (
     "noise_nt",
     "samples_used",
 )
-
-
-def unwritable(path: Path, error: OSError) -> InputRefusedError:
-    """The refusal of an output file."""
-    return InputRefusedError([Fault(str(path), error.strerror or str(error), "give a file that can be written")])
 
 
 def _cut_torn_row(path: Path) -> None:

@@ -9,24 +9,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
 from magcal_service.config.settings import FilterConfig
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed, solve
-from magcal_service.errors import ExtraMissingError, InputRefusedError
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
-from magcal_service.model import STATE_SIZE, Array, calibrate, measure
+from magcal_service.model import STATE_SIZE, Array, calibrate
 from magcal_service.physics.interface import Effect, Finding
-from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
-from magcal_service.physics.scene.sunlight import hold_over_nan
 from magcal_service.physics.scene.view import View
-from magcal_service.recordings.channels import Axes, QuaternionOrder
-from magcal_service.recordings.recording import Channel, Recording
-from magcal_service.recordings.table import FloatArray
+from magcal_service.recordings.channels import Axes
+from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.scene_of import cleaned, recorded_attitude, scene_of
 from magcal_service.residuals import noise_floor
-from magcal_service.units import CHANNEL_UNITS
-from magcal_service.wire.messages import Clock, Frame
 
 MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
@@ -115,74 +110,6 @@ def _usable(recording: Recording) -> tuple[Recording, dict[str, int]]:
     return usable, counts
 
 
-def scene_of(recording: Recording) -> Scene:
-    """The scene of a recording's rows (in time order), nothing calibrated yet."""
-    origin_ns = int(recording.time_ns[0])
-    reference = recording.reference
-    position = recording.position
-    ecef = None
-    if position is not None and np.isfinite(position.km).all():
-        if position.frame is Frame.ECEF:
-            ecef = position.km
-        elif recording.clock is Clock.UTC:
-            ecef = geomagnetic.ecef_from_eci(recording.time_ns, position.km)
-    return Scene(
-        time_s=(recording.time_ns - origin_ns) * 1e-9,
-        origin_ns=origin_ns,
-        utc=recording.clock is Clock.UTC,
-        field_nt=recording.field_body_nt,
-        calibrated_nt=recording.field_body_nt,
-        clean_field_nt=recording.field_body_nt,
-        magnitude_nt=reference.magnitude_nt,
-        reference_eci_nt=_reference_eci(recording, ecef),
-        position_ecef_km=ecef,
-        channels={
-            name: telemetry(channel) for name, channel in recording.channels.items() if channel.spec.order is None
-        },
-    )
-
-
-def telemetry(channel: Channel) -> Telemetry:
-    """A channel in its base unit, gaps filled."""
-    unit = CHANNEL_UNITS[channel.spec.unit]
-    return Telemetry(channel.spec.name, unit.quantity, hold_over_nan(unit.to_base(channel.values)))
-
-
-def _reference_eci(recording: Recording, ecef: FloatArray | None) -> Array | None:
-    reference = recording.reference
-    if reference.vector_nt is None or not np.isfinite(reference.vector_nt).all():
-        return _model_direction(recording, ecef)
-    if reference.frame is Frame.ECI:
-        return reference.vector_nt
-    if recording.clock is not Clock.UTC:
-        return None
-    if reference.frame is Frame.ECEF:
-        return geomagnetic.eci_from_ecef(recording.time_ns, reference.vector_nt)
-    if ecef is None:
-        return None
-    latitude, longitude, _ = geomagnetic.geodetic_from_ecef(ecef)
-    fixed = geomagnetic.ecef_from_ned(latitude, longitude, reference.vector_nt)
-    return geomagnetic.eci_from_ecef(recording.time_ns, fixed)
-
-
-def _model_direction(recording: Recording, ecef: FloatArray | None) -> Array | None:
-    """(n, 3) ECI [nT]: the recorded magnitude along the main field of the model, where place and time are known."""
-    if ecef is None or recording.clock is not Clock.UTC:
-        return None
-    time_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
-    rows = np.unique(
-        np.concatenate([np.flatnonzero(np.diff(np.floor(time_s / 10.0), prepend=-1.0)), [len(time_s) - 1]])
-    )
-    try:
-        knots = geomagnetic.igrf_ecef_nt(recording.time_ns[rows], ecef[rows])
-    except (InputRefusedError, ExtraMissingError):
-        return None
-    inertial = geomagnetic.eci_from_ecef(recording.time_ns[rows], knots)
-    field = np.stack([np.interp(time_s, time_s[rows], column) for column in inertial.T], axis=1)
-    size = np.linalg.norm(field, axis=1)
-    return np.asarray(field * (recording.reference.magnitude_nt / size)[:, None])
-
-
 def baseline_start(scene: Scene, noise_nt: float | None) -> Array:
     """The nine errors (9,) by linear least squares, then jointly; from zero as well, and the better of the two."""
     prior = prior_sigma(FilterConfig(prior_bias_nt=PRIOR_BIAS_NT, prior_D=PRIOR_D))
@@ -199,14 +126,6 @@ def baseline_start(scene: Scene, noise_nt: float | None) -> Array:
 def _white(scene: Scene, x: Array) -> float:
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
     return max(noise_floor(scene.time_ns, residual), 1e-3)
-
-
-def cleaned(scene: Scene, x: Array) -> Scene:
-    """The scene with vectors calibrated by nine errors and brought to the known magnitude: no radial noise is left."""
-    w = calibrate(x, scene.field_nt)
-    length = np.linalg.norm(w, axis=1)
-    clean = w * (scene.magnitude_nt / np.maximum(length, 1.0))[:, None]
-    return replace(scene, calibrated_nt=clean, clean_field_nt=measure(x, clean))
 
 
 def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
@@ -258,32 +177,6 @@ def _turn_alone(recording: Recording, scene: Scene) -> Turn | None:
     if nominal is None or scene.reference_eci_nt is not None:
         return None
     return turn_alone(scene, np.array(nominal.axis), nominal.rate_rad_s)
-
-
-def recorded_attitude(recording: Recording) -> tuple[Axes, Array] | None:
-    """The axes that a recorded attitude refers the body to, and (n, 3, 3) body from those axes; None without one."""
-    for channel in recording.channels.values():
-        spec = channel.spec
-        if spec.order is None or spec.from_axes is None or spec.to_axes is None:
-            continue
-        quaternion = hold_over_nan(channel.values)
-        if spec.order is QuaternionOrder.XYZW:
-            quaternion = quaternion[:, [3, 0, 1, 2]]
-        to_from = _matrices(quaternion)  # turns vectors of ``from`` into ``to``
-        if spec.to_axes is Axes.BODY:
-            return spec.from_axes, to_from
-        if spec.from_axes is Axes.BODY:
-            return spec.to_axes, np.transpose(to_from, (0, 2, 1))
-    return None
-
-
-def _matrices(quaternion: Array) -> Array:
-    """(n, 3, 3) rotation matrices of quaternions (n, 4), scalar first."""
-    w, x, y, z = (quaternion / np.maximum(np.linalg.norm(quaternion, axis=1), 1e-12)[:, None]).T
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    return np.stack(rows, axis=1).reshape(-1, 3, 3)
 
 
 def _room(scene: Scene, attitude: tuple[Axes, Array] | None) -> Array | None:

@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Any, Protocol
 
 from magcal_service.config.settings import CraftConfig
-from magcal_service.estimators.parts.start import StartGate
 from magcal_service.model import Array
 from magcal_service.ticks.assembler import Tick
 
@@ -18,6 +17,16 @@ class Phase(StrEnum):
 
     STARTING = "starting"
     RUNNING = "running"
+
+
+class StartGate(StrEnum):
+    """Why a batch solution was not accepted."""
+
+    NOT_POSITIVE = "not_positive"
+    COLLAPSED = "collapsed"
+    POOR_COVERAGE = "poor_coverage"
+    NO_CONVERGENCE = "no_convergence"
+    BAD_FIT = "bad_fit"
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
-from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.interface import Method, Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.magnitude_sums import (
     SCALE_NT,
     MagnitudeSums,
@@ -32,13 +32,7 @@ from magcal_service.estimators.parts.magnitude_sums import (
     unscaled_covariance,
 )
 from magcal_service.estimators.parts.noise_level import NoiseLevel, is_sound, squared_innovations
-from magcal_service.estimators.parts.start import (
-    HANDOVER_SHARE,
-    LARGEST_EIGENVALUE,
-    SMALLEST_EIGENVALUE,
-    StartGate,
-    prior_sigma,
-)
+from magcal_service.estimators.parts.start import HANDOVER_SHARE, LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
 from magcal_service.snapshot import Saved
 from magcal_service.ticks.assembler import Tick

@@ -16,8 +16,8 @@ from magcal_service.config.settings import (
 )
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
-from magcal_service.estimators.interface import Method
-from magcal_service.estimators.parts.start import StartGate, batch_start
+from magcal_service.estimators.interface import Method, StartGate
+from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, scalar_residual
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording
@@ -175,9 +175,9 @@ def residuals_of(recording: Recording, x: Array, craft: CraftConfig) -> Residual
 
 def _compensated(usable: Recording, physics: PhysicsConfig) -> tuple[Array, Array]:
     """B (n, 3) without what the model holds and |H| (n,) as it should be; as recorded where a driver is absent."""
-    from magcal_service.diagnosis.prepare import cleaned, scene_of  # the catalogue is loaded where it is asked for
-    from magcal_service.physics.apply.forward import DriverMissingError, effects_on
+    from magcal_service.physics.apply.forward import DriverMissingError, effects_on  # the catalogue, where asked for
     from magcal_service.physics.apply.model_file import parse_model
+    from magcal_service.recordings.scene_of import cleaned, scene_of
 
     model = parse_model(physics.text.encode())
     try:

@@ -6,8 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from magcal_service.daemon.estimate_csv import unwritable
-from magcal_service.errors import ExtraMissingError
+from magcal_service.errors import ExtraMissingError, unwritable
 from magcal_service.studies.report import Panel
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from magcal_service import __version__
-from magcal_service.daemon.estimate_csv import unwritable
+from magcal_service.errors import unwritable
 
 Cell = str | int | float | bool | None
 

@@ -2,7 +2,8 @@
 
 This table is the promise; ``tests/daemon/test_pipeline_modes.py`` plays each row through a pipeline and holds it to
 it, and ``docs/degraded-modes.md`` is written from it (``python -m magcal_service.trust.modes``).  In no mode does a
-vector look better than it is: it is withheld, or its covariance is the prior's or grows, or its verdict says ``doubtful``.
+vector look better than it is: it is withheld, or its covariance is the prior's or grows, or its verdict says
+``doubtful``.
 """
 
 from __future__ import annotations

@@ -16,8 +16,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
-from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.parts.start import StartGate
+from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Saved

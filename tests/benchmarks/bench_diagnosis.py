@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.explain import hypotheses_of
-from magcal_service.diagnosis.prepare import scene_of
 from magcal_service.diagnosis.problem import Fit, Term, solve
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.model import Array
@@ -25,6 +24,7 @@ from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.scene_of import scene_of
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 WITNESS = "photodiodes"

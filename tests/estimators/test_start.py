@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
-from magcal_service.estimators.parts.start import BatchSolution, StartCollector, StartGate, batch_start, prior_sigma
+from magcal_service.estimators.interface import StartGate
+from magcal_service.estimators.parts.start import BatchSolution, StartCollector, batch_start, prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import d_matrix
 from tests.estimators.estimator_ticks import TABLE_1, Craft

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
-from magcal_service.estimators.interface import Phase
+from magcal_service.estimators.interface import Phase, StartGate
 from magcal_service.estimators.parts.magnitude_sums import (
     MagnitudeSums,
     coefficient_jacobian,
@@ -17,7 +17,7 @@ from magcal_service.estimators.parts.magnitude_sums import (
     unscaled,
 )
 from magcal_service.estimators.parts.noise_level import NoiseLevel
-from magcal_service.estimators.parts.start import StartGate, prior_sigma
+from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.two_step import Solution, TwoStep, published, two_step
 from magcal_service.model import Array, measure, predicted_scalar, scalar_measurement

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
-from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.estimators.parts.start import StartGate
+from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.model import STATE_SIZE
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.monitor import TrustMonitor

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, FilterConfig
+from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix, field_jacobian
@@ -61,16 +61,6 @@ _MAX_SAMPLES: Final = 4096
 
 _RETRY: Final = 1.15
 """Each attempt waits until there is this much more sample time than at the one before."""
-
-
-class StartGate(StrEnum):
-    """Why a batch solution was not accepted."""
-
-    NOT_POSITIVE = "not_positive"
-    COLLAPSED = "collapsed"
-    POOR_COVERAGE = "poor_coverage"
-    NO_CONVERGENCE = "no_convergence"
-    BAD_FIT = "bad_fit"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,9 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.estimators.parts.sample_buffer import SampleBuffer
 from magcal_service.estimators.parts.start import LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma, vector_sigma
 from magcal_service.estimators.steady_spin.fit import AxisTie, Prior, Samples, SpinFit, contradiction, fit_spin
+from magcal_service.estimators.steady_spin.sample_buffer import SampleBuffer
 from magcal_service.estimators.steady_spin.start import SpinGuess, find_spin
 from magcal_service.estimators.steady_spin.state import (
     ERRORS,

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.estimators.parts.sample_buffer import CAPACITY
 from magcal_service.estimators.spin import configured_tie
 from magcal_service.estimators.steady_spin.fit import Samples
+from magcal_service.estimators.steady_spin.sample_buffer import CAPACITY
 from magcal_service.estimators.steady_spin.search import SpinSearch, SpinStart, retry_at
 from magcal_service.estimators.steady_spin.state import ERRORS, SpinState
 from magcal_service.estimators.steady_spin.watch import BLOCK, BLOCK_LIMIT, BLOCKS, DRIFT_LIMIT, MEMORY, RATIO_LIMIT

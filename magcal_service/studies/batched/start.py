@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig
+from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.start import (
     BatchSolution,
     StartBuffer,
-    StartGate,
     fits_all,
     gated,
     lowest,
