@@ -19,9 +19,10 @@ run: .venv/.run ## the simulated satellite feeds the daemon over a real link (LI
 test: .venv/.dev ## all tests
 	@$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
-lint: .venv/.dev ## formatting, lint, types
+lint: .venv/.dev ## formatting, lint, who may import whom, types
 	@$(BIN)/python -m ruff format --check .
 	@$(BIN)/python -m ruff check .
+	@$(BIN)/python $(BIN)/lint-imports --no-logo
 	@$(BIN)/python -m mypy
 
 format: .venv/.dev ## put the code in the project's format

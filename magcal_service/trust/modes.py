@@ -215,7 +215,7 @@ def markdown() -> str:
         "# Degraded modes",
         "",
         "What is published when something is missing or wrong, for a craft that was trusted before. The table is that",
-        "of [`modes.py`](../magcal_service/modes.py), and `tests/daemon/test_pipeline_modes.py` plays each row",
+        "of [`modes.py`](../magcal_service/trust/modes.py), and `tests/daemon/test_pipeline_modes.py` plays each row",
         "through a pipeline. In no mode does a vector look better than it is: it is withheld, or its covariance is the",
         "prior's or grows, or its verdict says `doubtful`.",
         "",

@@ -96,9 +96,10 @@ def test_the_two_first_commands_install_and_run(installed: Path, arguments: list
     assert [line.rstrip() for line in calls(installed)] == [install, last]
 
 
-def test_the_check_is_format_lint_types_and_tests_in_that_order(installed: Path) -> None:
+def test_the_check_is_format_lint_layers_types_and_tests_in_that_order(installed: Path) -> None:
     make(installed, "check")
-    expected = ["-m ruff format --check .", "-m ruff check .", "-m mypy", "-m pytest -n auto --dist loadfile"]
+    lint = ["-m ruff format --check .", "-m ruff check .", ".venv/bin/lint-imports --no-logo", "-m mypy"]
+    expected = [*lint, "-m pytest -n auto --dist loadfile"]
     assert [line.rstrip() for line in calls(installed)[1:]] == expected
 
 

@@ -20,7 +20,7 @@ from typing import Self
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Message
 from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.pty_pair import PtyPair
-from tests.service.service_processes import PATIENCE_S, Node, wait_for
+from tests.daemon.service_processes import PATIENCE_S, Node, wait_for
 
 RECORD_FLUSH_S = 0.2
 QUIET_S = 15.0  # what has not come by then is lost

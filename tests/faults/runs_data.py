@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from magcal_service.wire.messages import Message
+from tests.daemon.service_processes import free_port, stream, write_config
 from tests.faults.bench import Daemons, Feeder, Witness, with_recording
 from tests.faults.faults import Fault, Outcome
-from tests.service.service_processes import free_port, stream, write_config
 
 SECOND_NS = 1_000_000_000
 RATE_HZ = 400.0

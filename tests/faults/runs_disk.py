@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from magcal_service.recordings.session_info import session_info
+from tests.daemon.service_processes import free_port, stream, write_config
 from tests.faults.bench import RECORD_FLUSH_S, Daemons, Feeder, Witness, with_recording
 from tests.faults.faults import Fault, Outcome
 from tests.faults.runs_process import (
@@ -20,7 +21,6 @@ from tests.faults.runs_process import (
     uninterrupted,
     with_state,
 )
-from tests.service.service_processes import free_port, stream, write_config
 
 RATE_HZ = 300.0
 

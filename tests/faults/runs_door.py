@@ -10,10 +10,10 @@ from pathlib import Path
 
 from magcal_service.links import Role, open_link
 from magcal_service.wire.messages import Command, MagnetometerSample
+from tests.daemon.service_processes import free_port, stream, write_config
 from tests.faults.bench import Daemons, Feeder, Witness
 from tests.faults.faults import Fault, Outcome
 from tests.security.rogue_links import PATIENCE_S, Blunt, expire, make_certificates, shipped
-from tests.service.service_processes import free_port, stream, write_config
 
 RATE_HZ = 200.0
 

@@ -13,9 +13,9 @@ from magcal_service.wire.codec import encode
 from magcal_service.wire.framing import ReceivedFrame, unpack_frame
 from magcal_service.wire.keys import key_of
 from magcal_service.wire.messages import MagnetometerSample
+from tests.daemon.service_processes import CutCable, free_port, stream, write_config
 from tests.faults.bench import Cable, Daemons, Feeder, Proxy, Witness
 from tests.faults.faults import Fault, Outcome
-from tests.service.service_processes import CutCable, free_port, stream, write_config
 
 RATE_HZ = 200.0
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Status
+from tests.daemon.service_processes import free_port, stream, write_config
 from tests.faults.bench import Daemons, Feeder, Witness
 from tests.faults.faults import Fault, Outcome
-from tests.service.service_processes import free_port, stream, write_config
 
 ROOT = Path(__file__).resolve().parents[2]
 FLOOD_HZ = 10_000

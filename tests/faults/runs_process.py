@@ -14,9 +14,9 @@ from pathlib import Path
 from magcal_service.config.reader import load_config
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.messages import Estimate, Message
+from tests.daemon.service_processes import free_port, stream, wait_for, write_config
 from tests.faults.bench import Daemons, Feeder, Witness, estimates_by_time, stopped
 from tests.faults.faults import Fault, Outcome
-from tests.service.service_processes import free_port, stream, wait_for, write_config
 
 ROOT = Path(__file__).resolve().parents[2]
 RATE_HZ = 300.0  # messages a second: a sample and a reference for each second of flight

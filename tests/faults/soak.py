@@ -26,7 +26,7 @@ from magcal_service.links import Role, open_link
 from magcal_service.wire.messages import Message
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
-from tests.service.service_processes import free_port
+from tests.daemon.service_processes import free_port
 
 FLIGHT_S, GAP_S, SECOND_NS = 18_000, 61, 1_000_000_000
 HOUR_TICKS, MINUTE_TICKS = 3600, 60

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from tests.service.service_processes import Node, daemon, free_port, kill, wait_for, write_config
 
 from magcal_service.errors import RecordingError
 from magcal_service.recordings.mcap import RawMessage
@@ -22,6 +21,7 @@ from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder, recover, recover_in_place
 from magcal_service.recordings.session_info import session_info
 from magcal_service.wire.messages import MagnetometerSample
+from tests.daemon.service_processes import Node, daemon, free_port, kill, wait_for, write_config
 from tests.recordings.sessions import craft, stream, until
 from tests.recordings.sessions import settings as record_settings
 

@@ -7,7 +7,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from magcal_service.cli.record import add_commands
+from magcal_service.cli.record import add_record
 from magcal_service.recordings import mcap
 from magcal_service.recordings.recorder import MOST_WAITING, PATIENCE_S, Recorder
 from magcal_service.recordings.session_arrays import WIDEST_PERIODS
@@ -25,7 +25,7 @@ def test_the_page_names_every_counter_and_no_other(tmp_path: Path) -> None:
 
 def test_the_page_names_every_command() -> None:
     parser = argparse.ArgumentParser()
-    add_commands(parser)
+    add_record(parser)
     (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     assert set(re.findall(r"magcal record ([a-z]+)", PAGE)) == set(commands.choices)
 

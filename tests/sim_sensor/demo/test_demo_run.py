@@ -31,8 +31,8 @@ ROOT = Path(__file__).parents[3]
 def _quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The daemon finds the packages; waits are short, and no picture is drawn unless the test asks for pictures."""
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setattr("sim_sensor.demo.QUIET_S", 0.3)
-    monkeypatch.setattr("sim_sensor.demo.PATIENCE_S", 1.0)
+    monkeypatch.setattr("sim_sensor.demo.__main__.QUIET_S", 0.3)
+    monkeypatch.setattr("sim_sensor.demo.__main__.PATIENCE_S", 1.0)
     if "pictures" not in request.fixturenames:
         monkeypatch.setattr("sim_sensor.view.plots.plot_errors", lambda *_: None)
         monkeypatch.setattr("sim_sensor.view.plots.plot_residual", lambda *_: None)
