@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
+    "DISTRIBUTION",
     "ConfigError",
     "DecodeError",
     "ExtraMissingError",
@@ -18,6 +19,7 @@ __all__ = [
     "LinkError",
     "MagcalError",
     "RecordingError",
+    "how_to_install",
     "unwritable",
 ]
 
@@ -93,11 +95,32 @@ class LinkError(MagcalError):
     """A link could not be opened at all (a link that dies later reconnects instead of raising)."""
 
 
+DISTRIBUTION = "magcal-service"
+"""Name on the package index, where ``magcal`` is somebody else's calibrator."""
+
+
+def how_to_install(extra: str) -> str:
+    """The command that adds an extra to this very installation: from the index, a folder, or an editable checkout."""
+    from importlib.metadata import PackageNotFoundError, distribution
+    from json import loads
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        origin = loads(distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+    except PackageNotFoundError:  # run from a checkout that nobody installed
+        return f"pip install -e '{Path(__file__).resolve().parents[1]}[{extra}]'"
+    url = origin.get("url", "")
+    if not url.startswith("file:"):
+        return f"pip install '{DISTRIBUTION}[{extra}]'"
+    editable = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    return f"pip install {editable}'{unquote(urlsplit(url).path)}[{extra}]'"
+
+
 class ExtraMissingError(MagcalError):
     """A command needs a package that the base installation does not bring."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs the package {package!r}; install it with: pip install 'magcal[{extra}]'")
+        super().__init__(f"{purpose} needs the package {package!r}; install it with: {how_to_install(extra)}")
 
 
 class DecodeError(MagcalError):

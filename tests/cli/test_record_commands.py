@@ -14,6 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from magcal_service.cli.__main__ import main
+from magcal_service.errors import how_to_install
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.reader import read_recording
@@ -231,7 +232,7 @@ def test_without_the_extra_the_daemon_runs_and_recording_names_it() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "pip install 'magcal[record]'" in done.stderr
+    assert how_to_install("record") in done.stderr
 
 
 def test_a_daemon_that_does_not_record_loads_nothing_for_it() -> None:
