@@ -7,7 +7,7 @@ ARGS ?=
 PIP_ENV := PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_ROOT_USER_ACTION=ignore
 BIN := .venv/bin
 
-.PHONY: help run test lint format check bench lock clean
+.PHONY: help run test lint format check bench mutate lock clean
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -35,6 +35,9 @@ bench: .venv/.dev ## the measured figures of the documentation, again (BENCH=wir
 	@set -e; for file in tests/benchmarks/bench_$(BENCH).py; do \
 	  module=$${file%.py}; echo "== $$module"; $(BIN)/python -m $$(echo $$module | tr / .) $(ARGS); done
 
+mutate: .venv/.mutate ## break the core in single places: do the tests notice? (ARGS="--room wire --sample 0": all of a room)
+	@$(BIN)/python -m tests.mutation $(ARGS)
+
 lock: ## resolve deploy/requirements.lock anew, with hashes (needs the network)
 	@d=$$(mktemp -d) && $(PYTHON) -m venv $$d && $(PIP_ENV) $$d/bin/pip install -q 'pip-tools>=7.4' && \
 	  sed -n '/^#/p' deploy/requirements.lock >$$d/lock && $$d/bin/pip-compile -q --generate-hashes --strip-extras \
@@ -54,6 +57,11 @@ clean: ## remove what the other commands made; recordings in output/ stay
 	@echo "installing magcal with everything its tests need into .venv (once, one to two minutes) ..."
 	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[dev]'
 	@touch $@ .venv/.run
+
+.venv/.mutate: .venv/.dev
+	@echo "installing what breaks the code on purpose into .venv (once) ..."
+	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[mutate]'
+	@touch $@
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not installed; on Debian: apt install python3 python3-venv" >&2; exit 1; }

@@ -1,0 +1,74 @@
+"""Mutation scores as tables."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from tests.mutation.mutants import Mutant, Outcome
+from tests.mutation.rooms import ROOMS
+
+_EXPLAINED: Final = Path(__file__).parent / "explained.toml"
+_PAGE: Final = """# Mutation testing
+
+Single changes of the core (an operator, a bound, a number, a call left out), drawn by seed, and whether the tests *of
+the same room* notice. The changes are made by [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators in a copy of the
+checkout; `tests/mutation/rooms.py` says which code and which tests belong together. This page is written by
+`python -m tests.mutation --sample {sample} --seed {seed} --out docs`; `make mutate` tries a small sample.
+
+{table}
+
+## Survivors
+
+{survivors}
+"""
+
+
+@cache
+def _explained() -> tuple[dict[str, str], ...]:
+    return tuple(tomllib.loads(_EXPLAINED.read_text(encoding="utf-8")).get("mutant", ()))
+
+
+def explanation(mutant: Mutant) -> str:
+    """Why a mutant may live, empty where nobody has said so."""
+    for entry in _explained():
+        if (entry["file"], entry["before"], entry["after"]) == (mutant.file, mutant.before, mutant.after):
+            return entry["why"]
+    return ""
+
+
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """A table: a row for each room."""
+    rows = ["| room | mutants | noticed | survivors explained | not explained | score |", "|---|---|---|---|---|---|"]
+    names = [room.name for room in ROOMS if any(outcome.room == room.name for outcome in outcomes)]
+    rows += [_row(name, [outcome for outcome in outcomes if outcome.room == name]) for name in names]
+    return "\n".join([*rows, _row("all", outcomes)])
+
+
+def _row(name: str, outcomes: Sequence[Outcome]) -> str:
+    killed = sum(bool(outcome.killed_by) for outcome in outcomes)
+    explained = sum(bool(not outcome.killed_by and explanation(outcome.mutant)) for outcome in outcomes)
+    left = len(outcomes) - killed - explained
+    return f"| {name} | {len(outcomes)} | {killed} | {explained} | {left} | {100 * killed / len(outcomes):.0f} % |"
+
+
+def _survivors(outcomes: Sequence[Outcome]) -> str:
+    lines = [
+        f"- {outcome.room}: {outcome.mutant.text}: {explanation(outcome.mutant) or '**not explained**'}"
+        for outcome in outcomes
+        if not outcome.killed_by
+    ]
+    return "\n".join(lines) or "None."
+
+
+def write(outcomes: Sequence[Outcome], seed: int, docs: Path) -> None:
+    """``mutation.md`` and ``results/mutation.json``."""
+    counts = [sum(outcome.room == room.name for outcome in outcomes) for room in ROOMS]
+    page = _PAGE.format(sample=max(counts), seed=seed, table=summary(outcomes), survivors=_survivors(outcomes))
+    (docs / "mutation.md").write_text(page, encoding="utf-8")
+    content: dict[str, Any] = {"seed": seed, "outcomes": [outcome.as_dict() for outcome in outcomes]}
+    (docs / "results/mutation.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
