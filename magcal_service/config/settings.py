@@ -1,16 +1,19 @@
-"""The daemon's configuration as frozen dataclasses; ``config_reader`` makes them of a TOML file.
+"""The daemon's configuration as frozen dataclasses, each setting with its default, unit and limits.
 
-Each setting stands beside its default and its limits; ``docs/configuration.md`` explains them one by one.
+``reader`` makes them of a TOML file by these declarations; ``docs/configuration.md`` explains the settings one by one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import NamedTuple
 
+from magcal_service.config import rules
+from magcal_service.config.physics_file import PhysicsConfig, physics_setting
 from magcal_service.errors import ConfigError, Fault
+from magcal_service.typed_toml.keys import choice, flag, number, numbers, section, special, text, whole
+from magcal_service.typed_toml.record import REQUIRED, Limits, Reading, read_record
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 
@@ -33,19 +36,12 @@ __all__ = [
 ]
 
 DEFAULT_LINK = "zenoh:tcp/127.0.0.1:7447"
-MIN_RATE_RPM = 0.01  # slower turns are longer than an orbit
-NAME_ACCEPTED = "1 to 32 characters of A-Z a-z 0-9 _ - are accepted"
 
+MAX_CRAFT = 10_000
+"""Thirty times the craft that one process serves at 1 Hz; a larger number is a mistake."""
 
-class Limits(NamedTuple):
-    """Smallest and largest accepted value of a setting, of each element where it is an array."""
-
-    minimum: float
-    maximum: float
-
-
-def _within(minimum: float, maximum: float) -> dict[str, Limits]:
-    return {"limits": Limits(minimum, maximum)}
+WINDOW_SAMPLES = Limits(2, 10_000)
+"""Two samples make the shortest mean; ten thousand are hours of the slowest useful sampling."""
 
 
 class SpinWindow(StrEnum):
@@ -68,10 +64,21 @@ class SensorConfig:
     axis_stuck_s: an axis may keep one value for so long while the others move [s]; then samples are refused.
     """
 
-    noise_nt: float | None = field(default=None, metadata=_within(0.01, 100_000.0))
-    stuck_samples: int = field(default=10, metadata=_within(3, 100_000))
-    range_nt: float | None = field(default=None, metadata=_within(1000.0, 1e6))
-    axis_stuck_s: float = field(default=60.0, metadata=_within(5.0, 86_400.0))
+    noise_nt: float | None = number(None, 0.01, 100_000.0, unit="nT")
+    stuck_samples: int = whole(10, 3, 100_000, unit="samples")
+    range_nt: float | None = number(None, 1000.0, 1e6, unit="nT")
+    axis_stuck_s: float = number(60.0, 5.0, 86_400.0, unit="s")
+
+
+def _window_samples(reading: Reading, name: str) -> int | None:
+    table = reading.table
+    if not table.has(name):
+        return None
+    if reading.values["window"] is not SpinWindow.MEAN:
+        table.refuse(name, table.content[name], 'only window = "mean" uses it; remove it')
+        return None
+    least, most = map(int, WINDOW_SAMPLES)
+    return table.integer(name, least, minimum=least, maximum=most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +95,12 @@ class SpinConfig:
     fourth: use equation (8), which the paper rejects, as well.
     """
 
-    axis: Vector = (0.0, 0.0, 1.0)
-    rate_rpm: float = field(default=7.5, metadata=_within(-3000.0, 3000.0))
-    window: SpinWindow = SpinWindow.HARMONIC
-    window_turns: int = field(default=2, metadata=_within(1, 20))
-    window_samples: int | None = field(default=None, metadata=_within(2, 10_000))
-    fourth: bool = False
+    axis: Vector = special(rules.axis, (0.0, 0.0, 1.0))
+    rate_rpm: float = number(REQUIRED, -3000.0, 3000.0, unit="rpm", fallback=7.5, check=rules.check_rate)
+    window: SpinWindow = choice(SpinWindow, SpinWindow.HARMONIC)
+    window_turns: int = whole(2, 1, 20, unit="turns")
+    window_samples: int | None = special(_window_samples, None, limits=WINDOW_SAMPLES, unit="samples")
+    fourth: bool = flag(False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,21 +121,21 @@ class FilterConfig:
     adaptive: look for jumps of the errors and follow them by process noise at the jump alone.
     """
 
-    method: str = "ukf"
-    prior_bias_nt: float = field(default=30_000.0, metadata=_within(1.0, 200_000.0))
-    prior_D: float = field(default=0.2, metadata=_within(1e-4, 1.0))
-    process_noise_bias_nt: Vector = field(default=(0.0, 0.0, 0.0), metadata=_within(0.0, 1000.0))
-    process_noise_D: tuple[float, float, float, float, float, float] = field(
-        default=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), metadata=_within(0.0, 0.01)
+    method: str = text("ukf", check=rules.check_method)
+    prior_bias_nt: float = number(30_000.0, 1.0, 200_000.0, unit="nT")
+    prior_D: float = number(0.2, 1e-4, 1.0)
+    process_noise_bias_nt: Vector = numbers(3, (0.0, 0.0, 0.0), 0.0, 1000.0, unit="nT/sqrt(s)")
+    process_noise_D: tuple[float, float, float, float, float, float] = numbers(
+        6, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.01, unit="1/sqrt(s)"
     )
-    start_s: float = field(default=120.0, metadata=_within(10.0, 86_400.0))
-    start_max_s: float = field(default=3600.0, metadata=_within(10.0, 604_800.0))
-    start_inflation: float = field(default=4.0, metadata=_within(1.0, 1000.0))
-    alpha: float = field(default=1.0, metadata=_within(1e-3, 2.0))
-    beta: float = field(default=2.0, metadata=_within(0.0, 10.0))
-    kappa: float = field(default=0.0, metadata=_within(0.0, 100.0))
-    gate_sigma: float = field(default=6.0, metadata=_within(3.0, 1000.0))
-    adaptive: bool = False
+    start_s: float = number(120.0, 10.0, 86_400.0, unit="s")
+    start_max_s: float = number(3600.0, 10.0, 604_800.0, unit="s", check=rules.check_start_max)
+    start_inflation: float = number(4.0, 1.0, 1000.0)
+    alpha: float = number(1.0, 1e-3, 2.0)
+    beta: float = number(2.0, 0.0, 10.0)
+    kappa: float = number(0.0, 0.0, 100.0)
+    gate_sigma: float = number(6.0, 3.0, 1000.0)
+    adaptive: bool = flag(False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +151,11 @@ class TickConfig:
     step_confirm_s: a jump ahead by more than this is believed only when the samples after it agree.
     """
 
-    reference_max_gap_s: float = field(default=10.0, metadata=_within(0.1, 600.0))
-    hold_s: float = field(default=3.0, metadata=_within(0.0, 60.0))
-    late_s: float = field(default=30.0, metadata=_within(0.0, 600.0))
-    gap_s: float = field(default=60.0, metadata=_within(2.0, 3600.0))
-    step_confirm_s: float = field(default=600.0, metadata=_within(10.0, 604_800.0))
+    reference_max_gap_s: float = number(10.0, 0.1, 600.0, unit="s")
+    hold_s: float = number(3.0, 0.0, 60.0, unit="s")
+    late_s: float = number(30.0, 0.0, 600.0, unit="s", check=rules.check_late)
+    gap_s: float = number(60.0, 2.0, 3600.0, unit="s")
+    step_confirm_s: float = number(600.0, 10.0, 604_800.0, unit="s", check=rules.check_step_confirm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +171,11 @@ class TrustConfig:
     watch: whether the residual is watched for physics that is left out (``model_watch``).
     """
 
-    min_ticks: int = field(default=300, metadata=_within(10, 1_000_000))
-    sigma_bias_nt: float = field(default=100.0, metadata=_within(0.1, 10_000.0))
-    sigma_D: float = field(default=0.005, metadata=_within(1e-6, 0.5))
-    residual_ratio: float = field(default=1.5, metadata=_within(1.0, 100.0))
-    watch: bool = True
+    min_ticks: int = whole(300, 10, 1_000_000, unit="ticks")
+    sigma_bias_nt: float = number(100.0, 0.1, 10_000.0, unit="nT")
+    sigma_D: float = number(0.005, 1e-6, 0.5)
+    residual_ratio: float = number(1.5, 1.0, 100.0)
+    watch: bool = flag(True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +188,8 @@ class OutputConfig:
     status_period_s: time between two status messages [s].
     """
 
-    csv: Path | None = None
-    status_period_s: float = field(default=10.0, metadata=_within(1.0, 3600.0))
+    csv: Path | None = special(rules.csv_file, None)
+    status_period_s: float = number(10.0, 1.0, 3600.0, unit="s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +207,13 @@ class RecordConfig:
     retry_s: time between two attempts to record again [s].
     """
 
-    directory: Path
-    flush_s: float = field(default=5.0, metadata=_within(0.1, 60.0))
-    file_mb: float = field(default=64.0, metadata=_within(0.01, 4096.0))
-    file_h: float = field(default=6.0, metadata=_within(0.001, 720.0))
-    total_mb: float | None = field(default=None, metadata=_within(0.02, 1e7))
-    min_free_mb: float = field(default=64.0, metadata=_within(0.0, 1e6))
-    retry_s: float = field(default=60.0, metadata=_within(0.1, 3600.0))
+    directory: Path = special(rules.recordings_directory)
+    flush_s: float = number(5.0, 0.1, 60.0, unit="s")
+    file_mb: float = number(64.0, 0.01, 4096.0, unit="MB")
+    file_h: float = number(6.0, 0.001, 720.0, unit="h")
+    total_mb: float | None = number(None, 0.02, 1e7, unit="MB", check=rules.check_total)
+    min_free_mb: float = number(64.0, 0.0, 1e6, unit="MB")
+    retry_s: float = number(60.0, 0.1, 3600.0, unit="s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,14 +227,14 @@ class StateConfig:
     keep: checkpoints of a craft that are kept, so that a damaged one has another before it.
     """
 
-    directory: Path
-    period_s: float = field(default=60.0, metadata=_within(10.0, 86_400.0))
-    keep: int = field(default=3, metadata=_within(2, 100))
+    directory: Path = special(rules.checkpoints_directory)
+    period_s: float = number(60.0, 10.0, 86_400.0, unit="s")
+    keep: int = whole(3, 2, 100, unit="files")
 
 
 @dataclass(frozen=True, slots=True)
 class HealthConfig:
-    """What the daemon tells about itself beside its status.
+    """What the daemon reports about itself beside its status.
 
     Parameters
     ----------
@@ -235,45 +242,46 @@ class HealthConfig:
     summary_s: time between two summaries in the log [s].
     """
 
-    metrics: str | None = None
-    summary_s: float = field(default=300.0, metadata=_within(1.0, 86_400.0))
-
-
-@dataclass(frozen=True, slots=True)
-class PhysicsConfig:
-    """A ``physics.toml`` that is compensated live: where it is, and what it said when it was read."""
-
-    path: Path
-    text: str
+    metrics: str | None = special(rules.metrics_address, None)
+    summary_s: float = number(300.0, 1.0, 86_400.0, unit="s")
 
 
 @dataclass(frozen=True, slots=True)
 class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
-    name: str
-    sensor: SensorConfig = SensorConfig()
-    spin: SpinConfig | None = None
-    filter: FilterConfig = FilterConfig()
-    ticks: TickConfig = TickConfig()
-    trust: TrustConfig = TrustConfig()
-    physics: PhysicsConfig | None = None
+    name: str = text(accepted="the craft's name on the link", check=rules.check_craft_name)
+    sensor: SensorConfig = section(SensorConfig, SensorConfig())
+    spin: SpinConfig | None = section(SpinConfig, None)
+    filter: FilterConfig = section(FilterConfig, FilterConfig())
+    ticks: TickConfig = section(TickConfig, TickConfig())
+    trust: TrustConfig = section(TrustConfig, TrustConfig())
+    physics: PhysicsConfig | None = special(physics_setting, None)
+
+
+def _crafts(reading: Reading, name: str) -> tuple[CraftConfig, ...]:
+    tables = reading.table.tables(name)
+    if not 1 <= len(tables) <= MAX_CRAFT:
+        accepted = f"1 to {MAX_CRAFT} tables [[craft]] are accepted, each with its name"
+        reading.table.refuse(name, len(tables), accepted)
+        return ()
+    return tuple(read_record(table, CraftConfig, context=reading.context) for table in tables)
 
 
 @dataclass(frozen=True, slots=True)
 class Config:
     """A whole file: the link's address, one ``CraftConfig`` per ``[[craft]]`` in order, and what is written."""
 
-    link: str = DEFAULT_LINK
-    crafts: tuple[CraftConfig, ...] = ()
-    output: OutputConfig = OutputConfig()
-    record: RecordConfig | None = None
-    state: StateConfig | None = None
-    health: HealthConfig = HealthConfig()
+    link: str = text(DEFAULT_LINK, check=rules.check_link)
+    crafts: tuple[CraftConfig, ...] = special(_crafts, (), name="craft")
+    output: OutputConfig = section(OutputConfig, OutputConfig())
+    record: RecordConfig | None = section(RecordConfig, None)
+    state: StateConfig | None = section(StateConfig, None)
+    health: HealthConfig = section(HealthConfig, HealthConfig())
 
 
 def default_craft(name: str) -> CraftConfig:
     """All defaults for the craft ``name`` (no spin); raises ConfigError where the name is not accepted."""
     if not NAME.fullmatch(name):
-        raise ConfigError([Fault("craft name", name, NAME_ACCEPTED)])
+        raise ConfigError([Fault("craft name", name, rules.NAME_ACCEPTED)])
     return CraftConfig(name)

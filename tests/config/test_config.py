@@ -31,6 +31,7 @@ from magcal_service.config.settings import (
     default_craft,
 )
 from magcal_service.errors import ConfigError
+from magcal_service.typed_toml.record import declared
 
 MINIMAL = 'version = 1\n[[craft]]\nname = "demo"\n'
 
@@ -355,15 +356,10 @@ NEEDED_BESIDE = {
     "gap_s": "step_confirm_s = 604800\n",
 } | {setting.name: "directory = 'd'\n" for setting in fields(RecordConfig)}
 LIMITED = [
-    (
-        table,
-        setting.name,
-        setting.metadata["limits"].maximum,
-        len(setting.default) if isinstance(setting.default, tuple) else 0,
-    )
+    (table, name, key.limits.maximum, len(key.default) if isinstance(key.default, tuple) else 0)
     for table, kind in KINDS.items()
-    for setting in fields(kind)
-    if setting.metadata
+    for name, key in declared(kind).items()
+    if key.limits is not None
 ]
 
 
@@ -380,7 +376,7 @@ def test_the_largest_value_is_accepted_and_nothing_beyond(
 
 
 def test_every_number_in_the_configuration_has_limits() -> None:
-    unlimited = {setting.name for kind in KINDS.values() for setting in fields(kind) if not setting.metadata}
+    unlimited = {name for kind in KINDS.values() for name, key in declared(kind).items() if key.limits is None}
     assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "watch", "csv", "directory"}
 
 

@@ -1,91 +1,26 @@
-"""Reads TOML tables into typed values, collecting every fault instead of stopping at the first.
-
-``open_toml`` gives a ``Table``; its methods read one key each and remember it; ``finish`` refuses every key that
-nobody read, naming the nearest one that is known.  The caller raises once, with all faults.
-"""
+"""One TOML table being read key by key; every fault is added to a list that the whole file shares."""
 
 from __future__ import annotations
 
 import difflib
-import itertools
 import math
 import sys
-import tomllib
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from pathlib import Path
 from typing import Any, TypeVar
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault
 
 E = TypeVar("E", bound=StrEnum)
 
-_MAX_FILE_BYTES = 1 << 20
-_MOST_BITS = 1024  # a little more than a float holds: what is less has its field's own refusal
-_MOST_LEVELS = 32
-_MOST_DOTS = 500
-_FEW_LEVELS = "valid TOML of a few levels is accepted"
-
 
 def nearest(value: str, known: Iterable[str]) -> str:
-    """Say which known name is meant: ``"did you mean 'unit'? known: ..."``."""
+    """Name the known name that is probably meant: ``"did you mean 'unit'? known: ..."``."""
     names = sorted(known)
     by_lower = {name.lower(): name for name in names}
     close = difflib.get_close_matches(value.lower(), by_lower, n=1)
     listing = ", ".join(names) if names else "none"
     return f"did you mean {by_lower[close[0]]!r}? known: {listing}" if close else f"known: {listing}"
-
-
-def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
-    """Read a TOML file of at most 1 MiB into a ``Table``; raise ``error`` where it cannot be read or parsed."""
-    try:
-        raw = path.read_bytes()
-    except OSError as exc:
-        raise error([Fault(str(path), exc.strerror or str(exc), "give a readable TOML file")]) from None
-    if len(raw) > _MAX_FILE_BYTES:
-        raise error([Fault(str(path), f"{len(raw)} bytes", f"a file of at most {_MAX_FILE_BYTES} bytes is accepted")])
-    return parse_toml(raw, str(path), path.name, error)
-
-
-def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]) -> Table:
-    """The same of a file's content; ``where`` it is from, and the name of the ``file`` in the faults of its keys."""
-    if _has_endless_key(raw):
-        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)])
-    try:
-        content = tomllib.loads(raw.decode("utf-8"))
-    except RecursionError:
-        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)]) from None
-    except ValueError as exc:  # not TOML, not UTF-8, or an integer too long to be one
-        raise error([Fault(where, str(exc), "valid TOML in UTF-8 is accepted")]) from None
-    strange = _strange(content)
-    if strange:
-        raise error([Fault(where, *strange)])
-    return Table(content, file, "", [])
-
-
-def _has_endless_key(raw: bytes) -> bool:
-    """Whether a key has hundreds of dots: the time that its parsing takes goes with their square."""
-    for line in raw.split(b"\n"):
-        parts = line.split(b"=")
-        keys = parts if line.lstrip().startswith(b"[") else parts[:-1]
-        if any(key.count(b".") > _MOST_DOTS for key in keys):
-            return True
-    return False
-
-
-def _strange(content: object) -> tuple[str, str] | None:
-    """What no file of ours can mean, and Python itself stumbles over: values without end, and what is accepted."""
-    level, depth = [content], 0
-    while level:
-        if any(isinstance(value, int) and value.bit_length() > _MOST_BITS for value in level):
-            return "an integer of hundreds of digits", "an integer of at most 64 bits is accepted"
-        lists = [
-            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
-        ]
-        level, depth = list(itertools.chain.from_iterable(lists)), depth + 1
-        if depth > _MOST_LEVELS:
-            return "nested too deeply", _FEW_LEVELS
-    return None
 
 
 def _is_number(value: object) -> bool:

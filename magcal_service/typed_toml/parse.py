@@ -1,0 +1,82 @@
+"""The text of a TOML file into a ``Table``; refuses what would cost Python unbounded time, memory or recursion."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from pathlib import Path
+
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.typed_toml.table import Table
+
+_MAX_FILE_BYTES = 1 << 20
+"""1 MiB: thousands of craft fit in, and a log given by mistake is refused before it is parsed."""
+
+_MAX_INTEGER_BITS = 1024  # a little more than a float holds: smaller ones are refused by the limits of their field
+
+_MAX_LEVELS = 32
+"""No file of ours nests more than four levels; Python's own recursion limit is some hundreds of frames away."""
+
+_MAX_DOTS = 500
+"""In one key: tomllib takes time that grows with their square, and no key of ours has more than two."""
+
+_FEW_LEVELS = "valid TOML of a few levels is accepted"
+
+
+def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
+    """Read a TOML file of at most 1 MiB into a ``Table``; raise ``error`` where it cannot be read or parsed."""
+    try:
+        raw = path.read_bytes()
+    except OSError as exc:
+        raise error([Fault(str(path), exc.strerror or str(exc), "give a readable TOML file")]) from None
+    if len(raw) > _MAX_FILE_BYTES:
+        raise error([Fault(str(path), f"{len(raw)} bytes", f"a file of at most {_MAX_FILE_BYTES} bytes is accepted")])
+    return parse_toml(raw, str(path), path.name, error)
+
+
+def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]) -> Table:
+    """Parse a file's content into a ``Table``; raise ``error`` where it is not TOML.
+
+    Parameters
+    ----------
+    raw: the content.
+    where: where it is from, for faults of the whole file.
+    file: the file's name, for faults of its keys.
+    """
+    if _has_endless_key(raw):
+        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)])
+    try:
+        content = tomllib.loads(raw.decode("utf-8"))
+    except RecursionError:
+        raise error([Fault(where, "nested too deeply", _FEW_LEVELS)]) from None
+    except ValueError as exc:  # not TOML, not UTF-8, or an integer too long to be one
+        raise error([Fault(where, str(exc), "valid TOML in UTF-8 is accepted")]) from None
+    excess = _excess(content)
+    if excess:
+        raise error([Fault(where, *excess)])
+    return Table(content, file, "", [])
+
+
+def _has_endless_key(raw: bytes) -> bool:
+    """Whether a key has hundreds of dots: the time to parse it grows with their square."""
+    for line in raw.split(b"\n"):
+        parts = line.split(b"=")
+        keys = parts if line.lstrip().startswith(b"[") else parts[:-1]
+        if any(key.count(b".") > _MAX_DOTS for key in keys):
+            return True
+    return False
+
+
+def _excess(content: object) -> tuple[str, str] | None:
+    """An integer too long or nesting too deep for any file of ours: what it is, and what is accepted."""
+    level, depth = [content], 0
+    while level:
+        if any(isinstance(value, int) and value.bit_length() > _MAX_INTEGER_BITS for value in level):
+            return "an integer of hundreds of digits", "an integer of at most 64 bits is accepted"
+        lists = [
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        ]
+        level, depth = list(itertools.chain.from_iterable(lists)), depth + 1
+        if depth > _MAX_LEVELS:
+            return "nested too deeply", _FEW_LEVELS
+    return None
