@@ -17,7 +17,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.typed_toml.keys import number
+from magcal_service.typed_toml.record import Reading
+from magcal_service.wire.messages import Vector
+from sim_sensor.declarations import RPM, direction
+
 Floats = npt.NDArray[np.float64]
+
+
+def _check_free_of_torque(reading: Reading, _: str, nutation_rad: float) -> None:
+    acceleration: float = reading.values["acceleration_rad_s2"]
+    if nutation_rad and acceleration:
+        reading.table.refuse("spin_up_rpm_per_hour", acceleration, "0 with nutation_deg: coning is free of torque")
 
 
 @dataclass(frozen=True)
@@ -35,13 +46,24 @@ class Spin:
     inertia_ratio: moment of inertia about the axis over that across it, 0 to 2; matters with nutation only.
     """
 
-    axis_body: tuple[float, float, float]
-    direction_eci: tuple[float, float, float]
-    rate_rad_s: float
-    phase_rad: float = 0.0
-    acceleration_rad_s2: float = 0.0
-    nutation_rad: float = 0.0
-    inertia_ratio: float = 1.0
+    axis_body: Vector = direction("z", name="axis", file_only=True)
+    direction_eci: Vector = direction(name="direction")
+    rate_rad_s: float = number(
+        7.5, -60.0, 60.0, name="rate_rpm", unit="rpm", convert=lambda rpm: rpm * RPM, file_only=True
+    )
+    phase_rad: float = number(0.0, -360.0, 360.0, name="phase_deg", unit="deg", convert=math.radians)
+    acceleration_rad_s2: float = number(
+        0.0,
+        -60.0,
+        60.0,
+        name="spin_up_rpm_per_hour",
+        unit="rpm/h",
+        convert=lambda rpm_per_hour: rpm_per_hour * RPM / 3600.0,
+    )
+    nutation_rad: float = number(
+        0.0, 0.0, 80.0, name="nutation_deg", unit="deg", convert=math.radians, check=_check_free_of_torque
+    )
+    inertia_ratio: float = number(1.0, 0.01, 2.0)
 
     def _angles(self, elapsed_s: Floats) -> tuple[Floats, Floats]:
         psi = self.inertia_ratio * self.rate_rad_s / math.cos(self.nutation_rad) * elapsed_s
@@ -73,7 +95,7 @@ class Spin:
         return math.hypot(along, self.inertia_ratio * self.rate_rad_s * math.tan(self.nutation_rad))
 
 
-def triad(axis: tuple[float, float, float]) -> Floats:
+def triad(axis: Vector) -> Floats:
     """Right-handed unit rows (3, 3) whose third is ``axis``; the first is the coordinate axis it leaves freest.
 
     The choice for z is the identity, so that a spin about body z has phase 0 where body x is the first row.

@@ -13,10 +13,23 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.typed_toml.keys import flag, number, numbers, special
+from magcal_service.typed_toml.record import Reading
+from magcal_service.wire.messages import Vector
+from sim_sensor.declarations import LONGEST_S, Six, direction, six, vector
+
 Floats = npt.NDArray[np.float64]
-Vector = tuple[float, float, float]
-Six = tuple[float, float, float, float, float, float]
-ZERO: Vector = (0.0, 0.0, 0.0)
+
+_IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # row by row: 1 nT per A m^2 along each axis
+_DRIVEN_SHARE = 0.5  # of a torquer's period where on_s is not given
+_LARGEST_DECAY = 0.2
+"""Of the undriven part of a period: then exp(-5), under 1 %, of a drive is left when the next one starts."""
+
+
+def _start_degc(reading: Reading, name: str) -> float:
+    """Halfway between hot and cold where it is not given."""
+    middle = (reading.values["hot_degc"] + reading.values["cold_degc"]) / 2.0
+    return reading.table.real(name, middle, minimum=-200.0, maximum=200.0)
 
 
 @dataclass(frozen=True)
@@ -36,13 +49,13 @@ class Thermal:
     scale_per_k: a [1/K]; AMR about 3e-3 open loop, fluxgate 1e-5 to 5e-5.
     """
 
-    hot_degc: float
-    cold_degc: float
-    time_constant_s: float
-    start_degc: float
-    zero_degc: float
-    bias_nt_per_k: Vector = ZERO
-    scale_per_k: Vector = ZERO
+    hot_degc: float = number(40.0, -200.0, 200.0, unit="degC", file_only=True)
+    cold_degc: float = number(-10.0, -200.0, 200.0, unit="degC", file_only=True)
+    time_constant_s: float = number(1200.0, 10.0, 1e6, unit="s", file_only=True)
+    start_degc: float = special(_start_degc, unit="degC")
+    zero_degc: float = number(20.0, -200.0, 200.0, unit="degC", file_only=True)
+    bias_nt_per_k: Vector = vector(1e4, unit="nT/K")
+    scale_per_k: Vector = vector(0.01, unit="1/K")
 
     def history_degc(self, lit: Floats, step_s: float) -> Floats:
         """Temperatures (n,) at steps of ``step_s`` from the lit fraction (n,), which is held over each step."""
@@ -65,13 +78,24 @@ class Panel:
     field_nt_per_a: c [nT/A]; 200 for 10 cm2 at 10 cm (mu0 A / 2 pi r^3), 1-5 on a clean platform.
     """
 
-    normal_body: Vector
-    max_a: float
-    field_nt_per_a: Vector
+    normal_body: Vector = direction(name="normal")
+    max_a: float = number(0.5, 0.0, 100.0, unit="A", file_only=True)
+    field_nt_per_a: Vector = vector(1e5, unit="nT/A", file_only=True)
 
     def current_a(self, sun_body: Floats, lit: Floats) -> Floats:
         """Current (n,) [A] for Sun directions (n, 3) in the body and lit fractions (n,)."""
         return np.asarray(self.max_a * lit * np.maximum(0.0, sun_body @ np.array(self.normal_body)))
+
+
+def _on_s(reading: Reading, name: str) -> float:
+    """At most the whole period; half of it where it is not given."""
+    period_s: float = reading.values["period_s"]
+    return reading.table.real(name, period_s * _DRIVEN_SHARE, minimum=0.0, maximum=period_s)
+
+
+def _check_decay(reading: Reading, name: str, decay_s: float) -> None:
+    if decay_s > _LARGEST_DECAY * (reading.values["period_s"] - reading.values["on_s"]):
+        reading.table.refuse(name, decay_s, "at most a fifth of the undriven part of a period is accepted")
 
 
 @dataclass(frozen=True)
@@ -91,20 +115,20 @@ class Torquer:
     alternate: whether every second period has the opposite sign.
     """
 
-    dipole_am2: Vector
-    period_s: float
-    on_s: float
-    field_nt_per_am2: tuple[float, ...]
-    decay_s: float = 0.01
-    remanence_nt: Vector = ZERO
-    alternate: bool = True
+    dipole_am2: Vector = vector(100.0, unit="A m^2", file_only=True)
+    period_s: float = number(60.0, 0.1, 1e5, unit="s", file_only=True)
+    on_s: float = special(_on_s, unit="s")
+    field_nt_per_am2: tuple[float, ...] = numbers(9, _IDENTITY, unit="nT/(A m^2)", file_only=True)
+    decay_s: float = number(0.01, 1e-4, 10.0, unit="s", check=_check_decay)
+    remanence_nt: Vector = vector(1e5, unit="nT")
+    alternate: bool = flag(True)
 
     def _sign(self, period: Floats) -> Floats:
         sign = 1.0 - 2.0 * np.mod(period, 2.0) if self.alternate else np.ones_like(period)
         return np.where(period < 0.0, 0.0, sign)
 
     def commanded_am2(self, elapsed_s: Floats) -> Floats:
-        """Dipole on command (n, 3) [A m^2]: what telemetry tells."""
+        """Dipole on command (n, 3) [A m^2]: what telemetry reports."""
         period = np.floor(elapsed_s / self.period_s)
         driven = (elapsed_s - period * self.period_s < self.on_s) * self._sign(period)
         return np.outer(driven, self.dipole_am2)
@@ -136,9 +160,9 @@ class Step:
     D: added to D11 D22 D33 D12 D13 D23 [-].
     """
 
-    at_s: float
-    bias_nt: Vector = ZERO
-    D: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    at_s: float = number(minimum=0.0, maximum=LONGEST_S, unit="s")
+    bias_nt: Vector = vector(5e5, unit="nT")
+    D: Six = six()
 
 
 class Craft(Protocol):

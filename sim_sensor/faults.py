@@ -11,10 +11,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import count
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from magcal_service.typed_toml import Table
+from magcal_service.typed_toml.keys import choice, special
+from magcal_service.typed_toml.record import Limits, Reading, read_record
 from magcal_service.wire.messages import (
     MagnetometerSample,
     Message,
@@ -23,6 +26,7 @@ from magcal_service.wire.messages import (
     TelemetrySample,
     Vector,
 )
+from sim_sensor.declarations import LONGEST_S
 
 SPIKE_NT = 500_000.0  # per axis: absurd as a field, yet below the 1 mT that the wire refuses
 
@@ -76,19 +80,30 @@ RECORDS: dict[Target, type[Message]] = {
 }
 
 
+def _needed(minimum: float, maximum: float, unit: str) -> Any:
+    """A number that is required by the kinds that read it, and unknown to the others."""
+
+    def read(reading: Reading, name: str) -> float:
+        if name not in READS[reading.values["kind"]]:
+            return 0.0
+        return reading.table.number(name, required=True, minimum=minimum, maximum=maximum) or 0.0
+
+    return special(read, 0.0, limits=Limits(minimum, maximum), unit=unit)
+
+
 @dataclass(frozen=True)
 class LinkFault:
     """One fault: its kind, whom it concerns, and the numbers that its kind reads (see ``FaultKind``)."""
 
-    kind: FaultKind
-    target: Target = Target.MAGNETOMETER
-    probability: float = 0.0
-    sigma_s: float = 0.0
-    ppm: float = 0.0
-    at_s: float = 0.0
-    for_s: float = 0.0
-    step_s: float = 0.0
-    delay_s: float = 0.0
+    kind: FaultKind = choice(FaultKind)
+    target: Target = choice(Target, Target.MAGNETOMETER)
+    probability: float = _needed(0.0, 1.0, "")
+    sigma_s: float = _needed(0.0, LONGEST_S, "s")
+    ppm: float = _needed(-1e5, 1e5, "ppm")
+    at_s: float = _needed(0.0, LONGEST_S, "s")
+    for_s: float = _needed(0.0, LONGEST_S, "s")
+    step_s: float = _needed(-LONGEST_S, LONGEST_S, "s")
+    delay_s: float = _needed(0.0, LONGEST_S, "s")
 
     def concerns(self, message: Message) -> bool:
         """Whether this message is of the target's kind."""
@@ -111,6 +126,19 @@ READS: dict[FaultKind, tuple[str, ...]] = {
     FaultKind.GAP: ("at_s", "for_s"),
 }
 """The numbers that each kind needs; a scenario may give no others."""
+
+
+def fault_sections(reading: Reading, name: str) -> tuple[LinkFault, ...]:
+    """Every ``[[fault]]`` of a scenario, in order."""
+    return tuple(_fault(table) for table in reading.table.tables(name))
+
+
+def _fault(table: Table) -> LinkFault:
+    before = len(table.faults)
+    kind = table.choice("kind", FaultKind)
+    if len(table.faults) > before:
+        return LinkFault(kind)  # what else it needs depends on the kind, so one fault is enough
+    return read_record(table, LinkFault, {"kind": kind})
 
 
 def apply(

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service import geomagnetic
+from magcal_service.typed_toml.keys import number
+from sim_sensor.declarations import instant
 from sim_sensor.orbit import Orbit
 
 Floats = npt.NDArray[np.float64]
@@ -34,11 +36,11 @@ class FieldModel:
     reference_epoch_ns: coefficients of the reference are frozen at this time; up to 80-100 nT per year locally.
     """
 
-    ring_current_nt: float = 0.0
-    reference_time_offset_s: float = 0.0
-    reference_along_track_km: float = 0.0
-    reference_radial_km: float = 0.0
-    reference_epoch_ns: int | None = None
+    ring_current_nt: float = number(0.0, -2000.0, 2000.0, unit="nT")
+    reference_time_offset_s: float = number(0.0, -3600.0, 3600.0, unit="s")
+    reference_along_track_km: float = number(0.0, -2000.0, 2000.0, unit="km")
+    reference_radial_km: float = number(0.0, -100.0, 1000.0, unit="km")
+    reference_epoch_ns: int | None = instant(None, name="reference_epoch")
 
     def true_eci_nt(self, orbit: Orbit, times_utc_ns: Times) -> Floats:
         """Field that acts on the sensor (n, 3) [nT], ECI."""
@@ -49,7 +51,7 @@ class FieldModel:
         return main + self.ring_current_nt * geomagnetic.eci_from_ecef(times_utc_ns, axis)
 
     def reference_eci_nt(self, orbit: Orbit, times_utc_ns: Times) -> Floats:
-        """Field that the reference tells (n, 3) [nT], ECI, equation (1)'s H."""
+        """Field that the reference states (n, 3) [nT], ECI, equation (1)'s H."""
         places_at = times_utc_ns + round(self.reference_time_offset_s * 1e9)
         position = orbit.position_eci_km(places_at)
         position = self._displaced(position, orbit, places_at)

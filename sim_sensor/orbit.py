@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service.typed_toml.keys import flag, number
+from magcal_service.typed_toml.record import Reading
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -20,8 +22,15 @@ Times = npt.NDArray[np.int64]
 EARTH_GM_KM3_S2 = 398600.4418  # WGS84
 EARTH_RADIUS_KM = 6378.137  # WGS84 equatorial
 EARTH_J2 = 1.08262668e-3  # EGM96
-_UNIX_JD = 2440587.5
-_DAY_NS = 86400 * 10**9
+_UNIX_JD = 2440587.5  # Julian date of 1970-01-01T00:00 UTC
+_DAY_NS = 86400 * 10**9  # nanoseconds in a day
+_LOWEST_PERIGEE_KM = 100.0
+"""The edge of space by convention; an orbit that dips below is over within a turn."""
+
+_KEPLER_STEPS = 50
+"""Newton's method needs under ten for e up to 0.9; the bound only ends a loop that rounding keeps alive."""
+
+_KEPLER_RAD = 1e-14  # some roundings of an angle up to 2 pi; 1e-10 km along the orbit
 
 
 class Orbit(Protocol):
@@ -34,6 +43,13 @@ class Orbit(Protocol):
     def normal_eci(self, time_utc_ns: int) -> Floats:
         """Unit normal of the orbit (3,) ECI at one time, along the angular momentum."""
         ...
+
+
+def _check_perigee(reading: Reading, name: str, eccentricity: float) -> None:
+    perigee_km = reading.values["semi_major_km"] * (1.0 - eccentricity) - EARTH_RADIUS_KM
+    if perigee_km < _LOWEST_PERIGEE_KM:
+        accepted = f"it puts the perigee at {perigee_km:.0f} km; at least 100 km"
+        reading.table.refuse(name, eccentricity, accepted)
 
 
 @dataclass(frozen=True)
@@ -51,13 +67,21 @@ class KeplerOrbit:
     """
 
     epoch_utc_ns: int
-    semi_major_km: float
-    eccentricity: float
-    inclination_rad: float
-    raan_rad: float
-    argument_of_perigee_rad: float
-    mean_anomaly_rad: float
-    j2: bool = False
+    semi_major_km: float = number(
+        612.0, 150.0, 40000.0, name="altitude_km", unit="km", convert=lambda km: EARTH_RADIUS_KM + km, file_only=True
+    )
+    eccentricity: float = number(0.0, 0.0, 0.9, check=_check_perigee, file_only=True)
+    inclination_rad: float = number(
+        74.0, 0.0, 180.0, name="inclination_deg", unit="deg", convert=math.radians, file_only=True
+    )
+    raan_rad: float = number(0.0, -360.0, 360.0, name="raan_deg", unit="deg", convert=math.radians, file_only=True)
+    argument_of_perigee_rad: float = number(
+        0.0, -360.0, 360.0, name="argument_of_perigee_deg", unit="deg", convert=math.radians, file_only=True
+    )
+    mean_anomaly_rad: float = number(
+        0.0, -360.0, 360.0, name="mean_anomaly_deg", unit="deg", convert=math.radians, file_only=True
+    )
+    j2: bool = flag(False)
 
     @property
     def mean_motion_rad_s(self) -> float:
@@ -108,10 +132,10 @@ def _eccentric_anomaly(mean_anomaly: Floats, eccentricity: float) -> Floats:
     """Solve Kepler's equation M = E - e sin E by Newton's method from E = M + e sin M, to 1e-14 rad."""
     mean = np.mod(mean_anomaly, math.tau)
     anomaly = mean + eccentricity * np.sin(mean)
-    for _ in range(50):
+    for _ in range(_KEPLER_STEPS):
         step = (anomaly - eccentricity * np.sin(anomaly) - mean) / (1.0 - eccentricity * np.cos(anomaly))
         anomaly = anomaly - step
-        if not np.any(np.abs(step) > 1e-14):
+        if not np.any(np.abs(step) > _KEPLER_RAD):
             break
     return np.asarray(anomaly, dtype=np.float64)
 

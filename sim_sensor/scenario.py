@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from dataclasses import field as dataclass_field
 from enum import StrEnum
 
 import numpy as np
 
+from magcal_service.typed_toml import Table, nearest
+from magcal_service.typed_toml.keys import choice, defaulted_section, flag, inline, number, special, text, whole
+from magcal_service.typed_toml.record import Reading, read_record
+from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 from sim_sensor.attitude import Spin
-from sim_sensor.faults import LinkFault
+from sim_sensor.declarations import LONGEST_S, Z_AXIS, instant
+from sim_sensor.faults import LinkFault, fault_sections
 from sim_sensor.field import FieldModel
 from sim_sensor.orbit import KeplerOrbit, Sgp4Orbit
+from sim_sensor.orbit_section import orbit_section
 from sim_sensor.sensor import Effects, Sensor, symmetric
 from sim_sensor.streams import Stream, generator
 
@@ -59,27 +64,44 @@ UNITS = {
 class ReferencePlan:
     """The reference's own rate [Hz], its first sample's time after the start [s], form and noise [nT per axis]."""
 
-    rate_hz: float = 1.0
-    offset_s: float = 0.0
-    form: ReferenceForm = ReferenceForm.VECTOR
-    noise_nt: float = 0.0
+    rate_hz: float = number(1.0, 0.001, 50.0, unit="Hz")
+    offset_s: float = number(0.0, 0.0, 3600.0, unit="s")
+    form: ReferenceForm = choice(ReferenceForm, ReferenceForm.VECTOR)
+    noise_nt: float = number(0.0, 0.0, 1e5, unit="nT")
 
 
 @dataclass(frozen=True)
 class PositionPlan:
     """Rate [Hz] of position messages, 0 for none, and their noise [km per axis]."""
 
-    rate_hz: float = 0.0
-    noise_km: float = 0.0
+    rate_hz: float = number(0.0, 0.0, 50.0, unit="Hz")
+    noise_km: float = number(0.0, 0.0, 100.0, unit="km")
+
+
+def _channels(reading: Reading, name: str) -> tuple[Channel, ...]:
+    """The channels that are named, in the order of ``Channel``."""
+    known = [channel.value for channel in Channel]
+    names = reading.table.texts(name) or ()
+    for one in names:
+        if one not in known:
+            reading.table.refuse(name, one, nearest(one, known))
+    return tuple(channel for channel in Channel if channel.value in names)
+
+
+def _channel_noise(reading: Reading, _: str) -> tuple[float, ...]:
+    """``temperature_noise`` and so on, of the channels that are sent; those of others may stand there as well."""
+    keys = {channel: f"{channel.value}_noise" for channel in UNITS}
+    noise = {channel: reading.table.real(key, 0.0, minimum=0.0, maximum=1e6) for channel, key in keys.items()}
+    return tuple(noise[channel] for channel in reading.values["channels"])
 
 
 @dataclass(frozen=True)
 class TelemetryPlan:
     """Which channels are sent, at one rate [Hz], with the noise of each (in the channel's own unit)."""
 
-    channels: tuple[Channel, ...] = ()
-    rate_hz: float = 1.0
-    noise: tuple[float, ...] = ()
+    channels: tuple[Channel, ...] = special(_channels, ())
+    rate_hz: float = number(1.0, 0.001, 50.0, unit="Hz")
+    noise: tuple[float, ...] = special(_channel_noise, ())
 
 
 @dataclass(frozen=True)
@@ -87,9 +109,26 @@ class Chance:
     """What is drawn from the seed: |b| uniform up to a limit [nT] in a random direction, each element of D uniform
     within plus and minus a limit, the spin's direction, and its phase."""
 
-    bias_nt: float = 0.0
-    D: float = 0.0
-    phase: bool = False
+    bias_nt: float = number(0.0, 0.0, 1e5, unit="nT")
+    D: float = number(0.0, 0.0, 0.5)
+    phase: bool = flag(False)
+
+
+_NAME = "1 to 32 characters of A-Z a-z 0-9 _ -"
+
+
+def _check_craft(reading: Reading, name: str, craft: str) -> None:
+    if not NAME.fullmatch(craft):
+        reading.table.refuse(name, craft, f"{_NAME} are accepted")
+
+
+def _spin(reading: Reading, name: str) -> Spin:
+    """``[spin]``; its ``direction`` is a vector, or one of ``Direction``, which is kept as the scenario's own."""
+    table = reading.table.table(name) or Table({}, reading.table.file, name, reading.table.faults)
+    if isinstance(table.content.get("direction", ""), str):
+        reading.values["direction"] = table.choice("direction", Direction, Direction.RANDOM)
+        return read_record(table, Spin, {"direction_eci": Z_AXIS})
+    return read_record(table, Spin)
 
 
 @dataclass(frozen=True)
@@ -104,22 +143,26 @@ class Scenario:
     """
 
     name: str
-    description: str
-    craft: str
-    start_ns: int
-    duration_s: float
-    seed: int
-    orbit: KeplerOrbit | Sgp4Orbit
-    field: FieldModel
-    spin: Spin
-    sensor: Sensor
+    description: str = text(accepted="a paragraph on what the scenario shows")
+    craft: str = text("sat", accepted=_NAME, check=_check_craft, file_only=True)
+    start_ns: int = instant("2025-06-01T00:00:00Z", name="start")
+    duration_s: float = number(18000.0, 1.0, LONGEST_S, unit="s", file_only=True)
+    seed: int = whole(1, 0, 2**63 - 1, file_only=True)
+    orbit: KeplerOrbit | Sgp4Orbit = special(orbit_section)
+    field: FieldModel = defaulted_section(FieldModel, file_only=True)
+    spin: Spin = special(_spin)
+    sensor: Sensor = defaulted_section(Sensor, name="magnetometer", file_only=True)
     direction: Direction | None = None
-    reference: ReferencePlan = ReferencePlan()
-    position: PositionPlan = PositionPlan()
-    telemetry: TelemetryPlan = TelemetryPlan()
-    effects: Effects = dataclass_field(default_factory=Effects)
-    chance: Chance = Chance()
-    faults: tuple[LinkFault, ...] = ()
+    reference: ReferencePlan = defaulted_section(ReferencePlan)
+    position: PositionPlan = defaulted_section(PositionPlan)
+    telemetry: TelemetryPlan = defaulted_section(TelemetryPlan)
+    effects: Effects = inline(Effects)
+    chance: Chance = defaulted_section(Chance, name="random")
+    faults: tuple[LinkFault, ...] = special(fault_sections, (), name="fault")
+
+
+_LEAST_EIGENVALUE = 0.3
+"""Of I + D drawn at random: three times what a scenario may state, so that steps leave it invertible."""
 
 
 def resolve(scenario: Scenario, seed: int) -> Scenario:
@@ -133,7 +176,7 @@ def resolve(scenario: Scenario, seed: int) -> Scenario:
     towards = _direction(rng)
     phase = rng.uniform(0.0, math.tau)
     D = rng.uniform(-1.0, 1.0, 6) * scenario.chance.D
-    while np.linalg.eigvalsh(np.eye(3) + symmetric(D))[0] < 0.3:
+    while np.linalg.eigvalsh(np.eye(3) + symmetric(D))[0] < _LEAST_EIGENVALUE:
         D = rng.uniform(-1.0, 1.0, 6) * scenario.chance.D
     sensor, spin = scenario.sensor, scenario.spin
     if scenario.chance.bias_nt > 0.0:

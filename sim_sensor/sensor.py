@@ -11,23 +11,29 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim_sensor.disturbances import Craft, Panel, Six, Step, Thermal, Torquer, Vector
+from magcal_service.typed_toml.keys import number, section, sections
+from magcal_service.wire.messages import Vector
+from sim_sensor.declarations import Six, per_axis, six, vector
+from sim_sensor.disturbances import Craft, Panel, Step, Thermal, Torquer
 
 Floats = npt.NDArray[np.float64]
 FieldAt = Callable[[Floats], Floats]
 """Body field (n, 3) [nT] at elapsed times (n,) [s]."""
 
 _LAG_NODES = 32
+"""Of the quadrature: gain and phase are then right to 1e-4 up to a lag of one radian of turn."""
+
+_LEAST_WEIGHT = 1e-12  # the weights sum to 1, so nodes left out are worth less than 32e-12 of the field: 2e-6 nT
 
 
 @dataclass(frozen=True)
 class Effects:
     """Disturbances of a scenario; all absent by default."""
 
-    thermal: Thermal | None = None
-    panels: tuple[Panel, ...] = ()
-    torquer: Torquer | None = None
-    steps: tuple[Step, ...] = ()
+    thermal: Thermal | None = section(Thermal, None)
+    panels: tuple[Panel, ...] = sections(Panel, name="panel")
+    torquer: Torquer | None = section(Torquer, None)
+    steps: tuple[Step, ...] = sections(Step, name="step")
 
 
 @dataclass(frozen=True)
@@ -44,13 +50,13 @@ class Sensor:
     full_scale_nt: output is clipped at plus and minus this [nT], 0 for none.
     """
 
-    rate_hz: float
-    bias_nt: Vector
-    D: Six
-    noise_nt: Vector
-    lag_s: float = 0.0
-    lsb_nt: float = 0.0
-    full_scale_nt: float = 0.0
+    rate_hz: float = number(1.0, 0.02, 50.0, unit="Hz", file_only=True)
+    bias_nt: Vector = vector(5e5, unit="nT", file_only=True)
+    D: Six = six(file_only=True)
+    noise_nt: Vector = per_axis(1e5, unit="nT", file_only=True)
+    lag_s: float = number(0.0, 0.0, 10.0, unit="s")
+    lsb_nt: float = number(0.0, 0.0, 1e5, unit="nT")
+    full_scale_nt: float = number(0.0, 0.0, 1e6, unit="nT")
 
 
 def symmetric(D: Six | Floats) -> Floats:
@@ -70,7 +76,7 @@ def lagged(field_body_nt: FieldAt, elapsed_s: Floats, lag_s: float) -> Floats:
     nodes, weights = np.polynomial.laguerre.laggauss(_LAG_NODES)
     response = np.zeros((len(elapsed_s), 3))
     for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
-        if weight > 1e-12:
+        if weight > _LEAST_WEIGHT:
             response += weight * field_body_nt(elapsed_s - lag_s * node)
     return response
 

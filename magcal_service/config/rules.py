@@ -51,8 +51,8 @@ def check_craft_name(reading: Reading, key: str, name: str) -> None:
 
 
 def check_method(reading: Reading, name: str, method: str) -> None:
-    """One of ``context["methods"]``; any well-formed name where there are none."""
-    methods = reading.context["methods"]
+    """One of ``context["methods"]``; any well-formed name where none are given."""
+    methods = reading.context.get("methods", ())
     if methods and method not in methods:
         reading.table.refuse(name, method, nearest(method, methods))
     elif not _METHOD.fullmatch(method):

@@ -12,7 +12,17 @@ from pathlib import Path
 from magcal_service.config import rules
 from magcal_service.config.physics_file import PhysicsConfig, physics_setting
 from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml.keys import choice, flag, number, numbers, section, special, text, whole
+from magcal_service.typed_toml.keys import (
+    choice,
+    defaulted_section,
+    flag,
+    number,
+    numbers,
+    section,
+    special,
+    text,
+    whole,
+)
 from magcal_service.typed_toml.record import REQUIRED, Limits, Reading, read_record
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
@@ -251,11 +261,11 @@ class CraftConfig:
     """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
 
     name: str = text(accepted="the craft's name on the link", check=rules.check_craft_name)
-    sensor: SensorConfig = section(SensorConfig, SensorConfig())
+    sensor: SensorConfig = defaulted_section(SensorConfig)
     spin: SpinConfig | None = section(SpinConfig, None)
-    filter: FilterConfig = section(FilterConfig, FilterConfig())
-    ticks: TickConfig = section(TickConfig, TickConfig())
-    trust: TrustConfig = section(TrustConfig, TrustConfig())
+    filter: FilterConfig = defaulted_section(FilterConfig)
+    ticks: TickConfig = defaulted_section(TickConfig)
+    trust: TrustConfig = defaulted_section(TrustConfig)
     physics: PhysicsConfig | None = special(physics_setting, None)
 
 
@@ -274,10 +284,10 @@ class Config:
 
     link: str = text(DEFAULT_LINK, check=rules.check_link)
     crafts: tuple[CraftConfig, ...] = special(_crafts, (), name="craft")
-    output: OutputConfig = section(OutputConfig, OutputConfig())
+    output: OutputConfig = defaulted_section(OutputConfig)
     record: RecordConfig | None = section(RecordConfig, None)
     state: StateConfig | None = section(StateConfig, None)
-    health: HealthConfig = section(HealthConfig, HealthConfig())
+    health: HealthConfig = defaulted_section(HealthConfig)
 
 
 def default_craft(name: str) -> CraftConfig:

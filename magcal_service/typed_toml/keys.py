@@ -11,12 +11,14 @@ from dataclasses import replace
 from enum import StrEnum
 from typing import Any, TypedDict, TypeVar, Unpack
 
-from magcal_service.typed_toml.record import REQUIRED, Key, Limits, Reading, declare, read_record
+from magcal_service.typed_toml.record import REQUIRED, Key, Limits, Reading, declare, read_part, read_record
 from magcal_service.typed_toml.table import Table
 
 __all__ = [
     "choice",
+    "defaulted_section",
     "flag",
+    "inline",
     "number",
     "numbers",
     "optional_choice",
@@ -29,6 +31,7 @@ __all__ = [
 ]
 
 E = TypeVar("E", bound=StrEnum)
+T = TypeVar("T")
 
 
 class Options(TypedDict, total=False):
@@ -38,6 +41,7 @@ class Options(TypedDict, total=False):
     unit: str
     convert: Callable[[Any], Any]
     check: Callable[[Reading, str, Any], None]
+    file_only: bool
 
 
 def _declare(read: Callable[[Reading, str], Any], default: Any, limits: Limits | None, options: Options) -> Any:
@@ -148,6 +152,25 @@ def section(kind: type[Any], default: Any = REQUIRED, **options: Unpack[Options]
         return read_record(table or Table({}, reading.table.file, name, []), kind, context=reading.context)
 
     return _declare(read, default, None, options)
+
+
+def defaulted_section(kind: type[T], **options: Unpack[Options]) -> Any:
+    """A table read into the dataclass ``kind``; where it is absent every key takes its default."""
+
+    def read(reading: Reading, name: str) -> T:
+        table = reading.table.table(name) or Table({}, reading.table.file, name, reading.table.faults)
+        return read_record(table, kind, context=reading.context)
+
+    return _declare(read, read_record(Table({}, "", "", []), kind), None, options)
+
+
+def inline(kind: type[T], **options: Unpack[Options]) -> Any:
+    """Several keys of the same table, read into the dataclass ``kind``."""
+
+    def read(reading: Reading, name: str) -> T:
+        return read_part(reading.table, kind, context=reading.context)
+
+    return _declare(read, read_part(Table({}, "", "", []), kind), None, options)
 
 
 def sections(kind: type[Any], **options: Unpack[Options]) -> Any:

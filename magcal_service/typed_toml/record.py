@@ -56,6 +56,7 @@ class Key:
     limits: smallest and largest accepted value; None: no such limits.
     convert: from the file's value to the field's.
     check: adds what else is wrong with the field's value, given the fields before it.
+    file_only: the default is the file's alone; code that makes the dataclass has to state the value.
     """
 
     read: Callable[[Reading, str], Any]
@@ -65,6 +66,7 @@ class Key:
     limits: Limits | None = None
     convert: Callable[[Any], Any] | None = None
     check: Callable[[Reading, str, Any], None] | None = None
+    file_only: bool = False
 
     def value(self, reading: Reading, name: str) -> Any:
         """The field's value, checked."""
@@ -80,7 +82,7 @@ def declare(key: Key, default: Any = REQUIRED) -> Any:
     """A dataclass field that is read as ``key`` says; the file's default is its own unless ``default`` is given."""
     if default is REQUIRED:
         default = key.default
-    if default is REQUIRED:
+    if default is REQUIRED or key.file_only:
         return field(metadata={_METADATA: key})
     return field(default=default if key.convert is None else key.convert(default), metadata={_METADATA: key})
 
@@ -97,13 +99,22 @@ def read_record(
 
     Parameters
     ----------
-    given: values of fields that do not stand in the table.
+    given: values of fields that are not read from the table.
     context: what checks may need beside the file.
 
     What comes back where there were faults is well-typed and meaningless.
     """
+    record = read_part(table, kind, given, context)
+    table.finish()
+    return record
+
+
+def read_part(
+    table: Table, kind: type[T], given: Mapping[str, Any] | None = None, context: Mapping[str, Any] | None = None
+) -> T:
+    """Like ``read_record``, of a table that holds other keys as well: unknown ones are left to the caller."""
     reading = Reading(table, dict(given or {}), context or {})
     for name, key in declared(kind).items():
-        reading.values[name] = key.value(reading, key.name or name)
-    table.finish()
+        if name not in reading.values:
+            reading.values[name] = key.value(reading, key.name or name)
     return kind(**reading.values)

@@ -100,7 +100,7 @@ def test_a_decayed_element_set_is_refused_with_sgp4s_reason() -> None:
 
 def test_without_sgp4_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sgp4.api", None)
-    with pytest.raises(ExtraMissingError, match=r"magcal\[sim\]"):
+    with pytest.raises(ExtraMissingError, match=r"magcal-service\[sim\]"):
         Sgp4Orbit(LINE1, LINE2).normal_eci(TLE_DAY)
 
 
