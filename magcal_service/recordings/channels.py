@@ -1,21 +1,21 @@
-"""[channels] of a descriptor: telemetry beside the magnetometer."""
+"""``[channels]`` of a descriptor: telemetry beside the magnetometer."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeVar
 
 from magcal_service.typed_toml import Table, nearest
+from magcal_service.typed_toml.keys import optional_choice, special
+from magcal_service.typed_toml.record import Reading, read_record
 from magcal_service.units import CHANNEL_UNITS
 
-E = TypeVar("E", bound=StrEnum)
-
+_ATTITUDE = ("order", "from", "to")
 _NOT_ON_THE_WIRE = re.compile(r"[^A-Za-z0-9_-]")
-_MAX_NAME = 32
-_MAX_COLUMNS = 16
-_QUATERNION = 4
+_MAX_NAME = 32  # as long as a name on the wire
+_MAX_COLUMNS = 16  # as many values as a telemetry message carries
+_QUATERNION = 4  # columns of an attitude
 
 
 class Axes(StrEnum):
@@ -35,6 +35,44 @@ class QuaternionOrder(StrEnum):
     XYZW = "xyzw"
 
 
+def _columns(reading: Reading, _: str) -> tuple[str, ...]:
+    """``column`` or ``columns``, exactly one of the two."""
+    table = reading.table
+    if table.has("column") == table.has("columns"):
+        given = "both" if table.has("column") else "neither"
+        table.refuse("columns", given, 'exactly one of column = "a" or columns = ["a", "b"] is accepted')
+        return ()
+    if table.has("column"):
+        return (table.text("column"),)
+    columns = table.texts("columns") or ()
+    if not 1 <= len(columns) <= _MAX_COLUMNS and isinstance(table.content["columns"], list):
+        table.refuse("columns", list(columns), f"1 to {_MAX_COLUMNS} columns are accepted")
+    return columns
+
+
+def _unit(reading: Reading, name: str) -> str:
+    unit = reading.table.text(name, "")
+    if unit not in CHANNEL_UNITS:
+        reading.table.refuse(name, unit, nearest(unit, CHANNEL_UNITS))
+        return ""
+    return unit
+
+
+def _check_attitude(reading: Reading, name: str, to_axes: Axes | None) -> None:
+    """``order``, ``from`` and ``to`` belong together and to four columns."""
+    table, values = reading.table, reading.values
+    given = [key for key in _ATTITUDE if table.has(key)]
+    if not given:
+        return
+    for key in _ATTITUDE:
+        if key not in given:
+            table.refuse(key, "missing", f"an attitude needs order, from and to; here only {', '.join(given)}")
+    if len(values["columns"]) != _QUATERNION:
+        table.refuse("columns", list(values["columns"]), "an attitude quaternion has 4 columns")
+    if to_axes is not None and values["from_axes"] is to_axes:
+        table.refuse(name, to_axes.value, "an attitude leads from one set of axes to another")
+
+
 @dataclass(frozen=True, slots=True)
 class ChannelSpec:
     """One telemetry channel.
@@ -49,12 +87,12 @@ class ChannelSpec:
     """
 
     name: str
-    columns: tuple[str, ...]
-    unit: str = ""
-    frame: Axes | None = None
-    order: QuaternionOrder | None = None
-    from_axes: Axes | None = None
-    to_axes: Axes | None = None
+    columns: tuple[str, ...] = special(_columns)
+    unit: str = special(_unit, "")
+    frame: Axes | None = optional_choice(Axes)
+    order: QuaternionOrder | None = optional_choice(QuaternionOrder)
+    from_axes: Axes | None = optional_choice(Axes, name="from")
+    to_axes: Axes | None = optional_choice(Axes, name="to", check=_check_attitude)
 
     @property
     def wire_name(self) -> str:
@@ -67,9 +105,9 @@ class ChannelSpec:
         return "attitude" if self.order is not None else CHANNEL_UNITS[self.unit].quantity
 
 
-def read_channels(top: Table) -> tuple[ChannelSpec, ...]:
+def read_channels(reading: Reading, key: str) -> tuple[ChannelSpec, ...]:
     """Every channel of the descriptor, in its order; faults are added to the table's list."""
-    section = top.table("channels")
+    section = reading.table.table(key)
     if section is None:
         return ()
     specs = [_channel(section, name) for name in tuple(section.content)]
@@ -86,57 +124,4 @@ def _channel(section: Table, name: str) -> ChannelSpec | None:
     table = section.table(name, required=True)
     if not name or len(name) > _MAX_NAME or not name.isprintable():
         section.refuse(name, name, f"a channel's name has 1 to {_MAX_NAME} printable characters")
-    if table is None:
-        return None
-    spec = ChannelSpec(
-        name=name,
-        columns=_columns(table),
-        unit=_unit(table),
-        frame=_optional(table, "frame", Axes),
-        order=_optional(table, "order", QuaternionOrder),
-        from_axes=_optional(table, "from", Axes),
-        to_axes=_optional(table, "to", Axes),
-    )
-    _check_attitude(table, spec)
-    table.finish()
-    return spec
-
-
-def _optional(table: Table, key: str, kind: type[E]) -> E | None:
-    return table.choice(key, kind) if table.has(key) else None
-
-
-def _columns(table: Table) -> tuple[str, ...]:
-    """``column`` or ``columns``, exactly one of the two."""
-    if table.has("column") == table.has("columns"):
-        given = "both" if table.has("column") else "neither"
-        table.refuse("columns", given, 'exactly one of column = "a" or columns = ["a", "b"] is accepted')
-        return ()
-    if table.has("column"):
-        return (table.text("column"),)
-    columns = table.texts("columns") or ()
-    if not 1 <= len(columns) <= _MAX_COLUMNS and isinstance(table.content["columns"], list):
-        table.refuse("columns", list(columns), f"1 to {_MAX_COLUMNS} columns are accepted")
-    return columns
-
-
-def _unit(table: Table) -> str:
-    unit = table.text("unit", "")
-    if unit not in CHANNEL_UNITS:
-        table.refuse("unit", unit, nearest(unit, CHANNEL_UNITS))
-        return ""
-    return unit
-
-
-def _check_attitude(table: Table, spec: ChannelSpec) -> None:
-    """``order``, ``from`` and ``to`` belong together and to four columns."""
-    given = [key for key in ("order", "from", "to") if table.has(key)]
-    if not given:
-        return
-    for key in ("order", "from", "to"):
-        if key not in given:
-            table.refuse(key, "missing", f"an attitude needs order, from and to; here only {', '.join(given)}")
-    if len(spec.columns) != _QUATERNION:
-        table.refuse("columns", list(spec.columns), "an attitude quaternion has 4 columns")
-    if spec.from_axes is not None and spec.from_axes is spec.to_axes:
-        table.refuse("to", spec.to_axes.value, "an attitude leads from one set of axes to another")
+    return None if table is None else read_record(table, ChannelSpec, {"name": name})

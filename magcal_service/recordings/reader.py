@@ -105,8 +105,8 @@ def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
         named["reference.magnitude"] = (descriptor.reference.column,)
     if descriptor.position is not None:
         named["position.columns"] = descriptor.position.columns
-    if isinstance(descriptor.position, GeodeticPosition) and descriptor.position.altitude_column is not None:
-        named["position.altitude.column"] = (descriptor.position.altitude_column,)
+    if isinstance(descriptor.position, GeodeticPosition) and descriptor.position.altitude is not None:
+        named["position.altitude.column"] = (descriptor.position.altitude.column,)
     return named | {f"channels.{spec.name}": spec.columns for spec in descriptor.channels}
 
 
@@ -219,8 +219,8 @@ class _Log:
 
         degrees, codes = self._vectors(spec.columns, 1.0)
         altitude_km = np.full(len(codes), spec.altitude_km or 0.0)
-        if spec.altitude_column is not None:
-            altitude, altitude_codes = self._vectors((spec.altitude_column,), LENGTH_KM[spec.altitude_unit])
+        if spec.altitude is not None:
+            altitude, altitude_codes = self._vectors((spec.altitude.column,), LENGTH_KM[spec.altitude.unit])
             altitude_km = altitude[:, 0]
             codes = np.where(codes > 0, codes, altitude_codes)
         latitude, longitude = degrees.T

@@ -1,22 +1,57 @@
-"""What a descriptor says, as frozen records."""
+"""What a descriptor says, as frozen records that declare how they stand in its TOML."""
 
 from __future__ import annotations
 
+import datetime
 import math
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from magcal_service.recordings.channels import ChannelSpec
-from magcal_service.units import FieldUnit, LengthUnit
-from magcal_service.wire.messages import Clock, Frame, Vector
+from magcal_service.recordings.channels import ChannelSpec, read_channels
+from magcal_service.recordings.position_spec import CartesianPosition, GeodeticPosition, PositionSpec, read_position
+from magcal_service.recordings.reference_spec import (
+    MAX_FIELD_NT,
+    ConstantReference,
+    FieldModel,
+    MagnitudeReference,
+    ModelReference,
+    ReferenceSpec,
+    VectorReference,
+    read_reference,
+)
+from magcal_service.recordings.timestamps import iso8601_to_ns
+from magcal_service.typed_toml.keys import choice, number, section, special, text, texts
+from magcal_service.typed_toml.record import Reading
+from magcal_service.units import FieldUnit
+from magcal_service.wire.fields import NAME
+from magcal_service.wire.messages import Clock, Vector
 
-MAX_FIELD_NT = 1e6
-"""1 mT: more than this is no magnetometer reading, here and on the wire."""
-
+__all__ = [
+    "MAX_FIELD_NT",
+    "SESSION_SUFFIX",
+    "CartesianPosition",
+    "ConstantReference",
+    "Descriptor",
+    "FieldModel",
+    "GeodeticPosition",
+    "MagnetometerSpec",
+    "MagnitudeReference",
+    "ModelReference",
+    "PositionSpec",
+    "ReferenceSpec",
+    "SamplesSpec",
+    "SpinSpec",
+    "TimeFormat",
+    "TimeSpec",
+    "VectorReference",
+]
 
 SESSION_SUFFIX = ".mcap"
 """The service's own recordings."""
+
+_SUFFIXES = (".csv", ".csv.gz")
+_DELIMITERS = (",", ";", "\t")
 
 
 class TimeFormat(StrEnum):
@@ -27,19 +62,6 @@ class TimeFormat(StrEnum):
     ELAPSED_S = "elapsed_s"
 
 
-class FieldModel(StrEnum):
-    """Field models that can stand in for a recorded reference."""
-
-    IGRF = "igrf"
-
-
-class PositionFrame(StrEnum):
-    """Frames of a position given as three columns."""
-
-    ECI = "eci"
-    ECEF = "ecef"
-
-
 class Axis(StrEnum):
     """Body axes by letter."""
 
@@ -48,13 +70,72 @@ class Axis(StrEnum):
     Z = "z"
 
 
+def _start(reading: Reading, name: str) -> int | None:
+    """A string or TOML's own date-time, which is UTC where it names no zone."""
+    if not reading.table.has(name):
+        return None
+    value = reading.table.content[name]
+    written = value.isoformat() if isinstance(value, datetime.datetime) else value
+    start_ns = iso8601_to_ns(written) if isinstance(written, str) else None
+    if start_ns is None:
+        accepted = 'an ISO 8601 instant such as "2025-06-01T00:00:00Z" is accepted'
+        reading.table.refuse(name, str(value), accepted)
+    return start_ns
+
+
+def _check_start(reading: Reading, name: str, start_ns: int | None) -> None:
+    if start_ns is not None and reading.values["format"] is not TimeFormat.ELAPSED_S:
+        accepted = 'it goes with format = "elapsed_s" only; remove it'
+        reading.table.refuse(name, reading.table.content[name], accepted)
+
+
+def _check_file(reading: Reading, name: str, file: str) -> None:
+    if file and not file.lower().endswith((*_SUFFIXES, SESSION_SUFFIX)):
+        reading.table.refuse(name, file, "a .csv, .csv.gz or .mcap file is accepted")
+
+
+def _is_session(reading: Reading) -> bool:
+    file: str = reading.values["file"]
+    return file.lower().endswith(SESSION_SUFFIX)
+
+
+def _delimiter(reading: Reading, name: str) -> str:
+    """What separates cells; a session has none."""
+    if _is_session(reading):
+        return ","
+    delimiter = reading.table.text(name, ",")
+    if delimiter not in _DELIMITERS:
+        reading.table.refuse(name, delimiter, r'"," ";" or "\t" is accepted')
+    return delimiter
+
+
+def _craft(reading: Reading, name: str) -> str | None:
+    """Which craft of a session; rows have no craft to choose."""
+    table = reading.table
+    if not _is_session(reading) or not table.has(name):
+        return None
+    craft = table.text(name, "")
+    if not NAME.fullmatch(craft):
+        table.refuse(name, table.content[name], "the name of a craft in the session is accepted")
+    return craft
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesSpec:
+    """The log's name beside the descriptor; the delimiter of its rows, or the craft of its session."""
+
+    file: str = text(accepted="the name of a .csv, .csv.gz or .mcap file", check=_check_file)
+    delimiter: str = special(_delimiter, ",")
+    craft: str | None = special(_craft, None)
+
+
 @dataclass(frozen=True, slots=True)
 class TimeSpec:
     """Column and format of the time; ``start_ns`` is the UTC instant [ns] of elapsed 0, where known."""
 
-    column: str
-    format: TimeFormat
-    start_ns: int | None = None
+    column: str = text(accepted="the name of the time column")
+    format: TimeFormat = choice(TimeFormat)
+    start_ns: int | None = special(_start, None, name="start", check=_check_start)
 
     @property
     def clock(self) -> Clock:
@@ -66,73 +147,40 @@ class TimeSpec:
 class MagnetometerSpec:
     """The measured vector's three columns, their unit, and the noise [nT, 1 sigma per axis] where stated."""
 
-    columns: tuple[str, ...]
-    unit: FieldUnit
-    noise_nt: float | None = None
+    columns: tuple[str, ...] = texts(3)
+    unit: FieldUnit = choice(FieldUnit)
+    noise_nt: float | None = number(None, 1e-3, MAX_FIELD_NT, unit="nT")
 
 
-@dataclass(frozen=True, slots=True)
-class VectorReference:
-    """A reference vector per row."""
+_SHORTEST_AXIS = 1e-6
+"""A body vector shorter than this is zero or a mistake: its direction is rounding."""
 
-    columns: tuple[str, ...]
-    unit: FieldUnit
-    frame: Frame
+_UNIT_LENGTH = 1e-12
+"""A vector this close to length 1 stays as it was written, bit for bit; some thousand roundings of a double."""
 
 
-@dataclass(frozen=True, slots=True)
-class MagnitudeReference:
-    """A reference magnitude per row."""
-
-    column: str
-    unit: FieldUnit
-
-
-@dataclass(frozen=True, slots=True)
-class ModelReference:
-    """A field model evaluated at the recorded position and time."""
-
-    model: FieldModel
-
-
-@dataclass(frozen=True, slots=True)
-class ConstantReference:
-    """One magnitude [nT] for all rows."""
-
-    magnitude_nt: float
-
-
-ReferenceSpec = VectorReference | MagnitudeReference | ModelReference | ConstantReference
-
-
-@dataclass(frozen=True, slots=True)
-class GeodeticPosition:
-    """Latitude and longitude columns [deg], and the altitude: either one constant [km] or a column with its unit."""
-
-    columns: tuple[str, ...]
-    altitude_km: float | None
-    altitude_column: str | None
-    altitude_unit: LengthUnit
-
-
-@dataclass(frozen=True, slots=True)
-class CartesianPosition:
-    """Three columns, their unit and frame."""
-
-    columns: tuple[str, ...]
-    unit: LengthUnit
-    frame: Frame
-
-
-PositionSpec = GeodeticPosition | CartesianPosition
+def _axis(reading: Reading, name: str) -> Vector:
+    """A body axis by letter or as a vector, made a unit vector."""
+    table = reading.table
+    if isinstance(table.content.get(name), list):
+        x, y, z = table.numbers(name, 3) or (0.0, 0.0, 1.0)
+        norm = math.sqrt(x * x + y * y + z * z)
+        if norm < _SHORTEST_AXIS:
+            table.refuse(name, [x, y, z], "a body vector that is not zero is accepted")
+            return (0.0, 0.0, 1.0)
+        if abs(norm - 1.0) < _UNIT_LENGTH:
+            return (x, y, z)
+        return (x / norm, y / norm, z / norm)
+    letter = table.choice(name, Axis)
+    return (float(letter is Axis.X), float(letter is Axis.Y), float(letter is Axis.Z))
 
 
 @dataclass(frozen=True, slots=True)
 class SpinSpec:
     """Unit vector of the spin axis in the body, and the rate [rpm] about +axis where known."""
 
-    axis: Vector
-    rate_rpm: float | None
+    axis: Vector = special(_axis)
+    rate_rpm: float | None = number(None, -6000.0, 6000.0, unit="rpm", file_only=True)
 
     @property
     def rate_rad_s(self) -> float | None:
@@ -155,12 +203,12 @@ class Descriptor:
     path: Path
     samples: Path
     delimiter: str
-    time: TimeSpec
-    magnetometer: MagnetometerSpec
-    reference: ReferenceSpec
-    position: PositionSpec | None
-    spin: SpinSpec | None
-    channels: tuple[ChannelSpec, ...]
+    time: TimeSpec = section(TimeSpec)
+    magnetometer: MagnetometerSpec = section(MagnetometerSpec)
+    reference: ReferenceSpec = special(read_reference)
+    position: PositionSpec | None = special(read_position)
+    spin: SpinSpec | None = section(SpinSpec, None, file_only=True)
+    channels: tuple[ChannelSpec, ...] = special(read_channels)
     craft: str | None = None
 
     @property

@@ -1,0 +1,72 @@
+"""``[position]`` of a descriptor: latitude and longitude with an altitude, or three Cartesian columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from magcal_service.typed_toml.keys import choice, number, section, text
+from magcal_service.typed_toml.record import Reading, read_record
+from magcal_service.units import LengthUnit
+from magcal_service.wire.messages import Frame
+
+_GEODETIC = 2  # columns: latitude and longitude
+_CARTESIAN = 3  # columns: x, y, z
+
+
+class PositionFrame(StrEnum):
+    """Frames of a position given as three columns."""
+
+    ECI = "eci"
+    ECEF = "ecef"
+
+
+@dataclass(frozen=True, slots=True)
+class AltitudeColumn:
+    """The altitude per row, and its unit."""
+
+    column: str = text()
+    unit: LengthUnit = choice(LengthUnit)
+
+
+def _check_altitude(reading: Reading, name: str, _: AltitudeColumn | None) -> None:
+    """Either a constant or a column."""
+    table = reading.table
+    if table.has("altitude_km") == table.has(name):
+        given = "both" if table.has(name) else "neither"
+        table.refuse(name, given, 'exactly one of altitude_km = 415.0 or altitude = {column = "alt", unit = "km"}')
+
+
+@dataclass(frozen=True, slots=True)
+class GeodeticPosition:
+    """Latitude and longitude columns [deg], and the altitude: either one constant [km] or a column."""
+
+    columns: tuple[str, ...]
+    altitude_km: float | None = number(None, -10.0, 1e5, unit="km")
+    altitude: AltitudeColumn | None = section(AltitudeColumn, None, check=_check_altitude)
+
+
+@dataclass(frozen=True, slots=True)
+class CartesianPosition:
+    """Three columns, their unit and frame."""
+
+    columns: tuple[str, ...]
+    unit: LengthUnit = choice(LengthUnit)
+    frame: Frame = choice(PositionFrame, convert=lambda frame: Frame(frame.value))
+
+
+PositionSpec = GeodeticPosition | CartesianPosition
+
+
+def read_position(reading: Reading, name: str) -> PositionSpec | None:
+    """The position; None where the section is absent or its columns are neither two nor three."""
+    table = reading.table.table(name)
+    columns = None if table is None else table.texts("columns", required=True)
+    if table is None or columns is None:
+        return None
+    if len(columns) == _GEODETIC:
+        return read_record(table, GeodeticPosition, {"columns": columns})
+    if len(columns) == _CARTESIAN:
+        return read_record(table, CartesianPosition, {"columns": columns})
+    table.refuse("columns", list(columns), "two columns (latitude, longitude) or three (x, y, z) are accepted")
+    return None
