@@ -44,8 +44,11 @@ class Options(TypedDict, total=False):
     file_only: bool
 
 
-def _declare(read: Callable[[Reading, str], Any], default: Any, limits: Limits | None, options: Options) -> Any:
-    return declare(replace(Key(read, default, limits=limits), **options))
+def _declare(
+    read: Callable[[Reading, str], Any], default: Any, limits: Limits | None, options: Options, fallback: Any = None
+) -> Any:
+    key = replace(Key(read, default, limits=limits), **options)
+    return declare(key) if fallback is None else declare(key, fallback)
 
 
 def _limits(minimum: float, maximum: float) -> Limits | None:
@@ -61,15 +64,17 @@ def number(
     fallback: float | None = None,
     **options: Unpack[Options],
 ) -> Any:
-    """A finite number within [minimum, maximum]; ``fallback``: default of the dataclass where the file must have it."""
+    """A finite number within [minimum, maximum].
+
+    ``fallback`` of a required one: its value where it is refused, and the dataclass's default.
+    """
     required = default is REQUIRED
     otherwise = (fallback or 0.0) if required else default
 
     def read(reading: Reading, name: str) -> float | None:
         return reading.table.number(name, otherwise, required=required, minimum=minimum, maximum=maximum)
 
-    key = replace(Key(read, default, limits=_limits(minimum, maximum)), **options)
-    return declare(key) if fallback is None else declare(key, fallback)
+    return _declare(read, default, _limits(minimum, maximum), options, fallback)
 
 
 def whole(default: int, minimum: int, maximum: int, **options: Unpack[Options]) -> Any:
@@ -117,12 +122,16 @@ def numbers(
     minimum: float = -math.inf,
     maximum: float = math.inf,
     *,
+    fallback: tuple[float, ...] | None = None,
     accepted: str = "numbers from {minimum:g} to {maximum:g} are accepted",
     **options: Unpack[Options],
 ) -> Any:
-    """An array of ``count`` finite numbers, each within [minimum, maximum]; zeros where a required one is refused."""
+    """An array of ``count`` finite numbers, each within [minimum, maximum].
+
+    ``fallback`` of a required one: its value where it is refused, zeros where not given, and the dataclass's default.
+    """
     required = default is REQUIRED
-    otherwise = (0.0,) * count if required else default
+    otherwise = (fallback or (0.0,) * count) if required else default
 
     def read(reading: Reading, name: str) -> tuple[float, ...]:
         values: tuple[float, ...] = reading.table.numbers(name, count, otherwise, required=required) or otherwise
@@ -130,7 +139,7 @@ def numbers(
             reading.table.refuse(name, list(values), accepted.format(minimum=minimum, maximum=maximum))
         return values
 
-    return _declare(read, default, _limits(minimum, maximum), options)
+    return _declare(read, default, _limits(minimum, maximum), options, fallback)
 
 
 def texts(count: int, **options: Unpack[Options]) -> Any:

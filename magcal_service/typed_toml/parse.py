@@ -15,7 +15,7 @@ _MAX_FILE_BYTES = 1 << 20
 _MAX_INTEGER_BITS = 1024  # a little more than a float holds: smaller ones are refused by the limits of their field
 
 _MAX_LEVELS = 32
-"""No file of ours nests more than four levels; Python's own recursion limit is some hundreds of frames away."""
+"""No file of ours nests more than six levels; Python's own recursion limit is some hundreds of frames away."""
 
 _MAX_DOTS = 500
 """In one key: tomllib takes time that grows with their square, and no key of ours has more than two."""

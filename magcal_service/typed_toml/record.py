@@ -84,7 +84,10 @@ def declare(key: Key, default: Any = REQUIRED) -> Any:
         default = key.default
     if default is REQUIRED or key.file_only:
         return field(metadata={_METADATA: key})
-    return field(default=default if key.convert is None else key.convert(default), metadata={_METADATA: key})
+    value = default if key.convert is None else key.convert(default)
+    if isinstance(value, dict):
+        return field(default_factory=lambda: dict(value), metadata={_METADATA: key})
+    return field(default=value, metadata={_METADATA: key})
 
 
 def declared(kind: Any) -> dict[str, Key]:
