@@ -14,6 +14,7 @@ from typing import Self
 
 from magcal_service.errors import DecodeError
 from magcal_service.links.sequence import SequenceTracker, SourceRecord
+from magcal_service.links.states import LinkLife, LinkState
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.messages import Message
 
@@ -63,6 +64,7 @@ class Link(abc.ABC):
         self.most_sources = 1024 + 32 * len(self.crafts)
         self._counting = threading.Lock()
         self._sequences = SequenceTracker(self.counters, self.most_sources)
+        self._life = LinkLife(self._count)
 
     def receive(self, timeout_s: float) -> list[Message]:
         """The messages at hand, in order of arrival; waits at most ``timeout_s`` [s] for the first one.
@@ -80,6 +82,11 @@ class Link(abc.ABC):
     def sources(self) -> tuple[SourceRecord, ...]:
         """What was received, lost, doubled, late and restarted, for each craft, source and kind of message."""
         return self._sequences.records()
+
+    @property
+    def state(self) -> LinkState:
+        """Where the link itself stands now, whoever is at its other end; ``links.states`` has the table."""
+        return self._life.state
 
     @property
     def exhausted(self) -> bool:

@@ -13,10 +13,9 @@ from magcal_service.config.address import LinkAddress
 from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.inbox import Inbox
-from magcal_service.wire.kinds import kind_of
+from magcal_service.links.states import LinkEvent, LinkLife
+from magcal_service.wire.kinds import FIRST_RESULT, kind_of
 from magcal_service.wire.messages import Message
-
-_FIRST_RESULT_CODE = 16  # codes below are samples, see wire.codec.Kind
 
 
 class LoopLink(Link):
@@ -29,7 +28,9 @@ class LoopLink(Link):
         self.role = role
         self.inbox: Inbox[bytes] = Inbox(limit, lambda: self._count("overflow"))
         self._name = address.rest
+        self._life = LinkLife()  # ``up`` and ``down`` count the other ends, see the hub
         _join(self._name, self)
+        self._life.happens(LinkEvent.OPENED)
 
     def _poll(self, wait_s: float) -> list[Message]:
         decoded = (self._decoded(payload) for payload in self.inbox.drain(wait_s))
@@ -45,6 +46,7 @@ class LoopLink(Link):
 
     def close(self) -> None:
         """Leave the hub; the other ends count ``down`` where nobody is left for them."""
+        self._life.happens(LinkEvent.CLOSE)
         _leave(self._name, self)
 
     def inject(self, raw: bytes) -> None:
@@ -53,7 +55,7 @@ class LoopLink(Link):
             end.inbox.put(raw)
 
     def _listeners(self, message: Message) -> list[LoopLink]:
-        sample = kind_of(message).code < _FIRST_RESULT_CODE
+        sample = kind_of(message).code < FIRST_RESULT
         return [
             end
             for end in _others(self._name, self)

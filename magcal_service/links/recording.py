@@ -14,6 +14,7 @@ from urllib.parse import unquote
 
 from magcal_service.config.address import LinkAddress, parse_address
 from magcal_service.links.base import Link
+from magcal_service.links.states import LinkEvent
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -58,16 +59,22 @@ class RecordingLink(Link):
         self.recording = recording
         self._sink = sink
         self._stream = messages(self.recording, craft, telemetry=telemetry)
-        self._next: Message | None = next(self._stream, None)
+        self._life.happens(LinkEvent.OPENED)
+        self._next = self._following()
         self._first_ns = self._next.time_ns if self._next is not None else 0
         self._started_s: float | None = None
-        self._closed = False
-        self._count("up")
 
     @property
     def exhausted(self) -> bool:
         """True after the last message, and after ``close``."""
-        return self._next is None
+        return not self._life.is_open
+
+    def _following(self) -> Message | None:
+        """The next message of the recording; None at its end, which is noted."""
+        message = next(self._stream, None)
+        if message is None:
+            self._life.happens(LinkEvent.ENDED)
+        return message
 
     def _poll(self, wait_s: float) -> list[Message]:
         if self._speed == 0.0:
@@ -92,12 +99,12 @@ class RecordingLink(Link):
         batch: list[Message] = []
         while self._next is not None and len(batch) < _BATCH and wanted(self._next):
             batch.append(self._next)
-            self._next = next(self._stream, None)
+            self._next = self._following()
         return batch
 
     def send(self, message: Message) -> None:
         """Count one message, and hand it to the sink where there is one; a recording cannot answer."""
-        if self._closed:
+        if self._life.is_closed:
             self._count("dropped")
             return
         if self._sink is not None:
@@ -106,6 +113,5 @@ class RecordingLink(Link):
 
     def close(self) -> None:
         """Play no more; what is sent afterwards is dropped."""
-        if not self._closed:
-            self._closed, self._next = True, None
-            self._count("down")
+        self._life.happens(LinkEvent.CLOSE)
+        self._next = None

@@ -23,6 +23,7 @@ from magcal_service.config.address import LinkAddress
 from magcal_service.errors import DecodeError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.line_seal import open_coders
+from magcal_service.links.states import BackOff, LinkEvent
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.keys import group_of
 from magcal_service.wire.kinds import kind_of
@@ -30,8 +31,7 @@ from magcal_service.wire.messages import Command, CommandReply, Message
 
 _log = logging.getLogger("magcal.links.serial")
 
-_BACK_OFF_S = (0.2, 5.0)  # first and longest pause between attempts to open [s]
-_READ_BYTES = 65536
+_READ_BYTES = 65536  # taken from the line at once: all that a pseudo-terminal or a serial driver of Linux holds (4 kB)
 _CLOSE_WAIT_S = 1.0  # how long close lets the line take what is still queued [s]
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 _DOORKEEPER: Final = "magcal-line"  # source of the answers to commands that the line itself refuses
@@ -128,10 +128,8 @@ class SerialLink(Link):
             role, self._settings.key, self._settings.counter, self.counters, self._refuse_command
         )
         self._port: serial.Serial | None = None
-        self._closed = False
-        self._failing = False
-        self._pause_s = _BACK_OFF_S[0]
-        self._next_attempt_s = 0.0
+        self._back_off = BackOff()
+        self._next_attempt_s = 0.0  # not before this on the monotonic clock [s]
         self._backlog: deque[tuple[float, bytes]] = deque()  # (deadline [s], frame), the first may be partly written
         self._backlog_bytes = 0
         self._written = 0  # bytes of the first frame that the line has taken
@@ -142,7 +140,7 @@ class SerialLink(Link):
     def _poll(self, wait_s: float) -> list[Message]:
         deadline = time.monotonic() + wait_s
         if not self._ensure_open():
-            pause_s = wait_s if self._closed else min(wait_s, max(0.0, self._next_attempt_s - time.monotonic()))
+            pause_s = wait_s if self._life.is_closed else min(wait_s, max(0.0, self._next_attempt_s - time.monotonic()))
             time.sleep(pause_s)
             if not self._ensure_open():
                 return []
@@ -256,36 +254,29 @@ class SerialLink(Link):
     def _ensure_open(self) -> bool:
         if self._port is not None:
             return True
-        if self._closed or time.monotonic() < self._next_attempt_s:
+        if self._life.is_closed or time.monotonic() < self._next_attempt_s:
             return False
         try:
             self._port = self._settings.open()
         except (OSError, ValueError, termios.error) as error:
-            if not self._failing:
+            if self._life.happens(LinkEvent.FAILED).logged:
                 _log.warning("%s: cannot be opened (%s); trying on", self.address, error)
-            self._failing = True
-            self._back_off()
+            self._next_attempt_s = time.monotonic() + self._back_off.next_s()
             return False
-        self._failing = False
-        self._pause_s = _BACK_OFF_S[0]
-        self.counters["up"] += 1
+        self._life.happens(LinkEvent.OPENED)
+        self._back_off.reset()
         return True
 
-    def _back_off(self) -> None:
-        self._next_attempt_s = time.monotonic() + self._pause_s
-        self._pause_s = min(2.0 * self._pause_s, _BACK_OFF_S[1])
-
     def _died(self, error: OSError) -> None:
-        _log.warning("%s: the line died (%s); opening it again", self.address, error)
+        if self._life.happens(LinkEvent.DIED).logged:
+            _log.warning("%s: the line died (%s); opening it again", self.address, error)
         self._release()
-        self._failing = True
-        self._back_off()
+        self._next_attempt_s = time.monotonic() + self._back_off.next_s()
 
     def _release(self) -> None:
         port, self._port = self._port, None
         if port is None:
             return
-        self.counters["down"] += 1
         self.counters["dropped"] += len(self._backlog)
         self._backlog.clear()
         self._backlog_bytes = self._written = 0
@@ -296,11 +287,11 @@ class SerialLink(Link):
 
     def close(self) -> None:
         """Let the line take what is queued for at most a second, then release the device."""
-        self._closed = True
         deadline_s = time.monotonic() + _CLOSE_WAIT_S
         while self._port is not None and self._backlog and (left_s := deadline_s - time.monotonic()) > 0.0:
             waiter = select.poll()
             waiter.register(self._port.fileno(), select.POLLOUT)
             waiter.poll(left_s * 1000.0)
             self._write()
+        self._life.happens(LinkEvent.CLOSE)
         self._release()

@@ -23,6 +23,7 @@ from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.joining import Joining
 from magcal_service.links.presence import Presence, PresenceBoard
 from magcal_service.links.rate_limit import RateLimit
+from magcal_service.links.states import BackOff, LinkEvent, LinkLife, LinkState
 from magcal_service.links.zenoh_log import DENIALS, watch
 from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_rules
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
@@ -32,7 +33,6 @@ from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links.zenoh")
 
-_BACK_OFF_S = (0.2, 5.0)  # first and longest pause between attempts to open [s]
 _HEARTBEAT_S = 0.5  # an advanced publisher repeats its last number this long after a change, so the last one counts too
 _KEPT_RESULTS = ("estimate", "status")  # a late joiner gets the newest of these at once
 _FIRST_ATTEMPT_S = 1.0  # how long the constructor of a connecting link waits, so that most links are up when it returns
@@ -72,7 +72,8 @@ class ZenohLink(Link):
         self._board = PresenceBoard(self._count)
         self._joining = Joining(TURN)
         self._lock = threading.RLock()
-        self._closed = threading.Event()
+        self._life = LinkLife()  # ``up`` and ``down`` count the other ends, see ``_connection``
+        self._closed = threading.Event()  # wakes the keeper out of its pause
         self._session: zenoh.Session | None = None
         self._held: list[object] = []  # declarations live as long as they are referred to
         self._publishers: dict[str, ext.AdvancedPublisher] = {}
@@ -123,6 +124,7 @@ class ZenohLink(Link):
 
     def close(self) -> None:
         """Close the session; an attempt to connect that is under way ends by itself within seconds."""
+        self._life.happens(LinkEvent.CLOSE)
         self._closed.set()
         with self._lock:
             self._drop_session()
@@ -226,18 +228,17 @@ class ZenohLink(Link):
         return tried
 
     def _keep(self, tried: threading.Event) -> None:
-        pause_s, longest_s = _BACK_OFF_S
-        while not self._closed.is_set() and threading.main_thread().is_alive():
+        back_off = BackOff()
+        while not self._life.is_closed and threading.main_thread().is_alive():
             try:
                 self._open()
                 return
             except zenoh.ZError as error:
-                if not tried.is_set():
+                if self._life.happens(LinkEvent.FAILED).logged:
                     _log.info("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
             finally:
                 tried.set()
-            self._closed.wait(pause_s)
-            pause_s = min(2.0 * pause_s, longest_s)
+            self._closed.wait(back_off.next_s())
 
     def _open(self) -> None:
         session = zenoh.open(self._config)
@@ -248,7 +249,7 @@ class ZenohLink(Link):
             except zenoh.ZError:
                 self._drop_session()
                 raise
-            if self._closed.is_set():
+            if self._life.happens(LinkEvent.OPENED).to is LinkState.CLOSED:
                 self._drop_session()
 
     def _declare(self, session: zenoh.Session) -> None:
@@ -285,7 +286,7 @@ class ZenohLink(Link):
     def _failed(self, error: zenoh.ZError) -> None:
         """After a failed put: a session that has died is opened anew in the background."""
         session = self._session
-        if session is None or not session.is_closed() or self._closed.is_set():
+        if session is None or not session.is_closed() or not self._life.happens(LinkEvent.SESSION_ENDED).logged:
             return
         _log.warning("%s: the session died (%s); opening it again", self.address, str(error).partition(" at /")[0])
         self._drop_session()

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from magcal_service.links.base import Link
+from magcal_service.links.states import LinkState
 from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message
 
 __all__ = ["WindowedLink"]
@@ -53,6 +54,11 @@ class WindowedLink(Link):
     def on_the_way(self) -> int:
         """Samples sent and neither answered nor given up."""
         return len(self._on_the_way)
+
+    @property
+    def state(self) -> LinkState:
+        """Where the link stands that everything goes to."""
+        return self.link.state
 
     @property
     def exhausted(self) -> bool:

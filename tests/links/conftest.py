@@ -4,4 +4,4 @@ from __future__ import annotations
 
 import pytest
 
-pytest.register_assert_rewrite("link_contract", "link_messages")
+pytest.register_assert_rewrite("tests.links.link_contract", "tests.links.link_messages")

@@ -1,6 +1,6 @@
 """A service whose link's threads get no processor while others want it: bursts of vectors, in a process of its own.
 
-``python starved_service.py ADDRESS BURSTS VECTORS``; it begins once a node is there.
+``python -m tests.links.starved_service ADDRESS BURSTS VECTORS``; it begins once a node is there.
 """
 
 from __future__ import annotations

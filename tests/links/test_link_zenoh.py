@@ -413,7 +413,7 @@ def test_more_sources_than_are_remembered_are_served_all_the_same(ends: ZenohEnd
 def test_a_burst_of_vectors_survives_a_link_that_hardly_gets_a_processor() -> None:
     """Every vector of 4 bursts of 150 arrives, though zenoh's threads run only where nobody else wants to."""
     address = f"zenoh:tcp/127.0.0.1:{free_port()}"
-    command_line = [sys.executable, str(Path(__file__).with_name("starved_service.py")), address, "4", "150"]
+    command_line = [sys.executable, "-m", "tests.links.starved_service", address, "4", "150"]
     with subprocess.Popen(command_line, cwd=ROOT) as service, open_link(address, Role.NODE, crafts=["alpha"]) as node:
         arrived = gather(node, 600, 60.0)
         assert service.wait(60.0) == 0
