@@ -30,7 +30,7 @@ class MagcalError(Exception):
     exit_code = 2
 
 
-_LONGEST_VALUE = 500
+_LONGEST_VALUE = 500  # characters of a value in a message: some lines on a terminal, whatever the file holds
 
 
 def _shown(value: object) -> str:

@@ -30,7 +30,7 @@ class JsonLines(logging.Formatter):
 
 
 _stdout_free = False
-_PIPE_BYTES = 1 << 20
+_PIPE_BYTES = 1 << 20  # the most that Linux gives a process without privileges (fs.pipe-max-size, its default)
 
 
 def to_stderr(level: int = logging.INFO) -> None:

@@ -20,7 +20,7 @@ SCHEMES: Final = ("zenoh", "serial", "loop", "recording")
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*")
 _OPTION = re.compile(r"[a-z][a-z0-9_]*")
-_MAX_LENGTH = 4096
+_MAX_LENGTH = 4096  # characters: as long as a path may be on Linux (PATH_MAX); refusals quote what is within it
 
 
 class LinkAddress:

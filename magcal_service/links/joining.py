@@ -1,7 +1,7 @@
-"""A node that joins sends again what was missed: held back for a moment and put into the order of its time.
+"""A node that joins sends missed messages again: they are held back for a moment and sorted by their time.
 
-zenoh brings what was missed source by source, so a run of magnetometer samples may come before the references of the
-same seconds, and the ticks would close without them.
+zenoh delivers them source by source, so a run of magnetometer samples may arrive before the references of the same
+seconds, and the ticks would close without them.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from typing import Final
 from magcal_service.wire.messages import MagnetometerSample, Message, ReferenceSample
 
 QUIET_S: Final = 0.15
-"""What was missed is all there when samples and references are together and nothing has come for this long [s]."""
+"""A recovery is complete when samples and references are level and nothing has arrived for this long [s]."""
 
 LONGEST_S: Final = 1.0
-"""The same for streams that never pause, counted from the joining [s]: how late their first vector may be."""
+"""The longest hold of a stream that never pauses, from the joining [s]: how late its first vector may be."""
 
 ALONE_S: Final = 2.0
-"""How long samples wait for references, or references for samples, where none have come at all [s]; ..."""
+"""How long samples wait for references, or references for samples, where none have arrived at all [s]; ..."""
 
 ALONE_QUIET_S: Final = 0.4
 """... and how long after the last of them."""
 
 APART_S: Final = 10.0
-"""How long they wait for those of the same second, which are on their way [s]."""
+"""How long samples wait for the references of the same seconds while these still arrive, or the reverse [s]."""
 
 _APART_NS: Final = 3_000_000_000  # what a tick waits for its reference anyway
-_MOST_HELD: Final = 20_000
+_MOST_HELD: Final = 20_000  # messages of one craft: bounds the memory; at 1 Hz with references nearly three hours
 
 
 class _Hold:
-    """What one craft's nodes have sent since one of them joined."""
+    """The messages that one craft's nodes have sent since one of them joined."""
 
     def __init__(self, now_s: float) -> None:
         self.messages: list[Message] = []
@@ -41,14 +41,14 @@ class _Hold:
         self._newest_ns: dict[type[Message], int] = {}
 
     def add(self, message: Message, now_s: float) -> None:
-        """Keep one."""
+        """Hold one message back."""
         self.messages.append(message)
         self._last_s = now_s
         if isinstance(message, MagnetometerSample | ReferenceSample):
             self._newest_ns[type(message)] = message.time_ns
 
     def until_s(self) -> float:
-        """When it is over, as things are now [s]."""
+        """When the hold ends if nothing more arrives, on the caller's monotonic clock [s]."""
         if len(self.messages) >= _MOST_HELD:
             return self._begun_s
         if len(self._newest_ns) < 2:
@@ -79,12 +79,12 @@ class Joining:
         self._ordered: dict[str, deque[Message]] = {}
 
     def begin(self, craft: str, now_s: float) -> None:
-        """A node of this craft has joined; one after the other makes the hold no longer."""
+        """Begin a hold for a craft whose node has joined at ``now_s`` [s]; a second node does not prolong the hold."""
         with self._lock:
             self._holds.setdefault(craft, _Hold(now_s))
 
     def keeps(self, message: Message, now_s: float) -> bool:
-        """Whether a sample is kept back; ``due`` gives it later."""
+        """Hold a message back where its craft has a hold; whether it was, and ``due`` returns it later."""
         with self._lock:
             hold = self._holds.get(message.craft)
         if hold is not None:
@@ -96,7 +96,7 @@ class Joining:
         return True
 
     def due(self, now_s: float) -> list[Message]:
-        """What is held back no longer, a turn of each craft."""
+        """The messages whose hold has ended, at most a turn of each craft."""
         if not self._holds and not self._ordered:
             return []
         with self._lock:

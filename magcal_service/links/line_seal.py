@@ -33,13 +33,13 @@ def open_coders(
     role: with a key, a service takes sealed commands only, and every other end seals those it sends.
     key, counter: files of the key and of the last counter; no seal where ``key`` is None.
     counters: where the decoder counts.
-    refused: told of each command that a service refuses for its seal.
+    refused: called for each command that a service refuses for its seal.
 
     Raises ``ConfigError`` where the key is none or can be read by others, or everybody can write beside the counter.
     """
-    told = refused if role is Role.SERVICE else None
+    notify = refused if role is Role.SERVICE else None
     if key is None:
-        return FrameEncoder(), StreamDecoder(counters, None, told)
+        return FrameEncoder(), StreamDecoder(counters, None, notify)
     secret = read_key(key)
     check_state_directory(counter.absolute().parent)
     kept = CounterFile(counter)
@@ -49,7 +49,7 @@ def open_coders(
         return FrameEncoder(lambda payload: _sealed(secret, kept, payload)), StreamDecoder(counters)
     if kept.last == 0:
         _log.warning("no counter in %s yet: right for a new key, otherwise old commands would pass again", counter)
-    return FrameEncoder(), StreamDecoder(counters, SealGate(secret, kept.last, kept.keep), told)
+    return FrameEncoder(), StreamDecoder(counters, SealGate(secret, kept.last, kept.keep), notify)
 
 
 def _sealed(key: bytes, counter: CounterFile, payload: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""Who is there: the liveliness tokens of one link, as zenoh tells them."""
+"""Which ends of a link are present: its liveliness tokens, as zenoh reports them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Presence(NamedTuple):
 
 
 class PresenceBoard:
-    """The set of those who are alive, kept up by ``change`` from any thread.
+    """The ends that are present, kept up to date by ``change`` from any thread.
 
-    ``count`` is told ``joined`` and ``left`` for each that comes and goes.
+    ``count`` is called with ``joined`` or ``left`` for each end that appears or disappears.
     """
 
     def __init__(self, count: Callable[[str], None]) -> None:
@@ -40,9 +40,9 @@ class PresenceBoard:
         self._lock = threading.Lock()
 
     def change(self, key: str, alive: bool) -> Presence | None:
-        """Take one token's coming or going in; who has come with it, if anybody.
+        """Record that a token appeared (``alive``) or disappeared; the end that is newly present, or None.
 
-        Keys of other forms are not ours and are passed over.
+        Keys of other forms are not ours and are ignored.
         """
         match = _TOKEN.fullmatch(key)
         if match is None:
@@ -60,7 +60,7 @@ class PresenceBoard:
         return None
 
     def clear(self) -> None:
-        """Nobody can be seen any more: the session is gone."""
+        """Count every end as ``left``: the session that showed them is gone."""
         with self._lock:
             gone = len(self._present)
             self._present.clear()
@@ -68,6 +68,6 @@ class PresenceBoard:
             self._count("left")
 
     def present(self) -> frozenset[Presence]:
-        """All that are alive now."""
+        """The ends that are present now."""
         with self._lock:
             return frozenset(self._present)

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import Message
 
-_MODULO = 1 << 32
-_HALF = 1 << 31
+_MODULO = 1 << 32  # sequence numbers have 32 bits on the wire and wrap
+_HALF = 1 << 31  # less than half the circle on is ahead, anything else behind (as the serial numbers of RFC 1982)
 WINDOW = 64  # how far back a number may lie and still be the same run of the source, out of order or doubled
 
 
 @dataclass(slots=True)
 class SourceRecord:
-    """What one kind of message from one source has been through on this link.
+    """What happened to one kind of message from one source on this link.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class SourceRecord:
     _recent: dict[int, int] = field(default_factory=dict, repr=False)
 
     def note(self, sequence: int, time_ns: int) -> str:
-        """Take one message in; says ``next``, ``gap``, ``doubled``, ``late`` or ``restarted``.
+        """Count one message; returns ``next``, ``gap``, ``doubled``, ``late`` or ``restarted``.
 
         A number at or below the highest one is a double where number and time [ns] are known, late where the time
         lies before the newest one and the number at most ``WINDOW`` back, and otherwise the source's restart.
@@ -91,7 +91,7 @@ class SequenceTracker:
         self._records: dict[tuple[str, str, str], SourceRecord] = {}
 
     def note(self, message: Message) -> None:
-        """Take one accepted message in."""
+        """Count one accepted message for its source."""
         key = (message.craft, message.source, kind_of(message).name)
         record = self._records.get(key)
         if record is None:

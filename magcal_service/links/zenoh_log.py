@@ -45,9 +45,9 @@ for samples of a publisher.
 _FILTER: Final = "warn,zenoh_transport::unicast::establishment=debug"
 _FILTER_ACL: Final = ",zenoh::net::routing::interceptor=trace"  # a line for each message: only where there are rules
 _PAUSE_S: Final = 0.05  # between two looks at the pipe, so that a flood is read in large pieces
-_READ_BYTES: Final = 1 << 20
-_LONGEST_LINE: Final = 1 << 16
-_MAX_THREADS: Final = 1024
+_READ_BYTES: Final = 1 << 20  # all that the pipe can hold (``log.stdout_as_pipe``)
+_LONGEST_LINE: Final = 1 << 16  # bytes; zenoh's denials have some hundreds, and a line without end must take no memory
+_MAX_THREADS: Final = 1024  # whose verdict is awaited: bounds the memory, far above the threads that zenoh starts
 
 _LINE = re.compile(rb"\S+Z +[A-Z]+ .*?(ThreadId\(\d+\)) (\S+): (.*)")
 _DOOR: Final = (  # what zenoh_link_tls and the authentication say, the first that fits
@@ -88,8 +88,8 @@ class DenialReader:
         thread, origin, text = match.groups()
         if b"::interceptor" in origin:
             return self._rule(thread, text)
-        for told, name in _DOOR:
-            if told in text:
+        for phrase, name in _DOOR:
+            if phrase in text:
                 return name, _shown(text)
         return ("handshake", _shown(text)) if origin.startswith(_TLS) else None
 
@@ -121,7 +121,7 @@ def watch(count: Callable[[str], None], address: str, rules: bool) -> None:
 
     Parameters
     ----------
-    count: told ``denied.<name>`` for each, from a thread of its own.
+    count: called with ``denied.<name>`` for each, from a thread of its own.
     address: the link's, for the log: the first denial of a kind is a line there, then each tenth, hundredth and so on.
     rules: whether there are access rules; their verdicts cost zenoh a line of log for each message.
     """
@@ -134,11 +134,11 @@ def watch(count: Callable[[str], None], address: str, rules: bool) -> None:
 
 
 def _read(pipe: int, count: Callable[[str], None], address: str) -> None:
-    reader, told = DenialReader(), Counter[str]()
+    reader, seen = DenialReader(), Counter[str]()
     while data := os.read(pipe, _READ_BYTES):
         for name, words in reader.feed(data):
             count(f"denied.{name}")
-            told[name] += 1
-            if 10 ** (len(str(told[name])) - 1) == told[name]:
-                _log.warning("%s: denied (%s, %d so far): %s", address, name, told[name], words)
+            seen[name] += 1
+            if 10 ** (len(str(seen[name])) - 1) == seen[name]:
+                _log.warning("%s: denied (%s, %d so far): %s", address, name, seen[name], words)
         time.sleep(_PAUSE_S)

@@ -19,7 +19,7 @@ from magcal_service.wire.fields import shown
 from magcal_service.wire.kinds import KINDS, Kind, kind_of
 from magcal_service.wire.messages import Clock, Message
 
-_NS_PER_S = 1_000_000_000
+_NS_PER_S = 1_000_000_000  # nanoseconds in a second
 _OWN = {kind.code: tuple(field.name for field in kind.own) for kind in KINDS}
 _COMMON = ("timestamp", "clock", "craft", "source", "sequence")
 _KNOWN = {kind.code: frozenset((*_COMMON, *_OWN[kind.code])) for kind in KINDS}

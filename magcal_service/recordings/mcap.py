@@ -10,6 +10,7 @@ middle, is readable but for what was lost.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -20,6 +21,10 @@ SESSION: Final = "magcal.session"
 CRAFT: Final = "magcal.craft"
 STATE: Final = "magcal.state"
 DROPPED: Final = "magcal.dropped"
+
+_MOST_DIGITS: Final = (
+    18  # of a hole's count: what fits 63 bits, so that a hostile file cannot name a number of any size
+)
 
 
 class Topic(NamedTuple):
@@ -44,3 +49,9 @@ class RawMessage(NamedTuple):
     log_time_ns: int
     publish_time_ns: int
     data: bytes
+
+
+def dropped_messages(content: Mapping[str, str]) -> int:
+    """How many messages a ``DROPPED`` record says are missing; 0 where it says no number."""
+    digits = content.get("messages", "")
+    return int(digits[:_MOST_DIGITS]) if digits.isdecimal() else 0

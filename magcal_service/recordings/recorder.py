@@ -2,7 +2,7 @@
 
 The service puts messages into a bounded queue; a thread of its own packs and writes them.  Where the disk is slow the
 queue fills and messages are dropped; where it is full, or fails, recording stops and is tried again later.  Both are
-counted, said in the log and in the status, and neither touches the calibration.  ``docs/recorder.md`` has the rest.
+counted, logged and reported in the status, and neither touches the calibration.  ``docs/recorder.md`` has the rest.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ PATIENCE_S: Final = 5.0
 _TO_BEGIN: Final = 1.1
 """To begin, ``min_free_mb`` times this has to be free, so that a disk at its limit is not filled with short files."""
 
-_LARGEST_TIME: Final = (1 << 63) - 1
-_MB: Final = 1_000_000
+_LARGEST_TIME: Final = (1 << 63) - 1  # [ns] of the wire (INT64); a negative time cannot stand in MCAP either
+_MB: Final = 1_000_000  # bytes: sizes of the configuration are decimal, as disks are sold
 
 
 @cache
@@ -102,7 +102,7 @@ class SessionFile:
         return self._writer.full
 
     def add(self, now_ns: int, message: Message) -> None:
-        """Put one message, recorded at the wall clock ``now_ns``, behind the others.
+        """Append one message, recorded at the wall clock ``now_ns`` [ns].
 
         Raises ``DecodeError`` where JSON cannot hold it.  ``log_time`` never goes back within a file, so order by time
         is order of recording whatever the clock does.
@@ -200,7 +200,7 @@ class Recorder:
         self._states[craft] = state_as_text(state)
 
     def add(self, message: Message) -> None:
-        """Take one message; never waits, never raises."""
+        """Queue one message; never waits, never raises.  Counted as dropped where the queue is full."""
         if self._queue.qsize() >= MOST_WAITING:
             self._missed += 1
             self._count_dropped(1)
@@ -270,7 +270,7 @@ class Recorder:
             _log.warning("a message is not recorded: %s", error)
 
     def _begin(self) -> None:
-        """Open the next file of the session, and mend what an earlier one left half-written."""
+        """Open the next file of the session, and recover files that an earlier session left half-written."""
         self._retry_s = time.monotonic() + self.config.retry_s
         self._folder.path.mkdir(parents=True, exist_ok=True)
         self._make_room(None)
@@ -310,7 +310,7 @@ class Recorder:
             raise OSError(None, f"the disk has less than min_free_mb = {self.config.min_free_mb:g} MB left")
 
     def _flush(self, file: SessionFile) -> None:
-        """Put the chunk on the disk, look after its room, and go on to the next file where it is time."""
+        """Write the chunk to the disk, keep its limits, and begin the next file where this one is full or old."""
         self._flush_s = time.monotonic() + self.config.flush_s
         self.counters["record.written"] += file.flush()
         self._make_room(file.path)

@@ -17,15 +17,15 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE
+from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.state_text import state_from_text
 from magcal_service.typed_toml import nearest
-from magcal_service.wire.kinds import KINDS
+from magcal_service.wire.kinds import FIRST_RESULT, KINDS
 from magcal_service.wire.messages import Command, CommandReply, Message
 
 _KINDS: Final = {kind.name: kind for kind in KINDS}
-_INPUTS: Final = frozenset(kind.name for kind in KINDS if kind.code < 16 or kind.name == "command")
+_INPUTS: Final = frozenset(kind.name for kind in KINDS if kind.code < FIRST_RESULT or kind.name == "command")
 """What comes in: samples, and commands, which change what becomes of them."""
 
 
@@ -160,8 +160,8 @@ def _metadata(reader: McapReader) -> tuple[dict[str, CraftConfig], int]:
             craft = _configuration(content)
             if craft is not None:
                 configurations[craft.name] = craft
-        elif name == DROPPED and content.get("messages", "").isdecimal():
-            dropped += int(content["messages"][:18])
+        elif name == DROPPED:
+            dropped += dropped_messages(content)
     return configurations, dropped
 
 

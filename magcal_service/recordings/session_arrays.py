@@ -46,7 +46,7 @@ from magcal_service.wire.messages import (
     TelemetrySample,
 )
 
-WIDEST_PERIODS: Final = 2.5
+WIDEST_PERIODS: Final = 2.5  # bridges one missing sample, with room for jitter, and never two
 _HELD: Final = frozenset({"dimensionless", "counts", "magnetic moment"})
 
 M = TypeVar("M", bound=Message)

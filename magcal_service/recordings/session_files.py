@@ -120,8 +120,8 @@ class Recovered:
     lost_bytes: int
 
     def __str__(self) -> str:
-        told = f"{self.messages} records of {self.source.name} recovered, {self.lost_bytes} bytes given up"
-        return told if self.result is None else f"{told}: {self.result.name}"
+        text = f"{self.messages} records of {self.source.name} recovered, {self.lost_bytes} bytes given up"
+        return text if self.result is None else f"{text}: {self.result.name}"
 
 
 def recover_in_place(path: Path) -> Recovered:

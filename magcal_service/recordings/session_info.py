@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.mcap import DROPPED, SESSION
+from magcal_service.recordings.mcap import DROPPED, SESSION, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.timestamps import ns_to_iso8601
 
@@ -117,6 +117,6 @@ def _info(reader: McapReader) -> SessionInfo:
     for name, content in reader.metadata:
         if name == SESSION:
             info.about |= content
-        elif name == DROPPED and content.get("messages", "").isdecimal():
-            info.dropped += int(content["messages"][:18])
+        elif name == DROPPED:
+            info.dropped += dropped_messages(content)
     return info

@@ -20,13 +20,13 @@ Check = Callable[[Any, str], Any]
 
 # Lengths are in characters for names (ASCII by their alphabet) and in UTF-8 bytes for texts.
 NAME_LENGTH = 32
-COUNTER_NAME_LENGTH = 64
-TEXT_BYTES = 512
+COUNTER_NAME_LENGTH = 64  # characters; twice a name, for counters whose parts are joined by dots
+TEXT_BYTES = 512  # some lines on a terminal; a status of 128 counters and a text stays within one payload
 NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{NAME_LENGTH}}}")
 COUNTER_NAME = re.compile(rf"[A-Za-z0-9_.:/-]{{1,{COUNTER_NAME_LENGTH}}}")
 
-INT64 = (-(1 << 63), (1 << 63) - 1)
-UINT32 = (0, (1 << 32) - 1)
+INT64 = (-(1 << 63), (1 << 63) - 1)  # signed nanoseconds: 292 years on both sides of the epoch
+UINT32 = (0, (1 << 32) - 1)  # what a counter of a small processor holds: 136 years at 1 Hz
 COUNT = (0, (1 << 53) - 1)  # exact in a double, so readers in any language agree
 
 

@@ -21,7 +21,7 @@ from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import Command, Message
 from magcal_service.wire.seal import SEALED, Sealed, SealGate, split
 
-FRAME_VERSION = 1
+FRAME_VERSION = 1  # of header and checksum; docs/wire.md says when it changes
 
 # Why a frame is refused, in the order of the checks; counted as ``refused.<reason>`` beside ``messages.REFUSALS``.
 FRAME_REFUSALS = ("oversize", "bad_cobs", "bad_crc", "unknown_frame_version", "bad_length", "wrong_kind")
@@ -32,8 +32,8 @@ _DELIMITER = b"\0"
 _PLAIN_BYTES = _HEADER.size + MAX_PAYLOAD_BYTES + _CRC.size
 MAX_ENCODED_BYTES = _PLAIN_BYTES + -(-_PLAIN_BYTES // 254)  # COBS adds one byte for each 254 begun
 
-# A jump of the frame sequence beyond this is taken for a restarted sender, not for that many lost frames.
 MAX_GAP = 1024
+"""A jump of the frame sequence beyond this counts as a restarted sender, not as that many lost frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ class StreamDecoder:
     ----------
     counters: where to count what ``FrameDecoder`` counts and ``refused.<reason>`` of the payloads.
     gate: what commands have to pass; where None, sealed ones are refused and the others taken.
-    refused: told of each command that does not pass, and why.
+    refused: called with each command that does not pass, and why.
     """
 
     def __init__(

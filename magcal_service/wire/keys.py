@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magcal_service.wire.kinds import Kind, kind_of
+from magcal_service.wire.kinds import FIRST_COMMAND, FIRST_RESULT, Kind, kind_of
 from magcal_service.wire.messages import Message
 
 ROOT = "magcal/v1"
@@ -16,14 +16,14 @@ def key_of(message: Message) -> str:
     """
     kind = kind_of(message)
     base = f"{ROOT}/{message.craft}/{group_of(kind)}"
-    return f"{base}/{kind.name}/{message.source}" if kind.code < 32 else base
+    return f"{base}/{kind.name}/{message.source}" if kind.code < FIRST_COMMAND else base
 
 
 def group_of(kind: Kind) -> str:
     """``sample``, ``result``, ``command`` or ``reply``: the part of the key after the craft."""
-    if kind.code < 16:
+    if kind.code < FIRST_RESULT:
         return "sample"
-    return "result" if kind.code < 32 else kind.name
+    return "result" if kind.code < FIRST_COMMAND else kind.name
 
 
 def encoding_of(kind: Kind) -> str:

@@ -29,15 +29,16 @@ from magcal_service.wire.messages import (
 
 MAX_SAMPLE_FIELD_NT = 1e6  # 1 mT: sixteen times the strongest field on the ground
 MAX_RESULT_FIELD_NT = 1e7  # an estimate still converging may scale an accepted sample beyond 1 mT; it is still sent
-MAX_POSITION_KM = 1e6
+MAX_POSITION_KM = 1e6  # beyond the Moon, 4e5 km away: every orbit of the Earth is within
 MAX_TELEMETRY = 1e18  # leaves room for nanosecond clocks, none for squares that overflow
-MAX_D = 1e3
-MAX_COVARIANCE = 1e30
-MAX_COUNTERS = 128
-MAX_ARGUMENTS = 8
-MAX_VALUES = 16
-MAX_REASONS = 16
+MAX_D = 1e3  # an estimate still converging is sent; a sound one has entries below 1
+MAX_COVARIANCE = 1e30  # a variance far beyond MAX_RESULT_FIELD_NT squared, whose sums and products stay finite
+MAX_COUNTERS = 128  # of a status; sets the largest payload, see codec.MAX_PAYLOAD_BYTES
+MAX_ARGUMENTS = 8  # of a command: above what any command takes, and small for a receiver
+MAX_VALUES = 16  # of a telemetry sample: as many as the columns of one channel in a descriptor
+MAX_REASONS = 16  # of an estimate: the trust monitor sends the first that apply and cuts the rest
 FIRST_RESULT = 16  # codes below are samples
+FIRST_COMMAND = 32  # codes from here are commands and replies, those between are results
 
 
 def _plain_map(value: Any) -> Any:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 1  # first value of every payload; docs/wire.md says when it changes
 
 # Why a payload is refused; every link counts ``refused.<reason>``.  ``docs/wire.md`` says what each means.
 REFUSALS = (

@@ -22,8 +22,8 @@ SEALED: Final = 0x40
 SEAL_REFUSALS: Final = ("no_key", "unsealed", "bad_seal", "replayed", "not_kept")
 """Why a command is refused by its seal, in the order of the checks; counted as ``refused.<reason>`` and answered."""
 
-TAG_BYTES: Final = 16
-MAX_COUNTER: Final = (1 << 64) - 1
+TAG_BYTES: Final = 16  # 128 of the 256 bits of HMAC-SHA256: half, the least that RFC 2104 recommends
+MAX_COUNTER: Final = (1 << 64) - 1  # the counter is a u64 on the line
 
 _LABEL: Final = b"magcal sealed command 1\0"
 _COUNTER: Final = struct.Struct("<Q")

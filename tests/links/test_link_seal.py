@@ -67,7 +67,7 @@ def test_an_operators_commands_arrive(line: Callable[[Role], Link]) -> None:
 
 
 def test_a_recorded_command_is_refused_counted_and_answered(line: Callable[[Role], Link]) -> None:
-    """The bytes of a command that was carried out, sent again, change nothing and are told."""
+    """The bytes of a command that was carried out, sent again, change nothing and are answered."""
     service, operator = line(Role.SERVICE), line(Role.VIEWER)
     recorded = sealed_frame(100)
     raw(operator, recorded)

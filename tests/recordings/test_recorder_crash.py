@@ -92,10 +92,10 @@ def test_a_recovered_file_is_sound_and_holds_what_could_be_read(whole: bytes, tm
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 2 // 3])
     _, wanted = read(cut.read_bytes())
-    told = recover(cut, tmp_path / "out.mcap")
+    recovered = recover(cut, tmp_path / "out.mcap")
     content = (tmp_path / "out.mcap").read_bytes()
     reader, found = read(content)
-    assert (found, told.messages, reader.sound) == (wanted, len(wanted), True)
+    assert (found, recovered.messages, reader.sound) == (wanted, len(wanted), True)
     assert sum(1 for _ in make_reader(io.BytesIO(content), validate_crcs=True).iter_messages()) == len(wanted)
     assert reader.metadata == read(whole)[0].metadata
 

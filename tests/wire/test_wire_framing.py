@@ -160,3 +160,18 @@ def test_a_refused_message_uses_no_frame_number():
     with pytest.raises(DecodeError, match="out_of_range"):
         encoder.encode(bad)
     assert encoder.encode(cases.SAMPLE.message) == cases.SAMPLE.frame
+
+
+@pytest.mark.parametrize(
+    ("gap", "counted"), [(1, {"frames_lost": 1}), (1024, {"frames_lost": 1024}), (1025, {"frame_restarts": 1})]
+)
+def test_a_gap_is_so_many_lost_frames_up_to_the_longest_and_beyond_it_a_restart(gap, counted):
+    decoder = FrameDecoder()
+    decoder.feed(pack_frame(1, b"x", 7) + pack_frame(1, b"x", 8 + gap))
+    assert decoder.counters == {"frames": 2, **counted}
+
+
+def test_the_first_frame_of_a_line_is_no_gap_whatever_its_number():
+    decoder = FrameDecoder()
+    decoder.feed(pack_frame(1, b"x", 500))
+    assert decoder.counters == {"frames": 1}
