@@ -22,9 +22,7 @@ CRAFT: Final = "magcal.craft"
 STATE: Final = "magcal.state"
 DROPPED: Final = "magcal.dropped"
 
-_MOST_DIGITS: Final = (
-    18  # of a hole's count: what fits 63 bits, so that a hostile file cannot name a number of any size
-)
+_MOST_DIGITS: Final = 18  # of a hole's count: below 2^63, whatever a damaged or hostile file says
 
 
 class Topic(NamedTuple):
