@@ -1,0 +1,114 @@
+"""What the recorder promises of time, of room on the disk and of names that survive a power cut."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic, dropped_messages
+from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.mcap_writer import McapWriter
+from magcal_service.recordings.recorder import Recorder, SessionFile
+from magcal_service.recordings.session_files import SessionFolder, recover_in_place
+from tests.recordings.sessions import craft, settings, stream, until
+
+SAMPLES = stream(300)
+
+
+def read(path: Path) -> tuple[McapReader, list[RawMessage]]:
+    with path.open("rb") as file:
+        reader = McapReader(file, path.name)
+        return reader, list(reader.messages())
+
+
+def test_log_time_never_goes_back_whatever_the_clock_does(tmp_path: Path) -> None:
+    path, file = SessionFolder(tmp_path).create(0)
+    session = SessionFile(path, file, {}, {})
+    for now_ns, message in zip((100, 50, 101, 7), SAMPLES, strict=False):
+        session.add(now_ns, message)
+    session.close()
+    assert [raw.log_time_ns for raw in read(path)[1]] == [100, 100, 101, 101]
+
+
+def test_a_recording_begins_with_a_tenth_more_room_than_it_must_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Begun, it goes on to the limit itself; stopped there, it waits for the tenth, so that no short files fill up."""
+    free = [1_110_000]
+    monkeypatch.setattr(SessionFolder, "free_bytes", lambda folder: free[0])
+    with Recorder(settings(tmp_path, min_free_mb=1.0, flush_s=0.01, retry_s=0.02), [craft()]) as recorder:
+        until(lambda: recorder.counters["record.files"] == 1)
+        free[0] = 1_000_000
+        recorder.add(SAMPLES[0])
+        until(lambda: recorder.counters["record.written"] == 1)
+        before = recorder._flush_s
+        until(lambda: recorder._flush_s > before)
+        assert recorder.trouble == ""
+        free[0] = 999_999
+        until(lambda: recorder.trouble)
+        free[0] = 1_090_000
+        stopped = recorder.counters["record.stopped"]
+        until(lambda: recorder.counters["record.stopped"] > stopped + 1)
+        assert recorder.counters["record.files"] == 1
+        free[0] = 1_110_000
+        until(lambda: recorder.counters["record.files"] == 2)
+        assert recorder.trouble == ""
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is synchronised: ``file`` or ``folder``, in order."""
+    done: list[str] = []
+    monkeypatch.setattr(
+        os, "fsync", lambda number: done.append("folder" if stat.S_ISDIR(os.fstat(number).st_mode) else "file")
+    )
+    return done
+
+
+def test_the_name_of_a_new_file_survives_a_power_cut(tmp_path: Path, synced: list[str]) -> None:
+    SessionFolder(tmp_path).create(0)[1].close()
+    assert synced == ["folder"]
+
+
+def test_a_recovered_file_is_on_the_disk_before_the_names_change(tmp_path: Path, synced: list[str]) -> None:
+    path, file = SessionFolder(tmp_path).create(0)
+    session = SessionFile(path, file, {}, {})
+    session.add(1, SAMPLES[0])
+    session.flush()
+    file.close()
+    synced.clear()
+    assert recover_in_place(path).messages == 1
+    assert synced == ["file", "folder"]
+
+
+def test_what_a_broken_recovery_left_is_deleted(tmp_path: Path) -> None:
+    (tmp_path / "00000001-20260101T000000Z.recovered.mcap.partial").write_bytes(b"half")
+    assert list(SessionFolder(tmp_path).unfinished()) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("length", "damage"), [(1 << 26, "it ends within a record"), ((1 << 26) + 1, "a record has no sane length")]
+)
+def test_a_length_beyond_what_any_record_has_is_named(tmp_path: Path, length: int, damage: str) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(MAGIC + b"\x05" + length.to_bytes(8, "little"))
+    assert read(path)[0].damage == damage
+
+
+def test_channels_are_numbered_from_one_in_the_order_of_their_first_message(tmp_path: Path) -> None:
+    topics = [Topic("alpha", kind, f"magcal.{kind}", b"{}") for kind in ("magnetometer", "reference")]
+    with (tmp_path / "file").open("wb", buffering=0) as file:
+        writer = McapWriter(file, "test")
+        assert [writer.channel(topic) for topic in (*topics, *topics)] == [1, 2, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("content", "count"),
+    [({"messages": "12"}, 12), ({}, 0), ({"messages": "-1"}, 0), ({"messages": "9" * 40}, 10**18 - 1)],
+)
+def test_a_holes_count_is_a_number_of_bounded_size(content: dict[str, str], count: int) -> None:
+    assert dropped_messages(content) == count
