@@ -34,7 +34,7 @@ DEFAULT_LINK = "zenoh:tcp/127.0.0.1:7447"
 _WINDOW = 200  # samples on the way when faster than real time: below the smallest buffer of any link
 _PATIENCE_S = 2.0  # without an answer this long, the daemon is gone or never was
 _SETTLE_S = 0.5  # after the last sample, for the last answers
-_PROGRESS_S = 0.2
+_PROGRESS_S = 0.2  # between two progress lines: five a second look steady and cost nothing
 
 
 @runtime_checkable

@@ -23,7 +23,7 @@ EARTH_GM_KM3_S2 = 398600.4418  # WGS84
 EARTH_RADIUS_KM = 6378.137  # WGS84 equatorial
 EARTH_J2 = 1.08262668e-3  # EGM96
 _UNIX_JD = 2440587.5  # Julian date of 1970-01-01T00:00 UTC
-_DAY_NS = 86400 * 10**9  # nanoseconds in a day
+DAY_NS = 86400 * 10**9  # nanoseconds in a day
 _LOWEST_PERIGEE_KM = 100.0
 """The edge of space by convention; an orbit that dips below is over within a turn."""
 
@@ -156,9 +156,9 @@ class Sgp4Orbit:
         except ImportError:
             raise ExtraMissingError("sgp4", "sim", "an orbit from an element set") from None
         times = np.asarray(times_utc_ns, dtype=np.int64)
-        days, rest_ns = np.divmod(times, _DAY_NS)
+        days, rest_ns = np.divmod(times, DAY_NS)
         satellite = Satrec.twoline2rv(self.line1, self.line2)
-        codes, position, velocity = satellite.sgp4_array(days + _UNIX_JD, rest_ns / _DAY_NS)
+        codes, position, velocity = satellite.sgp4_array(days + _UNIX_JD, rest_ns / DAY_NS)
         if np.any(codes):
             said = SGP4_ERRORS[int(codes[codes != 0][0])]
             raise InputRefusedError([Fault("orbit.tle", self.line1, f"SGP4 cannot propagate it: {said}")])

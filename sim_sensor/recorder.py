@@ -36,6 +36,7 @@ Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
 _WIDEST_PERIODS = 2.5
+"""Of a series: wider gaps are left as gaps, so that one lost message is interpolated over and two are not."""
 _HELD = (Channel.TORQUER,)  # commands hold until the next one
 _BODY = (Channel.SUN, Channel.GYRO, Channel.TORQUER)
 

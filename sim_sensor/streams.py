@@ -14,16 +14,16 @@ import numpy as np
 class Stream(IntEnum):
     """Who draws; the value is the index of the child seed."""
 
-    PARAMETERS = 0
-    MAGNETOMETER = 1
-    TEMPERATURE = 2
-    CURRENT = 3
-    SUN = 4
-    GYRO = 5
-    REFERENCE = 6
-    POSITION = 7
-    TORQUER = 8
-    FAULTS = 9
+    PARAMETERS = 0  # errors, spin and whatever else the scenario leaves to chance
+    MAGNETOMETER = 1  # the sensor's noise
+    TEMPERATURE = 2  # noise of this telemetry channel
+    CURRENT = 3  # noise of this telemetry channel
+    SUN = 4  # noise of this telemetry channel
+    GYRO = 5  # noise of this telemetry channel
+    REFERENCE = 6  # the reference's own noise
+    POSITION = 7  # noise of positions
+    TORQUER = 8  # noise of this telemetry channel
+    FAULTS = 9  # link faults; each has a child of this stream
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sim_sensor.orbit import DAY_NS, EARTH_RADIUS_KM
+
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
-EARTH_RADIUS_KM = 6378.137
 SUN_RADIUS_KM = 695_700.0  # IAU 2015 nominal
-ASTRONOMICAL_UNIT_KM = 149_597_870.7
-_J2000_NS = 946_728_000 * 10**9
-_DAY_NS = 86400 * 10**9
+ASTRONOMICAL_UNIT_KM = 149_597_870.7  # IAU 2012
+_J2000_NS = 946_728_000 * 10**9  # 2000-01-01T12:00 UTC, the epoch of the formulas [ns since 1970]
 
 
 def sun_direction_eci(times_utc_ns: Times) -> Floats:
@@ -20,7 +20,7 @@ def sun_direction_eci(times_utc_ns: Times) -> Floats:
 
     Good to 0.01 deg from 1950 to 2050.  Source: Astronomical Almanac, low-precision formulas for the Sun, page C5.
     """
-    days = (np.asarray(times_utc_ns, dtype=np.int64) - _J2000_NS) / _DAY_NS
+    days = (np.asarray(times_utc_ns, dtype=np.int64) - _J2000_NS) / DAY_NS
     mean_longitude = 280.460 + 0.9856474 * days
     anomaly = np.radians(357.528 + 0.9856003 * days)
     longitude = np.radians(mean_longitude + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2.0 * anomaly))

@@ -12,7 +12,7 @@ from magcal_service.recordings.timestamps import ns_to_iso8601
 from sim_sensor.simulation import Simulation
 
 TRUTH_NAME = "truth.json"
-_VERSION = 1
+_VERSION = 1  # of the format of truth.json
 
 
 def truth_record(simulation: Simulation) -> dict[str, object]:

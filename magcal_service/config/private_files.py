@@ -15,7 +15,7 @@ from magcal_service.errors import ConfigError, Fault
 
 __all__ = ["MIN_KEY_BYTES", "check_secret", "check_state_directory", "check_unaltered", "read_key"]
 
-MIN_KEY_BYTES: Final = 16
+MIN_KEY_BYTES: Final = 16  # 128 bits: fewer can be searched
 MAX_KEY_BYTES: Final = 64  # a longer one is hashed by HMAC to 32 bytes anyway
 
 _OTHERS: Final = stat.S_IRWXO

@@ -21,7 +21,7 @@ from magcal_service.wire.messages import (
 )
 
 SOURCE = "recording"
-_SEQUENCE_END = 1 << 32
+_SEQUENCE_END = 1 << 32  # a sequence number has 32 bits on the wire
 
 Maker = Callable[[int, int], Message | None]
 """Row and its time [ns] to the row's message, or None where the row has none."""

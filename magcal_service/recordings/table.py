@@ -27,6 +27,9 @@ FAULTS = tuple(RowFault)
 CODE = {fault: code for code, fault in enumerate(FAULTS, start=1)}
 
 _MAX_FILE_BYTES = 1 << 30
+"""1 GiB unpacked: it is held in memory as text, several times over; a gzip file may be a thousand times smaller."""
+
+_SHOWN = 80  # characters of a header in a fault: one line of a terminal
 _CHUNK_BYTES = 1 << 13  # small, because what a broken gzip stream would have given within one chunk is lost
 
 
@@ -72,7 +75,9 @@ def read_table(path: Path, delimiter: str = ",") -> TextTable:
         lines = lines[:-1] or [""]  # the last line is cut somewhere within
     header = tuple(name.strip() for name in _split(lines[0].rstrip("\r"), delimiter) or ())
     if not any(header):
-        raise RecordingError([Fault(str(path), lines[0][:80], "a header line with the column names must come first")])
+        raise RecordingError(
+            [Fault(str(path), lines[0][:_SHOWN], "a header line with the column names must come first")]
+        )
     splitter = _Splitter(delimiter, len(header))
     for number, line in enumerate(lines[1:], start=2):
         splitter.add(number, line, at_end=number == len(lines))

@@ -6,11 +6,13 @@ import datetime
 import re
 from decimal import Context, Decimal
 
-NS_PER_S = 1_000_000_000
+NS_PER_S = 1_000_000_000  # nanoseconds in a second
 MAX_TIME_NS = 2**63 - 1
 """Times beyond +-292 years do not fit the record's int64 and are refused as absurd."""
 
 _MAX_CHARACTERS = 100
+"""Of a rare form of a number: far more than any log writes, and few enough for exact arithmetic to be quick."""
+
 _EXACT = Context(prec=2 * _MAX_CHARACTERS)
 
 _EPOCH_DAY = datetime.date(1970, 1, 1).toordinal()

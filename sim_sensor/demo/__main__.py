@@ -43,8 +43,8 @@ WINDOW = 200  # samples on the way: below the smallest buffer on any link, above
 PATIENCE_S = 5.0  # without any answer for this long, the samples on the way are given up
 READY_S = 30.0  # a slow machine imports and opens the link within this
 QUIET_S = 1.0  # after the last sample was answered, this long without a result means that no more is coming
-STOP_S = 10.0
-NOT_TRUSTED = 3
+STOP_S = 10.0  # a daemon that was asked to end writes its last tick and file well within this
+NOT_TRUSTED = 3  # exit code of every command whose result must not be trusted
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 
 

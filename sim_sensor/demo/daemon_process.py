@@ -14,7 +14,7 @@ from magcal_service.errors import MagcalError
 
 __all__ = ["DaemonDiedError", "DaemonProcess"]
 
-_LAST_LINES = 20
+_LAST_LINES = 20  # of the log, enough for a whole traceback of the daemon
 
 
 class DaemonDiedError(MagcalError):

@@ -11,7 +11,7 @@ from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, M
 
 __all__ = ["WindowedLink"]
 
-_POLL_S = 0.05
+_POLL_S = 0.05  # one wait for an answer; so long a dead daemon goes unnoticed
 
 
 class WindowedLink(Link):

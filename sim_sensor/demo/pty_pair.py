@@ -12,7 +12,7 @@ from typing import Self
 
 __all__ = ["PtyPair"]
 
-_CHUNK = 4096
+_CHUNK = 4096  # bytes in one read, the size of a line buffer of the kernel
 _MAX_PENDING = 1 << 16  # bytes held for a reader that is behind; beyond it the writer has to wait, as on a real line
 
 

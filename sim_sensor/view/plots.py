@@ -22,7 +22,7 @@ _ROWS = ("bias", "scale", "non-orthogonality")
 _ERROR, _LIMIT, _REST = "#1f5fa8", "#b3261e", "#6b6b6b"
 _MAX_POINTS = 4000  # more than any screen has columns; keeps the file small and the drawing quick
 _ZOOM = 5.0  # the linear pictures show this many times the final 3 sigma
-_DPI = 110
+_DPI = 110  # pixels per inch; a choice: the labels are readable on a screen at full size
 
 
 def plot_errors(history: History, path: Path, title: str = "") -> None:

@@ -12,7 +12,7 @@ from magcal_service.model import Array
 from magcal_service.typed_toml import Table, nearest
 
 _MOST_NUMBERS: Final = 64
-"""In one block; the largest of the catalogue is a 3 x 3 matrix by a few harmonics."""
+"""In one block; the largest of the catalogue has 5 x 3."""
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
