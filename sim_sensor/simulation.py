@@ -10,7 +10,6 @@ import heapq
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -25,17 +24,17 @@ from magcal_service.wire.messages import (
     TelemetrySample,
 )
 from sim_sensor import faults, physics, sensor, streams
+from sim_sensor.environment import Environment, rotate
 from sim_sensor.faults import Emission
 from sim_sensor.physics import AddedPhysics
 from sim_sensor.scenario import UNITS, Channel, ReferenceForm, Scenario, resolve
 from sim_sensor.streams import Stream
-from sim_sensor.sunlight import lit_fraction, sun_direction_eci
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
+_SUN_SENSOR_LIT = 0.5  # lit fraction from which the Sun sensor has a direction
 _BLOCK = 8192  # magnetometer samples computed at once: 0.1 s of work, 20 MB
-_LIGHT_STEP_S = 5.0  # grid of light and temperature; an eclipse edge moves by at most half of it
 
 
 @dataclass(frozen=True)
@@ -87,6 +86,7 @@ class Simulation:
         self.truth = drawn if model is None else physics.with_errors(drawn, model)
         """The scenario with nothing left to chance: the nine errors, the spin, the orbit.  Never sent."""
         self.duration_s = scenario.duration_s if duration_s is None else duration_s
+        self.environment = Environment(self.truth, self.duration_s)
         self._newest_field: tuple[Times, Floats] | None = None
         if model is not None:  # refused now rather than on the way
             self._added(
@@ -148,7 +148,7 @@ class Simulation:
         scenario, elapsed_s = self.truth, self.elapsed_s(times_ns)
         true_eci = self._true_eci_nt(times_ns)
         attitude = scenario.spin.body_from_eci(elapsed_s)
-        ambient = _rotate(attitude, true_eci)
+        ambient = rotate(attitude, true_eci)
         response = ambient
         if scenario.sensor.lag_s > 0.0:
             response = sensor.lagged(self._delayed_field(times_ns, true_eci), elapsed_s, scenario.sensor.lag_s)
@@ -156,7 +156,9 @@ class Simulation:
         if added is not None:
             field_nt, growth = self._added(added, times_ns)
             response = response * (1.0 + growth / np.linalg.norm(true_eci, axis=1))[:, None]
-        measured = sensor.measured_nt(scenario.sensor, scenario.effects, self, elapsed_s, response, noise_nt, field_nt)
+        measured = sensor.measured_nt(
+            scenario.sensor, scenario.effects, self.environment, elapsed_s, response, noise_nt, field_nt
+        )
         bias, D = sensor.errors_at(scenario.sensor, scenario.effects.steps, elapsed_s)
         return Block(times_ns, measured, ambient, true_eci, attitude, bias, D)
 
@@ -167,39 +169,9 @@ class Simulation:
         slope = scenario.field.true_eci_nt(scenario.orbit, times_ns + second) - true_eci
 
         def field_body_nt(at_s: Floats) -> Floats:
-            return _rotate(scenario.spin.body_from_eci(at_s), true_eci + slope * (at_s - elapsed_s)[:, None])
+            return rotate(scenario.spin.body_from_eci(at_s), true_eci + slope * (at_s - elapsed_s)[:, None])
 
         return field_body_nt
-
-    # What a disturbance may ask of the craft (``disturbances.Craft``).
-
-    def lit(self, elapsed_s: Floats) -> Floats:
-        """Lit fraction (n,)."""
-        grid_s, lit = self._light
-        return np.asarray(np.interp(elapsed_s, grid_s, lit))
-
-    def sun_body(self, elapsed_s: Floats) -> Floats:
-        """Direction of the Sun (n, 3), body, unit."""
-        times = self.truth.start_ns + np.rint(elapsed_s * 1e9).astype(np.int64)
-        return _rotate(self.truth.spin.body_from_eci(elapsed_s), sun_direction_eci(times))
-
-    def temperature_degc(self, elapsed_s: Floats) -> Floats:
-        """Sensor temperature (n,) [degC]."""
-        return np.asarray(np.interp(elapsed_s, self._light[0], self._temperatures))
-
-    @cached_property
-    def _light(self) -> tuple[Floats, Floats]:
-        count = math.ceil(self.duration_s / _LIGHT_STEP_S) + 2
-        grid_s = np.asarray(np.arange(count) * _LIGHT_STEP_S, dtype=np.float64)
-        times = self.truth.start_ns + (grid_s * 1e9).astype(np.int64)
-        return grid_s, lit_fraction(times, self.truth.orbit.position_eci_km(times))
-
-    @cached_property
-    def _temperatures(self) -> Floats:
-        thermal = self.truth.effects.thermal
-        if thermal is None:
-            raise ValueError("temperature_degc needs a scenario with [thermal]")
-        return thermal.history_degc(self._light[1], _LIGHT_STEP_S)
 
     # Messages
 
@@ -288,14 +260,14 @@ class Simulation:
         """Values (n, k) of a telemetry channel at elapsed times (n,) [s], without noise."""
         effects = self.truth.effects
         if channel is Channel.TEMPERATURE:
-            values = self.temperature_degc(at_s)[:, None]
+            values = self.environment.temperature_degc(at_s)[:, None]
         elif channel is Channel.CURRENT:
-            sun, lit = self.sun_body(at_s), self.lit(at_s)
+            sun, lit = self.environment.sun_body(at_s), self.environment.lit(at_s)
             values = np.stack([panel.current_a(sun, lit) for panel in effects.panels], axis=-1)
         elif channel is Channel.TORQUER and effects.torquer is not None:
             values = effects.torquer.commanded_am2(at_s)
         elif channel is Channel.SUN:
-            values = self.sun_body(at_s) * (self.lit(at_s) > 0.5)[:, None]
+            values = self.environment.sun_body(at_s) * (self.environment.lit(at_s) > _SUN_SENSOR_LIT)[:, None]
         else:
             values = self.truth.spin.rate_body_rad_s(at_s)
         return values
@@ -317,8 +289,3 @@ class Simulation:
                 values=tuple(row),
             )
             yield Emission(self._emit_s(time_ns), sample)
-
-
-def _rotate(matrices: Floats, vectors: Floats) -> Floats:
-    """Each matrix (n, 3, 3) times its vector (n, 3)."""
-    return np.asarray((matrices @ vectors[..., None])[..., 0])

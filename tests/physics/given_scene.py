@@ -26,10 +26,10 @@ def flight() -> Scene:
     run = simulation.arrays()
     time_s = (run.times_ns - run.times_ns[0]) * 1e-9
     position = simulation.truth.orbit.position_eci_km(run.times_ns)
-    sun = simulation.sun_body(time_s) * simulation.lit(time_s)[:, None]
+    sun = simulation.environment.sun_body(time_s) * simulation.environment.lit(time_s)[:, None]
     commands = np.sign(np.sin(time_s / 150.0))[:, None] * (np.mod(time_s, 300.0) < 140.0)[:, None] * [0.1, 0.0, -0.2]
     channels = (
-        Telemetry("temperature", "temperature", simulation.temperature_degc(time_s)[:, None]),
+        Telemetry("temperature", "temperature", simulation.environment.temperature_degc(time_s)[:, None]),
         Telemetry("boards", "temperature", np.stack([20.0 + time_s / 600.0, 5.0 + np.sin(time_s / 900.0)], axis=1)),
         Telemetry("bus", "current", np.stack([np.maximum(sun[:, 0], 0.0), 0.0 * time_s, 1.0 + sun[:, 1]], axis=1)),
         Telemetry("torquer", "magnetic moment", commands),
