@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_service.links import Role, open_link
+from magcal_service.links import joining as module
 from magcal_service.links.joining import ALONE_QUIET_S, ALONE_S, APART_S, LONGEST_S, QUIET_S, Joining, in_order_of_time
 from magcal_service.wire.messages import Message, ReferenceSample
 from tests.links.link_messages import START_NS, free_port, gather, sample, settle
@@ -148,3 +150,15 @@ def test_a_service_that_starts_late_gets_samples_and_references_second_by_second
             newest_ns = message.time_ns
         assert message.time_ns <= newest_ns + SECOND_NS
     assert len(arrived) == 1000
+
+
+def test_a_hold_that_is_full_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node that sends without end takes bounded memory."""
+    monkeypatch.setattr(module, "_MOST_HELD", 5)
+    joining = Joining(64)
+    joining.begin("alpha", 0.0)
+    for number in range(4):
+        joining.keeps(sample(number), 0.0)
+    assert joining.due(0.0) == []
+    joining.keeps(sample(4), 0.0)
+    assert joining.due(0.0) == [sample(number) for number in range(5)]

@@ -12,7 +12,7 @@ import pytest
 
 from magcal_service.config.address import parse_address
 from magcal_service.errors import DecodeError
-from magcal_service.links import Role, open_link
+from magcal_service.links import Role, open_link, presence
 from magcal_service.links.fair_inbox import FairInbox
 from magcal_service.links.presence import Presence, PresenceBoard
 from magcal_service.links.serial import SerialLink, SerialSettings
@@ -140,3 +140,25 @@ def test_the_lines_own_answers_are_numbered_from_nought_and_wrap(
         link._refuse_command(command(7), DecodeError("unsealed", "seal it"))
     assert [message.sequence for message in sent] == [0, 1, (1 << 32) - 1, 0]
     assert all(isinstance(message, CommandReply) and not message.accepted for message in sent)
+
+
+def test_invented_tokens_take_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(presence, "MAX_PRESENT", 2)
+    counted: list[str] = []
+    board = PresenceBoard(counted.append)
+    for number in range(4):
+        board.change(NODE._replace(name=f"n{number}").key, alive=True)
+    assert (len(board.present()), counted) == (2, ["joined", "joined"])
+
+
+def test_refused_commands_are_all_answered_and_the_first_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    link = SerialLink(parse_address(f"serial:{tmp_path / 'tty'}"), Role.SERVICE)
+    sent: list[Message] = []
+    monkeypatch.setattr(link, "send", sent.append)
+    caplog.clear()
+    for number in range(3):
+        link._refuse_command(command(number), DecodeError("unsealed", "seal it"))
+    assert ["is refused" in record.getMessage() for record in caplog.records] == [True]
+    assert len(sent) == 3

@@ -46,6 +46,13 @@ TOP = 2**32
         pytest.param([30, 0, 1], [1, 9, 10], {"received": 3, "restarts": 1}, id="restart within the window"),
         pytest.param([5000, 0], [5000, 0], {"received": 2, "restarts": 1}, id="restart with its clock"),
         pytest.param([7, 0, 3], [1, 9, 12], {"received": 3, "lost": 2, "restarts": 1}, id="gap after a restart"),
+        pytest.param([100, 36], None, {"received": 2, "late": 1}, id="late by the whole window"),
+        pytest.param([100, 35], None, {"received": 2, "restarts": 1}, id="restart beyond the window"),
+        pytest.param([5, 4], [9, 9], {"received": 2, "late": 1}, id="late in the same instant"),
+        pytest.param([0, TOP // 2 - 1], [1, 2], {"received": 2, "lost": TOP // 2 - 2}, id="longest gap"),
+        pytest.param([0, TOP // 2], [1, 2], {"received": 2, "restarts": 1}, id="half the circle is behind"),
+        pytest.param([*range(65), 1], None, {"received": 66, "doubled": 1}, id="doubled within the window"),
+        pytest.param([*range(66), 1], None, {"received": 67, "late": 1}, id="forgotten beyond the window"),
     ],
 )
 def test_each_history_is_counted_for_what_it_is(

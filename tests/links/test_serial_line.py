@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,7 +106,8 @@ def test_a_frame_that_is_not_begun_gives_way_when_it_is_too_old(
 
 def test_the_backlog_holds_what_it_may_and_not_a_frame_more(link: SerialLink, monkeypatch: pytest.MonkeyPatch) -> None:
     line = ShortLine(monkeypatch)
-    held = 16384 // FRAME_BYTES
+    held = 20
+    link._settings = replace(link._settings, backlog_bytes=held * FRAME_BYTES)
     for number in range(held + 5):
         link.send(sample(0))
         assert link.counters["dropped"] == max(0, number + 1 - held)
@@ -177,3 +179,26 @@ def test_a_closed_line_waits_and_does_not_open_again(clock: Clock, tmp_path: Pat
     assert (link.counters["up"], link.counters["down"]) == (0, 0)
     os.close(near)
     os.close(far)
+
+
+def test_a_line_that_died_within_a_frame_begins_the_next_one_whole(
+    link: SerialLink, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was held for the dead line is dropped, and nothing of it is written on the new one."""
+    line = ShortLine(monkeypatch)
+    line.room = 10
+    for number in range(3):
+        link.send(sample(number))
+
+    def broken(descriptor: int, data: bytes) -> int:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(module.os, "write", broken)
+    link.send(sample(3))
+    assert (link.state, link.counters["dropped"], link._backlog_bytes) == (LinkState.LOST, 4, 0)
+    clock.now_s += 1.0
+    again = ShortLine(monkeypatch)
+    again.room = 10_000
+    link.send(sample(4))
+    assert StreamDecoder().feed(bytes(again.written)) == [sample(4)]
+    assert (link.counters["sent"], link.counters["up"], link.counters["down"]) == (1, 2, 1)
