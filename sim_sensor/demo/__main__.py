@@ -32,7 +32,7 @@ from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.demo.report import DemoError, Outcome, Plan, Session, Wire, objections, write_results
 from sim_sensor.node import Simulation, run_node
 from sim_sensor.scenario_reader import load_scenario
-from sim_sensor.view.history import summarise
+from sim_sensor.view.summary import summarise
 
 if TYPE_CHECKING:
     from rich.console import Console

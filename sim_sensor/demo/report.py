@@ -17,7 +17,8 @@ from sim_sensor.recorder import record_simulation
 from sim_sensor.sensor import errors_at
 from sim_sensor.simulation import Simulation
 from sim_sensor.truth import TRUTH_NAME
-from sim_sensor.view.history import History, Summary
+from sim_sensor.view.history import History
+from sim_sensor.view.summary import Summary
 
 __all__ = ["DemoError", "Outcome", "Plan", "Session", "Wire", "objections", "write_results"]
 
