@@ -39,7 +39,7 @@ _PROGRESS_S = 0.2  # between two progress lines: five a second look steady and c
 
 @runtime_checkable
 class Attended(Protocol):
-    """A link that knows who is at its other ends."""
+    """A link that knows the peers at its other ends."""
 
     def alive(self) -> frozenset[Presence]:
         """Who is there."""
@@ -190,7 +190,7 @@ def _length_s(simulation: Simulation, report: NodeReport, stop: threading.Event)
 
 
 def _heard(link: Link, wait_s: float, stop: threading.Event, on_result: Callable[[Message], None]) -> bool:
-    """Wait until the daemon is heard or, where a link knows who is there, seen; at most ``wait_s``."""
+    """Wait until the daemon is heard or, where a link lists its peers, among them; at most ``wait_s``."""
     deadline = time.monotonic() + wait_s
     while not stop.is_set() and time.monotonic() < deadline:
         messages = link.receive(min(0.1, wait_s))

@@ -1,4 +1,4 @@
-"""The field along the orbit: what is really there, and what the reference says.
+"""The field along the orbit: the true one, and the one that the reference states.
 
 The two differ only where a scenario asks: by a ring current, a reference of another time tag, place or epoch.
 """

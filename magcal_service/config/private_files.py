@@ -32,7 +32,7 @@ def check_secret(path: Path) -> None:
 
 
 def check_unaltered(path: Path) -> None:
-    """Refuse a configuration that everybody could rewrite: it says who is let in."""
+    """Refuse a configuration that everybody could rewrite: it lists the nodes that may connect."""
     mode = _status(path).st_mode
     if mode & stat.S_IWOTH:
         raise _fault(path, mode, "a file that not everybody can write is accepted; mend it with: chmod o-w FILE")

@@ -80,7 +80,7 @@ def _complete(values: FloatArray) -> list[bool]:
 
 
 class _Stamp:
-    """Makes the makers: what all messages of a recording carry is said once."""
+    """Holds what all messages of a recording carry; each method gives the maker of one kind of message."""
 
     def __init__(self, craft: str, source: str, clock: Clock) -> None:
         self._craft, self._source, self._clock = craft, source, clock

@@ -70,7 +70,7 @@ _FORMS: dict[str, type[ReferenceSpec]] = {
     "model": ModelReference,
     "constant": ConstantReference,
 }
-"""The key that tells the form, and what it makes."""
+"""The record of each form, by the key that only this form has."""
 
 
 def read_reference(reading: Reading, name: str) -> ReferenceSpec | None:

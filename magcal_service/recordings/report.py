@@ -1,4 +1,4 @@
-"""What became of the rows of a log: every fault counted by kind, with the first line it was seen on."""
+"""Account of the rows of a log: every fault counted by kind, with the first line it was seen on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the demo is told, what came of it, and what it leaves behind."""
+"""Inputs of the demo, its outcome, and the files it writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can honestly be said at the end of a run: final errors, time to settle, consistency."""
+"""Final errors of a run, time to settle, and consistency of errors and sigmas (NEES)."""
 
 from __future__ import annotations
 

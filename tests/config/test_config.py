@@ -215,6 +215,8 @@ SPIN = "[craft.spin]\nrate_rpm = 7.5\n"
         (MINIMAL + "[craft.spin]\nrate_rpm = 5000\n", "daemon.toml: craft[0].spin.rate_rpm", "5000"),
         (MINIMAL + SPIN + "axis = 'w'\n", "daemon.toml: craft[0].spin.axis", "'w'"),
         (MINIMAL + SPIN + "axis = [0, 0, 0]\n", "daemon.toml: craft[0].spin.axis", "[0.0, 0.0, 0.0]"),
+        (MINIMAL + SPIN + "axis = [9e-7, 0, 0]\n", "daemon.toml: craft[0].spin.axis", "[9e-07, 0.0, 0.0]"),
+        (MINIMAL + SPIN + "axis = [2e6, 0, 0]\n", "daemon.toml: craft[0].spin.axis", "[2000000.0, 0.0, 0.0]"),
         (MINIMAL + SPIN + "axis = [0, 1]\n", "daemon.toml: craft[0].spin.axis", "[0, 1]"),
         (MINIMAL + SPIN + "axis = 3\n", "daemon.toml: craft[0].spin.axis", "3"),
         (MINIMAL + SPIN + "window = 'means'\n", "daemon.toml: craft[0].spin.window", "'means'"),

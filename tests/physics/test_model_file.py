@@ -145,6 +145,7 @@ FAULTS = (
     ("version = 1", "version = 2", "version", "1 is accepted"),
     ('clock = "utc"', 'clock = "gps"', "recording.clock", "utc"),
     ("origin_ns = ", "origin_ns = 1.5 # ", "recording.origin_ns", "whole number"),
+    ("origin_ns = ", "origin_ns = 9223372036854775808 # ", "recording.origin_ns", "whole number"),
     ("bias_nt = [", "bias_nt = [7.0, ", "errors.bias_nt", "an array of 3"),
     ("D = [0.05", "D = [-0.99", "errors.D", "eigenvalues"),
     ("column = 0.0", "column = inf", "effect[0].constants.column", "finite"),
