@@ -1,4 +1,4 @@
-"""A bounded queue whose places and turns are shared: one who floods pushes out itself, and nobody waits behind it."""
+"""A bounded queue shared fairly: a source that floods displaces its own items, and other sources keep their turns."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from typing import Final, Generic, TypeVar
 T = TypeVar("T")
 
 TURN: Final = 64
-"""Most items of one group that leave in one call: some 20 ms of the daemon's work on samples."""
+"""Most items of one group that one call of ``drain`` returns: some 20 ms of the daemon's work on samples."""
 
 MOST_SOURCES: Final = 64
-"""Sources of one group that have a share of their own; all others share one, so that invented names win nothing."""
+"""Sources of one group that have a share of their own; all others share one, so invented names gain no room."""
 
 
 class FairInbox(Generic[T]):
     """Holds at most ``limit`` items of many sources in groups, such as the craft of a fleet.
 
-    Where one more comes, the source with the most items loses its oldest.  ``drain`` gives items in the order of
-    arrival, and of each group at most ``turn`` in one call.
+    When it is full, the source with the most items loses its oldest one to the new item.  ``drain`` gives items in the
+    order of arrival, and of each group at most ``turn`` in one call.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class FairInbox(Generic[T]):
         self._ready = threading.Condition()
 
     def put(self, item: T, group: str = "", source: str = "") -> None:
-        """Add one item, from any thread; never waits for the one who drains."""
+        """Add one item, from any thread, without waiting for the consumer."""
         with self._ready:
             queue = self._queue(group, source)
             full = self._size >= self._limit
@@ -65,7 +65,7 @@ class FairInbox(Generic[T]):
         return sources.setdefault(source, deque())
 
     def _push_out(self, newest: deque[tuple[int, T]]) -> None:
-        """Make room; the search for the fullest is spared where the newest has its share and more."""
+        """Drop the oldest item of the fullest source, or of ``newest`` where that has its share (spares the search)."""
         sources = sum(len(group) for group in self._held.values())
         if len(newest) * sources < self._limit:
             newest = max((queue for group in self._held.values() for queue in group.values()), key=len)

@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Holds at most ``limit`` items; where one more comes, the oldest gives way and ``overflowed`` is called.
+    """Holds at most ``limit`` items; when it is full, the oldest is dropped for a new one and ``overflowed`` is called.
 
     ``put`` is short enough for a callback that must not delay the network's thread; ``drain`` sleeps in the kernel
     until the first item, so waiting costs no processor time and wakes at once.

@@ -34,8 +34,8 @@ _log = logging.getLogger("magcal.links.serial")
 _READ_BYTES = 65536  # taken from the line at once: all that a pseudo-terminal or a serial driver of Linux holds (4 kB)
 _CLOSE_WAIT_S = 1.0  # how long close lets the line take what is still queued [s]
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
-_DOORKEEPER: Final = "magcal-line"  # source of the answers to commands that the line itself refuses
-_HEARD = {Role.SERVICE: ("sample", "command")}  # a line that echoes gives this end its own messages back
+_REFUSING_SOURCE: Final = "magcal-line"  # source of the answers to commands that the line itself refuses
+_RECEIVED_GROUPS = {Role.SERVICE: ("sample", "command")}  # the rest is an echo of what this end sends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class SerialSettings:
     flow_control: hardware flow control (RTS/CTS).
     dtr: raise DTR on opening; many boards restart when it rises.
     backlog_bytes: bytes held at most for a line that doesn't take them.
-    backlog_s: age at which held frames are given up [s].
+    backlog_s: age at which held frames are dropped [s].
     key: file with the key that commands are sealed with; where None, they are not.
     counter: file that keeps the last counter of a sealed command; only with ``key``.
     """
@@ -122,7 +122,7 @@ class SerialLink(Link):
     def __init__(self, address: LinkAddress, role: Role, crafts: Sequence[str] = ()) -> None:
         super().__init__(address.text, crafts)
         self._settings = SerialSettings.read(address)
-        self._heard = _HEARD.get(role, ("result", "reply"))
+        self._received_groups = _RECEIVED_GROUPS.get(role, ("result", "reply"))
         self._answers = 0  # to commands that the line itself has refused
         self._encoder, self._decoder = open_coders(
             role, self._settings.key, self._settings.counter, self.counters, self._refuse_command
@@ -174,7 +174,7 @@ class SerialLink(Link):
         return bool(events & ~select.POLLOUT)
 
     def _for_us(self, message: Message) -> bool:
-        if group_of(kind_of(message)) in self._heard:
+        if group_of(kind_of(message)) in self._received_groups:
             return True
         self.counters["refused.wrong_direction"] += 1
         return False
@@ -189,7 +189,7 @@ class SerialLink(Link):
         self.send(
             CommandReply(
                 craft=command.craft,
-                source=_DOORKEEPER,
+                source=_REFUSING_SOURCE,
                 sequence=(self._answers - 1) % (1 << 32),
                 time_ns=command.time_ns,
                 clock=command.clock,
@@ -236,7 +236,7 @@ class SerialLink(Link):
             self._died(error)
 
     def _shed(self) -> None:
-        """Give up the oldest frames that are not begun, while there are too many bytes or they are too old."""
+        """Drop the oldest frames that are not begun, while there are too many bytes or they are too old."""
         now_s = time.monotonic()
         first = 1 if self._written else 0
         while len(self._backlog) > first and (

@@ -86,7 +86,7 @@ class ZenohLink(Link):
             self._keep_trying().wait(_FIRST_ATTEMPT_S)
 
     def alive(self) -> frozenset[Presence]:
-        """Who else is there, by craft, role and name; who is shown here hears what is sent from now on."""
+        """The other ends that are present, by craft, role and name; each receives what is sent from now on."""
         own = (self.role, self._name())
         return frozenset(presence for presence in self._board.present() if (presence.role, presence.name) != own)
 
@@ -207,9 +207,9 @@ class ZenohLink(Link):
                 self._count("up" if up else "down")
 
     def _presence(self, sample: zenoh.Sample) -> None:
-        come = self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
-        if self.role is Role.SERVICE and come is not None and come.role is Role.NODE:
-            self._joining.begin(come.craft, time.monotonic())
+        appeared = self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+        if self.role is Role.SERVICE and appeared is not None and appeared.role is Role.NODE:
+            self._joining.begin(appeared.craft, time.monotonic())
 
     # The session
 
@@ -254,7 +254,7 @@ class ZenohLink(Link):
 
     def _declare(self, session: zenoh.Session) -> None:
         self._held.append(session.info.declare_transport_events_listener(_direct(self._transport), history=True))
-        if self.role is Role.SERVICE:  # whoever is there already sends again what was missed
+        if self.role is Role.SERVICE:  # nodes that are present already send missed messages again
             for craft in self.crafts:
                 self._joining.begin(craft, time.monotonic())
         names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
@@ -264,7 +264,7 @@ class ZenohLink(Link):
             self._held.extend(self._subscriptions(session, name))
             presence = session.liveliness().declare_subscriber(f"{name}/alive/*", _direct(self._presence), history=True)
             self._held.append(presence)
-        for craft in sorted(self.crafts):  # after the subscriptions, so that who is seen alive also hears
+        for craft in sorted(self.crafts):  # after the subscriptions: an end that is seen alive also receives
             self._announce(session, craft)
 
     def _subscriptions(self, session: zenoh.Session, name: str) -> list[object]:

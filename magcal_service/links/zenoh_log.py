@@ -36,7 +36,7 @@ DENIALS: Final = (
     "reply",
     "other",
 )
-"""Counted as ``denied.<name>``: five ways to fail at the door, no role in the rules, then what a rule denied.
+"""Counted as ``denied.<name>``: five failures to connect, no role in the rules, then what a rule denied.
 
 ``other`` is a declaration, a query, a put on another key, or what one without a role put: zenoh says no more of it, but
 for samples of a publisher.
@@ -50,7 +50,7 @@ _LONGEST_LINE: Final = 1 << 16  # bytes; zenoh's denials have some hundreds, and
 _MAX_THREADS: Final = 1024  # whose verdict is awaited: bounds the memory, far above the threads that zenoh starts
 
 _LINE = re.compile(rb"\S+Z +[A-Z]+ .*?(ThreadId\(\d+\)) (\S+): (.*)")
-_DOOR: Final = (  # what zenoh_link_tls and the authentication say, the first that fits
+_CONNECT_FAILURES: Final = (  # what zenoh_link_tls and the authentication say, the first that fits
     (b"peer sent no certificates", "no_certificate"),
     (b"certificate expired", "expired_certificate"),
     (b"certificate chain expired", "expired_certificate"),
@@ -88,7 +88,7 @@ class DenialReader:
         thread, origin, text = match.groups()
         if b"::interceptor" in origin:
             return self._rule(thread, text)
-        for phrase, name in _DOOR:
+        for phrase, name in _CONNECT_FAILURES:
             if phrase in text:
                 return name, _shown(text)
         return ("handshake", _shown(text)) if origin.startswith(_TLS) else None
@@ -104,7 +104,9 @@ class DenialReader:
         elif len(self._ruled) < _MAX_THREADS:
             part = _PART.fullmatch(ruled[5]) if ruled[3] == b"Put" else None
             name = part[1].decode() if part else "other"
-            self._ruled[thread] = (name, _shown(text)) if ruled[4] == b"ingress" else None  # what we send is no attack
+            self._ruled[thread] = (
+                (name, _shown(text)) if ruled[4] == b"ingress" else None
+            )  # egress: sent by this process
         return None
 
 

@@ -30,7 +30,7 @@ _SECRET_FILES = (
 )
 _SECRETS = ("transport/auth/usrpwd/password", "transport/auth/pubkey/private_key_pem")
 
-# Set unless the configuration file says otherwise: nobody is sought, only the named endpoint is used; reconnection is
+# Set unless the configuration file says otherwise: no scouting, only the named endpoint is used; reconnection is
 # quick (0.4 s after a restart, where zenoh's own takes 3-4 s); and there are time stamps, without which advanced
 # publishers cannot recover what was lost.
 _DEFAULTS: dict[str, object] = {
@@ -171,7 +171,7 @@ def _reaches_out(endpoint: str) -> bool:
         return False
     try:
         return not ipaddress.ip_address(host.partition("%")[0]).is_loopback
-    except ValueError:  # a name: nobody knows what it stands for tomorrow
+    except ValueError:  # a host name may resolve to another machine later
         return True
 
 

@@ -122,11 +122,11 @@ class SessionFile:
         self._writer.add(RawMessage(topic, message.sequence, self._last_ns, publish_ns, data))
 
     def note_dropped(self, count: int) -> None:
-        """Mark a hole: so many messages are missing between what was added before and what comes next."""
+        """Mark a hole: ``count`` messages are missing between those added before and the next one."""
         self._writer.add_metadata(DROPPED, {"messages": str(count)})
 
     def flush(self) -> int:
-        """Everything added so far survives a crash of the machine from now on; how many messages did not before."""
+        """Write the open chunk to the disk, so that it survives a crash; how many more messages do so now."""
         if self.taken > self._saved:
             self._writer.end_chunk()
             os.fdatasync(self._file.fileno())
@@ -159,7 +159,7 @@ class SessionFile:
 
 
 class Recorder:
-    """Records what it is given until it is closed.
+    """Records the messages of a session into files until it is closed.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ class Recorder:
         self._count_dropped(count)
 
     def close(self) -> None:
-        """Write what is waiting and finish the file; a disk that does not answer is not waited for without end."""
+        """Write the queue and finish the file; waits at most ``PATIENCE_S`` for a disk that does not answer."""
         self._queue.put(None)
         self._thread.join(PATIENCE_S)
         if self._thread.is_alive():
@@ -337,7 +337,7 @@ class Recorder:
             self._file = None
 
     def _stop(self, reason: str) -> None:
-        """Record no more for a while; what the last chunk held is lost and counted."""
+        """Stop recording for ``retry_s``; messages of the open chunk are lost and counted as dropped."""
         self._abandon()
         self._retry_s = time.monotonic() + self.config.retry_s
         self.counters["record.stopped"] += 1

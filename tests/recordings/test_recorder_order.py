@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +14,7 @@ from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic, dropped_mes
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.recorder import Recorder, SessionFile
-from magcal_service.recordings.session_files import SessionFolder, recover_in_place
+from magcal_service.recordings.session_files import Recovered, SessionFolder, recover_in_place
 from tests.recordings.sessions import craft, settings, stream, until
 
 SAMPLES = stream(300)
@@ -112,3 +114,45 @@ def test_channels_are_numbered_from_one_in_the_order_of_their_first_message(tmp_
 )
 def test_a_holes_count_is_a_number_of_bounded_size(content: dict[str, str], count: int) -> None:
     assert dropped_messages(content) == count
+
+
+class Hiccup(io.FileIO):
+    """A file on a disk that takes a part of one write, then fails once, then works again."""
+
+    broken = False
+
+    def write(self, data: Any) -> int:
+        if self.broken:
+            self.broken = False
+            super().write(bytes(data)[:10])
+            raise OSError(5, "Input/output error")
+        return int(super().write(data))
+
+
+def test_a_file_that_is_abandoned_is_sound_up_to_the_chunk_that_failed(tmp_path: Path) -> None:
+    """What was half-written is cut off, and the summary stands directly behind what is whole."""
+    file = Hiccup(tmp_path / "file.mcap", "w+")
+    session = SessionFile(tmp_path / "file.mcap", file, {}, {})  # type: ignore[arg-type]
+    session.add(1, SAMPLES[0])
+    assert session.flush() == 1
+    session.add(2, SAMPLES[1])
+    file.broken = True
+    with pytest.raises(OSError, match="Input/output"):
+        session.flush()
+    assert session.abandon() == (0, 1)
+    reader, messages = read(tmp_path / "file.mcap")
+    assert (reader.sound, reader.good_bytes, len(messages)) == (True, reader.size, 1)
+
+
+def test_a_folder_is_made_with_those_above_it(tmp_path: Path) -> None:
+    path, file = SessionFolder(tmp_path / "a" / "b").create(0)
+    file.close()
+    assert path.parent == tmp_path / "a" / "b"
+
+
+def test_a_recovery_is_reported_with_the_file_that_came_of_it(tmp_path: Path) -> None:
+    source, result = tmp_path / "one.mcap", tmp_path / "one.recovered.mcap"
+    assert str(Recovered(source, None, 0, 7)) == "0 records of one.mcap recovered, 7 bytes given up"
+    assert str(Recovered(source, result, 3, 7)) == (
+        "3 records of one.mcap recovered, 7 bytes given up: one.recovered.mcap"
+    )
