@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -163,6 +164,36 @@ def test_a_fault_is_named_with_what_is_accepted(old: str, new: str, where: str, 
     lines = [line for line in str(caught.value).splitlines() if line.startswith(f"physics.toml: {where}: ")]
     assert len(lines) == 1
     assert accepted in lines[0]
+
+
+SPUN = text_of(replace(parse_model(GOOD.encode()), spin=ModelSpin((0.0, 0.6, 0.8), (1.0, 0.0, 0.0), 0.1)))
+BEYOND = {
+    "spin.axis_body": (SPUN, "axis_body = [0.0, 0.6, 0.8]", "axis_body = [0.0, 0.6, 0.80001]"),
+    "spin.axis_eci": (SPUN, "axis_eci = [1.0,", "axis_eci = [2.0,"),
+    "spin.rate_rad_s": (SPUN, "rate_rad_s = 0.1", "rate_rad_s = -320.1"),
+    "errors.bias_nt": (GOOD, "bias_nt = [", "bias_nt = [1000000.1, 0.0, 0.0] # ["),
+    "errors.noise_nt": (GOOD, "noise_nt = ", "noise_nt = -1.0 # "),
+    "effect[0].constants.column": (GOOD, "column = 0.0", f"column = {[0.0] * 65}"),
+}
+
+
+@pytest.mark.parametrize("where", BEYOND)
+def test_a_number_beyond_its_bounds_is_refused(where: str) -> None:
+    text, old, new = BEYOND[where]
+    assert text.count(old) == 1
+    with pytest.raises(ModelError, match=rf"physics.toml: {re.escape(where)}: "):
+        parse_model(text.replace(old, new).encode())
+
+
+@pytest.mark.parametrize(("count", "accepted"), [(32, True), (33, False)])
+def test_a_file_has_at_most_32_effects(count: int, accepted: bool) -> None:
+    term = parse_model(GOOD.encode()).terms[0]
+    text = text_of(model(*[term] * count)).encode()
+    if accepted:
+        assert len(parse_model(text).terms) == count
+    else:
+        with pytest.raises(ModelError, match=r"^physics.toml: effect: 33 is refused; at most 32"):
+            parse_model(text)
 
 
 def test_a_scene_without_the_driver_is_refused_by_name() -> None:
