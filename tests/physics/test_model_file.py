@@ -185,6 +185,11 @@ def test_a_number_beyond_its_bounds_is_refused(where: str) -> None:
         parse_model(text.replace(old, new).encode())
 
 
+def test_an_effect_without_amplitudes_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"effect\[0\]\.amplitudes: 'missing'"):
+        parse_model(GOOD.partition("[effect.amplitudes]\n")[0].encode())
+
+
 @pytest.mark.parametrize(("count", "accepted"), [(32, True), (33, False)])
 def test_a_file_has_at_most_32_effects(count: int, accepted: bool) -> None:
     term = parse_model(GOOD.encode()).terms[0]

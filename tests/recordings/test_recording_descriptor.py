@@ -140,6 +140,11 @@ REFUSED = {
     "delimiter": (descriptor().replace("[time]", 'delimiter = "|"\n[time]'), "samples.delimiter", "accepted"),
     "time format": (descriptor(time=TIME.replace("unix_s", "unix")), "time.format", "did you mean 'unix_s'"),
     "start without elapsed": (descriptor(time=TIME + 'start = "2025-06-01T00:00:00Z"\n'), "time.start", "elapsed_s"),
+    "start beside another format": (
+        descriptor(time=ELAPSED.replace("elapsed_s", "iso8601") + 'start = "2025-06-01T00:00:00Z"\n'),
+        "time.start",
+        "elapsed_s",
+    ),
     "start no instant": (descriptor(time=ELAPSED + 'start = "June"\n'), "time.start", "ISO 8601"),
     "start a number": (descriptor(time=ELAPSED + "start = 3\n"), "time.start", "ISO 8601"),
     "two columns": (descriptor(magnetometer=MAGNETOMETER.replace(', "mz"', "")), "magnetometer.columns", "3 strings"),

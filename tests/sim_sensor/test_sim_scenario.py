@@ -10,6 +10,7 @@ import pytest
 
 from magcal_service.errors import ConfigError
 from sim_sensor.faults import FaultKind
+from sim_sensor.orbit import KeplerOrbit
 from sim_sensor.scenario import Channel, resolve
 from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
 from sim_sensor.sensor import symmetric
@@ -61,6 +62,8 @@ FAULTS = [
     ("altitud_km = 1", "altitud_km"),
     ('start = "yesterday"', "start"),
     ('start = "2031-01-01T00:00:00Z"', "start"),
+    ('start = "2030-01-01T00:00:00Z"', "start"),
+    ('start = "2025-06-01T00:00:00.5Z"', "start"),
     ("duration_s = 0", "duration_s"),
     ('craft = "a b"', "craft"),
     ("[orbit]\naltitude_km = 20", "orbit.altitude_km"),
@@ -89,8 +92,9 @@ FAULTS = [
     ("[torquer]\nperiod_s = 10\non_s = 11", "torquer.on_s"),
     ("[torquer]\nperiod_s = 1\non_s = 0.9\ndecay_s = 0.1", "torquer.decay_s"),
     ("[[step]]\nbias_nt = [1, 2, 3]", "step[0].at_s"),
+    ("[[step]]\nat_s = 1\nD = [-0.5, 0, 0, 0, 0, 0]\n[[step]]\nat_s = 2\nD = [-0.45, 0, 0, 0, 0, 0]", "magnetometer.D"),
     ("[random]\nbias_nt = -1", "random.bias_nt"),
-    ('[[fault]]\nkind = "drop"', "fault[0].kind"),
+    ('[[fault]]\nkind = "drop"\nsigma_s = -1', "fault[0].kind"),
     ('[[fault]]\nkind = "dropout"', "fault[0].probability"),
     ('[[fault]]\nkind = "dropout"\nprobability = 1.1', "fault[0].probability"),
     ('[[fault]]\nkind = "dropout"\nprobability = 0.1\nsigma_s = 1', "fault[0].sigma_s"),
@@ -103,6 +107,34 @@ def test_a_fault_is_refused_by_the_name_of_its_field(tmp_path: Path, text: str, 
     with pytest.raises(ConfigError) as refused:
         load_scenario(written(tmp_path, text))
     assert [fault.where for fault in refused.value.faults] == [f"test.toml: {field}"]
+
+
+def test_a_files_units_become_those_of_the_simulation(tmp_path: Path) -> None:
+    text = (
+        "[spin]\nrate_rpm = 30\nphase_deg = 90\nspin_up_rpm_per_hour = 60\n[orbit]\naltitude_km = 500\nraan_deg = 180\n"
+    )
+    scenario = load_scenario(written(tmp_path, text))
+    assert scenario.spin.rate_rad_s == pytest.approx(math.pi)
+    assert scenario.spin.phase_rad == pytest.approx(math.pi / 2.0)
+    assert scenario.spin.acceleration_rad_s2 == pytest.approx(2.0 * math.pi / 3600.0)
+    assert isinstance(scenario.orbit, KeplerOrbit)
+    assert scenario.orbit.semi_major_km == pytest.approx(6878.137)
+    assert scenario.orbit.raan_rad == pytest.approx(math.pi)
+
+
+def test_defaults_that_follow_from_other_keys(tmp_path: Path) -> None:
+    text = "[thermal]\nhot_degc = 30\ncold_degc = -10\n[torquer]\nperiod_s = 20\n"
+    effects = load_scenario(written(tmp_path, text)).effects
+    assert effects.thermal is not None
+    assert effects.thermal.start_degc == 10.0
+    assert effects.torquer is not None
+    assert effects.torquer.on_s == 10.0
+
+
+def test_noise_of_a_channel_that_is_not_sent_is_left_out(tmp_path: Path) -> None:
+    text = '[telemetry]\nchannels = ["gyro", "sun"]\nsun_noise = 2\ngyro_noise = 3\ntemperature_noise = 1\n'
+    plan = load_scenario(written(tmp_path, text)).telemetry
+    assert (plan.channels, plan.noise) == ((Channel.SUN, Channel.GYRO), (2.0, 3.0))
 
 
 def test_all_faults_are_named_at_once(tmp_path: Path) -> None:
