@@ -122,3 +122,10 @@ def test_a_source_beyond_its_rate_is_cut_and_another_is_not(ends: tuple[Link, Li
     passed = 99 + 10 * (time.monotonic() - begun_s) + 1
     assert heard == [sample(0, craft="beta")]
     assert 1000 - passed <= service.counters["refused.too_fast"] <= 901
+
+
+def test_a_pause_saves_up_no_more_than_a_burst() -> None:
+    """After an hour of silence a source may send a burst and not an hour's messages."""
+    limit = RateLimit(5.0, 10.0)
+    assert limit.allows("a", 0.0)
+    assert sum(limit.allows("a", 3600.0) for _ in range(100)) == 10
