@@ -72,6 +72,7 @@ def test_samples_wait_for_the_references_of_their_seconds() -> None:
     for number in range(96):
         assert joining.due(0.3 + number / 20) == []
         assert joining.keeps(reference(number), 0.3 + number / 20)
+    assert joining.due(5.09) == []
     assert joining.keeps(reference(96), 5.1)
     assert len(joining.due(5.1)) == 197
 
