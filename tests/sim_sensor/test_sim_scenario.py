@@ -68,6 +68,7 @@ FAULTS = [
     ('craft = "a b"', "craft"),
     ("[orbit]\naltitude_km = 20", "orbit.altitude_km"),
     ("[orbit]\neccentricity = 0.5", "orbit.eccentricity"),
+    ("[orbit]\naltitude_km = 400\neccentricity = 0.05", "orbit.eccentricity"),  # a perigee of 61 km
     (f'[orbit]\ntle = ["{LINE1}", "{LINE2[:-1]}5"]', "orbit.tle"),
     (f'[orbit]\ntle = ["{LINE2}", "{LINE1}"]', "orbit.tle"),
     (f'[orbit]\ntle = ["{LINE1}", "{LINE2}"]\naltitude_km = 500', "orbit.altitude_km"),

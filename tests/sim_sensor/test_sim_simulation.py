@@ -29,6 +29,7 @@ from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
 from sim_sensor.sensor import Effects, symmetric
 from sim_sensor.simulation import Simulation
 from sim_sensor.streams import Stream, generator
+from sim_sensor.sunlight import lit_fraction
 
 PAPER = load_scenario("paper")
 THERMAL = Thermal(40.0, -10.0, 600.0, 10.0, 20.0, (5.0, 0.0, 0.0))
@@ -250,3 +251,12 @@ def test_lag_turns_the_measured_field_back_by_its_angle() -> None:
 
 def test_scenarios_are_plain_files_in_the_package() -> None:
     assert all(path.parent == Path(module.__file__).parent / "scenarios" for path in shipped_scenarios().values())
+
+
+def test_light_on_its_grid_is_that_of_the_orbit_to_a_step_of_5_s() -> None:
+    run = Simulation(PAPER, 1, 7200.0)
+    elapsed_s = np.arange(0.0, 7200.0, 1.0)
+    times = run.truth.start_ns + (elapsed_s * 1e9).astype(np.int64)
+    exact = lit_fraction(times, run.truth.orbit.position_eci_km(times))
+    assert 0.0 < exact.mean() < 1.0
+    assert np.count_nonzero(np.abs(run.environment.lit(elapsed_s) - exact) > 0.5) == 0
