@@ -173,7 +173,7 @@ BEYOND = {
     "spin.rate_rad_s": (SPUN, "rate_rad_s = 0.1", "rate_rad_s = -320.1"),
     "errors.bias_nt": (GOOD, "bias_nt = [", "bias_nt = [1000000.1, 0.0, 0.0] # ["),
     "errors.noise_nt": (GOOD, "noise_nt = ", "noise_nt = -1.0 # "),
-    "effect[0].constants.column": (GOOD, "column = 0.0", f"column = {[0.0] * 65}"),
+    "effect[0].amplitudes.nt_per_k": (GOOD, "nt_per_k = [", f"nt_per_k = {[0.0] * 65} # ["),
 }
 
 
