@@ -67,7 +67,7 @@ def test_scalar_jacobian_equals_the_numeric_derivative() -> None:
     assert np.allclose(scalar_jacobian(TABLE_1, field), numeric, rtol=1e-6)
 
 
-@pytest.mark.parametrize("noise_nt", [300.0, 2000.0])
+@pytest.mark.parametrize("noise_nt", [300.0, 2000.0, 20_000.0])
 def test_mean_and_variance_of_v_hold_for_simulated_noise(noise_nt: float) -> None:
     rng = np.random.default_rng(11)
     truth = 40_000.0 * directions(rng, 400_000)
