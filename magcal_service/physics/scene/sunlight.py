@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.geomagnetic import WGS84_A_KM
 from magcal_service.model import Array
 
 _DAY_S = 86400.0
 _J2000_S = 946_728_000.0
-_EARTH_KM = 6371.0
 _POLAR_SHRINK = 1.0 / (1.0 - 1.0 / 298.257)
 _PENUMBRA_RAD = 0.00465
 
@@ -42,7 +42,7 @@ def sunlit(position_eci_km: Array, sun: Array) -> Array:
     stretched = position_eci_km * np.array([1.0, 1.0, _POLAR_SHRINK])
     along = np.einsum("ni,ni->n", stretched, sun)
     across = np.sqrt(np.maximum((stretched**2).sum(axis=1) - along**2, 0.0))
-    radius = 6378.137
+    radius = WGS84_A_KM
     width = np.maximum(np.abs(along), 1.0) * _PENUMBRA_RAD
     share = np.clip((across - radius) / (2.0 * width) + 0.5, 0.0, 1.0)
     return np.where(along > 0.0, 1.0, share)
