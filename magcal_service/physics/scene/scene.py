@@ -36,7 +36,6 @@ _KEPT = (
     "_warmed",
     "eclipses",
     "dipole_eci",
-    "dipole_latitude_sine",
     "knots",
     "has_model",
 )
@@ -314,14 +313,6 @@ class Scene:
         latitude, longitude = np.radians(_DIPOLE_POLE_DEG)
         pole = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
         return geomagnetic.eci_from_ecef(self.time_ns, np.broadcast_to(np.array(pole), (len(self), 3)))
-
-    @cached_property
-    def dipole_latitude_sine(self) -> Array | None:
-        """(n,) sine of the latitude from the dipole's equator; None without position and UTC."""
-        if self.dipole_eci is None or self.position_eci_km is None:
-            return None
-        up = self.position_eci_km / np.linalg.norm(self.position_eci_km, axis=1)[:, None]
-        return np.asarray(np.einsum("ni,ni->n", self.dipole_eci, up))
 
     @cached_property
     def knots(self) -> NDArray[np.intp]:
