@@ -7,11 +7,11 @@ ARGS ?=
 PIP_ENV := PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_ROOT_USER_ACTION=ignore
 BIN := .venv/bin
 
-.PHONY: help run test lint format check bench mutate lock clean
+.PHONY: help run test lint format check bench docs-figures mutate lock clean
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
 
 run: .venv/.run ## the simulated satellite feeds the daemon over a real link (LINK=zenoh or LINK=serial)
 	@$(BIN)/python -m sim_sensor.demo --link $(LINK) $(ARGS)
@@ -34,6 +34,9 @@ check: lint test ## what CI runs
 bench: .venv/.dev ## the measured figures of the documentation, again (BENCH=wire: one of tests/benchmarks)
 	@set -e; for file in tests/benchmarks/bench_$(BENCH).py; do \
 	  module=$${file%.py}; echo "== $$module"; $(BIN)/python -m $$(echo $$module | tr / .) $(ARGS); done
+
+docs-figures: .venv/.dev ## write the tables of README and docs from docs/results
+	@$(BIN)/python -m tests.figures
 
 mutate: .venv/.mutate ## break the core in single places: do the tests notice? (ARGS="--room wire --sample 0": all of a room)
 	@$(BIN)/python -m tests.mutation $(ARGS)

@@ -10,10 +10,9 @@ over processes; the figures do not depend on how many.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from magcal_service.model import STATE_NAMES
 from magcal_service.ticks.assembler import Tick
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.benchmarks.results import write
 
 NOISE_NT = 300.0
 
@@ -77,13 +77,11 @@ def main() -> None:
     seeds = range(options.first_seed, options.first_seed + options.runs)
     with multiprocessing.get_context("spawn").Pool() as pool:
         runs = pool.map(work, seeds, chunksize=1)
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(run) for run in runs], indent=1) + "\n", encoding="utf-8")
-    report(runs)
+    write(options.json, report(runs))
 
 
-def report(runs: list[Run]) -> None:
-    """Print what the runs say together."""
+def report(runs: list[Run]) -> dict[str, float]:
+    """Print what the runs say together; the same as figures."""
     errors, sigmas = np.array([run.error for run in runs]), np.array([run.sigma for run in runs])
     nees = np.array([run.nees for run in runs])
     print(f"{'':>4} {'mean error':>11} {'in sigma':>9} {'3 sigma seen':>13} {'3 sigma own':>12}")
@@ -94,6 +92,16 @@ def report(runs: list[Run]) -> None:
     print(f"runs {len(runs)}; started {sum(run.running for run in runs)}; largest error {inside.max():.1f} sigma")
     print(f"NEES: mean {nees.mean():.2f} (9 expected), largest {nees.max():.1f}")
     print(f"converged (every error inside 5 sigma): {int((inside < 5.0).sum())} of {len(runs)}")
+    return {
+        "runs": len(runs),
+        "converged": int((inside < 5.0).sum()),
+        "worst_mean_error_sigma": float(np.abs(errors.mean(axis=0) / sigmas.mean(axis=0)).max()),
+        "nees_mean": float(nees.mean()),
+        "nees_10_percent": float(np.percentile(nees, 10)),
+        "nees_90_percent": float(np.percentile(nees, 90)),
+        "nees_largest": float(nees.max()),
+        "largest_error_sigma": float(inside.max()),
+    }
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """What the daemon costs: memory over a bare process with the same imports, CPU at 1 Hz, and the time of a replay.
 
-    python -m tests.benchmarks.bench_daemon
+    python -m tests.benchmarks.bench_daemon [--runs 3] [--json docs/results/daemon.json]
 
-Each figure is measured beside its yardstick in the same run; Linux only (it reads /proc).
+Each figure is measured beside its yardstick in the same run; Linux only (it reads /proc).  The JSON has every run.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from pathlib import Path
 
 from magcal_service.links import Role, open_link
@@ -23,6 +24,9 @@ from sim_sensor.node import run_node
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.benchmarks.results import write
+
+FIGURES: defaultdict[str, list[float]] = defaultdict(list)
 
 BARE = """
 import msgpack, numpy, serial, zenoh, sys, time
@@ -66,10 +70,14 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--idle-s", type=float, default=30.0, help="how long the 1 Hz load is watched (default 30)")
+    parser.add_argument("--runs", type=int, default=1, help="how often everything is measured (default 1)")
+    parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        measure_daemon(Path(folder), options.idle_s)
-        measure_replay(Path(folder))
+    for _ in range(options.runs):
+        with tempfile.TemporaryDirectory() as folder:
+            measure_daemon(Path(folder), options.idle_s)
+            measure_replay(Path(folder))
+    write(options.json, FIGURES)
 
 
 def measure_daemon(folder: Path, idle_s: float) -> None:
@@ -91,11 +99,12 @@ def measure_daemon(folder: Path, idle_s: float) -> None:
             before, begin = cpu_s(daemon.pid), time.monotonic()
             run_node(Simulation(scenario, seed=2, duration_s=idle_s), link, 1.0, threading.Event())
             share = (cpu_s(daemon.pid) - before) / (time.monotonic() - begin)
+            FIGURES["cpu_share_1hz"].append(share)
             print(f"CPU at 1 Hz: {100 * share:.2f} % of one core over {idle_s:.0f} s")
-            print_memory("at 1 Hz", bare.pid, daemon.pid)
+            print_memory("at_1hz", bare.pid, daemon.pid)
             run_node(Simulation(scenario, seed=1, duration_s=3000.0), link, 500.0, threading.Event())
             time.sleep(1.0)
-            print_memory("after 3000 samples at 500 Hz", bare.pid, daemon.pid)
+            print_memory("after_3000_at_500hz", bare.pid, daemon.pid)
     finally:
         daemon.send_signal(signal.SIGTERM)
         daemon.wait(10)
@@ -105,6 +114,7 @@ def measure_daemon(folder: Path, idle_s: float) -> None:
 def print_memory(when: str, bare: int, daemon: int) -> None:
     """Both processes' resident memory."""
     bare_mb, daemon_mb = resident_mb(bare), resident_mb(daemon)
+    FIGURES[f"memory_over_bare_mb_{when}"].append(daemon_mb - bare_mb)
     print(f"memory {when}: bare {bare_mb:.1f} MB, daemon {daemon_mb:.1f} MB, over it {daemon_mb - bare_mb:.1f} MB")
 
 
@@ -115,6 +125,7 @@ def measure_replay(folder: Path) -> None:
     begin = time.monotonic()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     wall = time.monotonic() - begin
+    FIGURES["replay_18000_s"].append(wall)
     print(f"replay of 18000 s: {wall:.2f} s, {18000 / wall:.0f} times real time")
 
 

@@ -1,6 +1,6 @@
 """Every recording of a folder through the diagnosis, and what the tool did not see held against it: docs/recordings.md.
 
-python -m tests.benchmarks.bench_diagnosis [--data ../shared/data] [--only suchai3] [--cross]
+    python -m tests.benchmarks.bench_diagnosis [--data ../shared/data] [--only suchai3] [--cross] [--json FILE]
 
 Photodiodes are hidden from the diagnosis throughout.
 """
@@ -19,12 +19,14 @@ from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.explain import hypotheses_of
 from magcal_service.diagnosis.problem import Fit, Term, solve
 from magcal_service.diagnosis.result import entries, held_out_rms
+from magcal_service.errors import MagcalError
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import scene_of
+from tests.benchmarks.results import write
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 WITNESS = "photodiodes"
@@ -40,17 +42,19 @@ def main() -> None:
     parser.add_argument(
         "--cross", action="store_true", help="eclipse edges, and the panels' field on another recording"
     )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="what docs/recordings.md is written from")
     options = parser.parse_args()
     if options.cross:
         others = [options.data / "suchai3" / f"{name}.toml" for name in ("2023-11-13", "2024-passes")]
         cross(options.data / "suchai3" / "2023-08-24.toml", others)
         return
-    print("| recording | verdict: reasons | effects (driver), share of mismatch | simulation | nine errors | effects |")
-    print("|---|---|---|---:|---:|---:|")
+    rows = []
     for path in sorted(options.data.glob("*/*.toml")):
         name = f"{path.parent.name}/{path.stem}"
         if options.only in name:
-            print(row(name, diagnose(blind(path))), flush=True)
+            rows.append(diagnosed(path, name))
+            print(rows[-1], flush=True)
+    write(options.json, {"rows": rows})
 
 
 def blind(path: Path) -> Recording:
@@ -60,15 +64,30 @@ def blind(path: Path) -> Recording:
     return replace(recording, channels=kept)
 
 
-def row(name: str, diagnosis: Diagnosis) -> str:
-    """One recording's diagnosis."""
-    named = "; ".join(
-        f"{entry.effect} ({entry.driver}), {100 * float(entry.where['share_of_mismatch']):.2g} %"
-        for entry in entries(diagnosis)
-    )
-    held = held_out_rms(diagnosis)
-    levels = " | ".join("-" if value is None else f"{value:.0f}" for value in held.values())
-    return f"| {name} | {diagnosis.verdict}: {', '.join(diagnosis.reasons) or '-'} | {named} | {levels} |"
+def diagnosed(path: Path, name: str) -> dict[str, object]:
+    """One recording's diagnosis: verdict, effects with driver, share and probability, held-out rms [nT], seconds."""
+    began = time.process_time()
+    try:
+        diagnosis = diagnose(blind(path))
+    except MagcalError as error:
+        return {"recording": name, "refused": str(error).splitlines()[0]}
+    return {
+        "recording": name,
+        "verdict": str(diagnosis.verdict),
+        "trusted": diagnosis.trusted,
+        "reasons": [str(reason) for reason in diagnosis.reasons],
+        "effects": [
+            {
+                "effect": entry.effect,
+                "driver": entry.driver,
+                "share": float(entry.where["share_of_mismatch"]),
+                "probability": float(entry.probability),
+            }
+            for entry in entries(diagnosis)
+        ],
+        "held_out_rms_nt": held_out_rms(diagnosis),
+        "processor_s": time.process_time() - began,
+    }
 
 
 def light_fit(diagnosis: Diagnosis) -> Fit:
@@ -132,7 +151,7 @@ def panel_field(diagnosis: Diagnosis, fit: Fit) -> Array:
 
 
 def frozen(other: Diagnosis, field: Array, share: float = 1.0, turned_deg: float = 0.0) -> float:
-    """Held-out rms [nT] of nine errors on another recording with a frozen field of the panels (6, 3) taken off."""
+    """Held-out rms [nT] of nine errors on another recording with a frozen field of the panels (6, 3) subtracted."""
     problem, spin = other.prepared.problem, other.prepared.spin
     assert spin is not None
     light = panels(problem.scene, spin.axis_body, np.radians(turned_deg))

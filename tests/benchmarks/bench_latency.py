@@ -26,6 +26,7 @@ from zenoh import handlers
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import CalibratedVector, Frame, MagnetometerSample, Message, ReferenceSample
+from tests.benchmarks.results import write
 
 ROOT = Path(__file__).resolve().parents[2]
 RATE_HZ = 10
@@ -38,16 +39,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--round-trips", type=int, default=3000, metavar="N", help="of each kind (default 3000)")
     parser.add_argument("--pause-ms", type=float, default=2.0, metavar="T", help="between round trips (default 2)")
+    parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--echo", type=int, metavar="PORT", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.echo:
         serve_echo(options.echo)
     else:
-        measure(options.round_trips, options.pause_ms / 1e3)
+        write(options.json, measure(options.round_trips, options.pause_ms / 1e3))
 
 
-def measure(round_trips: int, pause_s: float) -> None:
-    """Start both processes, take the round trips, print the table."""
+def measure(round_trips: int, pause_s: float) -> dict[str, float]:
+    """Start both processes, take the round trips, print the table; the same as figures [ms]."""
     with contextlib.ExitStack() as stack:
         echo = stack.enter_context(echo_client())
         node = stack.enter_context(daemon_client())
@@ -57,10 +59,10 @@ def measure(round_trips: int, pause_s: float) -> None:
             time.sleep(pause_s)
             times_s["sample to vector"].append(vector_round_trip(node, number))
             time.sleep(pause_s)
-    report(times_s)
+    return report(times_s)
 
 
-def report(times_s: dict[str, list[float]]) -> None:
+def report(times_s: dict[str, list[float]]) -> dict[str, float]:
     """One row for each kind of round trip, and their ratio."""
     print(f"{'round trip [ms]':18}{'p50':>9}{'p99':>9}{'max':>9}{'n':>8}")
     rows = {name: np.percentile(1e3 * np.array(values), (50, 99, 100)) for name, values in times_s.items()}
@@ -68,6 +70,8 @@ def report(times_s: dict[str, list[float]]) -> None:
         print(f"{name:18}" + "".join(f"{value:9.3f}" for value in row) + f"{len(times_s[name]):8d}")
     bare, vector = rows.values()
     print(f"{'ratio':18}" + "".join(f"{value:9.2f}" for value in vector / bare))
+    kinds = {"echo": bare, "vector": vector}
+    return {f"{kind}_ms_{at}": float(row[i]) for kind, row in kinds.items() for i, at in enumerate(("p50", "p99"))}
 
 
 # The bare echo

@@ -1,84 +1,88 @@
-"""Every recording of a folder through ``replay`` and ``calibrate``: the tables of docs/recordings.md.
+"""Every recording of a folder by every method: as recorded, calibrated, and on blocks that took no part.
 
-python -m tests.benchmarks.bench_recordings [--data ../shared/data] [--methods ukf] [--held-out]
+    python -m tests.benchmarks.bench_recordings [--data ../shared/data] [--methods ukf spin ...] [--json FILE]
+
+``make docs-figures`` writes the tables of docs/recordings.md from what ``--json docs/results/recordings.json`` left.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from magcal_service.errors import MagcalError
-from magcal_service.estimators import find_method
+from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import scalar_residual
-from magcal_service.offline.calibrate import calibrate_recording, refuse_without_channel
+from magcal_service.offline.calibrate import calibrate, refuse_without_channel
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import rms
+from tests.benchmarks.results import write
 
-BLOCKS = 10
+DATA: Final = Path(__file__).parents[2] / ".." / "shared" / "data"
+BLOCKS: Final = 10  # contiguous; a method sees every second one
+
+Row = dict[str, Any]
 
 
 def main() -> None:
-    """Print one Markdown row per recording and method."""
+    """Print one line for each recording and method."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / ".." / "shared" / "data")
-    parser.add_argument("--methods", nargs="+", default=["ukf"])
-    parser.add_argument("--held-out", action="store_true", help="methods side by side on blocks they have not seen")
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--methods", nargs="+", default=[method.name for method in methods()])
+    parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    if options.held_out:
-        side_by_side(options.data, options.methods)
-        return
-    print("| recording | method | samples | before | after | held out | noise floor | verdict: reasons | replay |")
-    print("|---|---|---:|---:|---:|---:|---:|---|---|")
+    rows = []
     for path in sorted(options.data.glob("*/*.toml")):
         for method in options.methods:
-            print(row(path, f"{path.parent.name}/{path.stem}", method), flush=True)
+            rows.append(measured(path, method))
+            print(rows[-1], flush=True)
+    write(options.json, {"rows": rows})
 
 
-def row(path: Path, name: str, method: str) -> str:
-    """One recording by one method."""
+def measured(path: Path, method: str) -> Row:
+    """One recording by one method; numbers that are no number are None."""
+    row: Row = {"recording": f"{path.parent.name}/{path.stem}", "method": method}
     try:
         recording = read_recording(path)
-        result = calibrate_recording(recording, method)
+        result = calibrate(recording, method)
         verdict = replay(recording, craft_of(recording, method)).pipeline.trust.verdict
     except MagcalError as error:
-        return f"| {name} | {method} | | | | | | refused: {str(error).splitlines()[0]} | |"
+        return {**row, "refused": str(error).splitlines()[0]}
     levels = result.residuals
-    held_out = "-" if levels.held_out is None else f"{levels.held_out:.0f}"
-    reasons = ", ".join(result.reasons)
-    return (
-        f"| {name} | {method} | {result.samples} | {levels.before:.0f} | {levels.after:.0f} | {held_out} "
-        f"| {levels.noise_floor:.0f} | {result.verdict}: {reasons} | {verdict} |"
-    )
+    return row | {
+        "samples": result.samples,
+        "before_nt": _finite(levels.before),
+        "after_nt": _finite(levels.after),
+        "batch_held_out_nt": _finite(levels.held_out),
+        "noise_floor_nt": _finite(levels.noise_floor),
+        "calibrate": str(result.verdict),
+        "reasons": [str(reason) for reason in result.reasons],
+        "replay": str(verdict),
+        "method_held_out_nt": _finite(held_out(recording, method)),
+    }
 
 
-def side_by_side(data: Path, methods: list[str]) -> None:
-    """Print the held-out residual of every method, one row per recording."""
-    print("| recording | " + " | ".join(f"`{method}`" for method in methods) + " |")
-    print("|---|" + "---:|" * len(methods))
-    for path in sorted(data.glob("*/*.toml")):
-        cells = [held_out(path, method) for method in methods]
-        print(f"| {path.parent.name}/{path.stem} | " + " | ".join(cells) + " |", flush=True)
-
-
-def held_out(path: Path, method: str) -> str:
-    """rms [nT] on every second of ten blocks after the method has seen the others; a dash where it did not start."""
-    try:
-        recording = read_recording(path).sorted_unique()
-        refuse_without_channel(recording, find_method(method))
-        block = np.arange(len(recording)) * BLOCKS // len(recording)
-        seen = replay(recording.select(block % 2 == 0), craft_of(recording, method)).pipeline.estimator.estimate()
-    except MagcalError:
-        return "*refused*"
+def held_out(recording: Recording, method: str) -> float | None:
+    """rms [nT] on every second of ten blocks after the method has seen the others; None where it did not start."""
+    recording = recording.sorted_unique()
+    refuse_without_channel(recording, find_method(method))
+    block = np.arange(len(recording)) * BLOCKS // len(recording)
+    seen = replay(recording.select(block % 2 == 0), craft_of(recording, method)).pipeline.estimator.estimate()
     if seen.phase is Phase.STARTING and not seen.restarts:
-        return "-"
-    unseen: Recording = recording.select(block % 2 == 1)
-    return f"{rms(scalar_residual(seen.x, unseen.field_body_nt, unseen.reference.magnitude_nt)):.0f}"
+        return None
+    unseen = recording.select(block % 2 == 1)
+    return rms(scalar_residual(seen.x, unseen.field_body_nt, unseen.reference.magnitude_nt))
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
 
 
 if __name__ == "__main__":

@@ -1,0 +1,37 @@
+"""No table of figures is written by hand: each stands as its results give it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.figures.pages import ROOT, blocks, pages, written
+from tests.figures.tables import TABLES
+
+PLACEHOLDER = re.compile(r"\bTBD\b|\b[A-Z]{4,}[0-9]+ROW\b|\bFIXME\b|\bXXX\b")
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_every_table_of_figures_stands_as_its_results_give_it(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert written(text, TABLES) == text, "run: make docs-figures"
+
+
+def test_every_table_is_in_some_page() -> None:
+    assert set().union(*(blocks(page.read_text(encoding="utf-8")) for page in pages())) == set(TABLES)
+
+
+def test_a_number_changed_by_hand_is_seen() -> None:
+    page = ROOT / "docs/recordings.md"
+    text = page.read_text(encoding="utf-8")
+    name, table = next(iter(blocks(text).items()))
+    spoiled = text.replace(table, re.sub(r"\d", "7", table))
+    assert blocks(spoiled)[name] != table
+    assert written(spoiled, TABLES) == text
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_no_page_holds_a_placeholder(page: Path) -> None:
+    assert not PLACEHOLDER.findall(page.read_text(encoding="utf-8"))
