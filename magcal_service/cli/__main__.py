@@ -11,7 +11,6 @@ import os
 import sys
 from collections.abc import Sequence
 
-from magcal_service import __version__
 from magcal_service.cli.calibrate import add_calibrate
 from magcal_service.cli.common import DONE
 from magcal_service.cli.diagnose import add_diagnose
@@ -21,6 +20,7 @@ from magcal_service.cli.run import add_run
 from magcal_service.cli.status import add_status
 from magcal_service.cli.study import add_study
 from magcal_service.errors import MagcalError
+from magcal_service.version import __version__
 
 # Matrices of nine rows gain nothing from threads, and waiting for them costs a quarter of a replay's time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -24,12 +24,12 @@ def add_calibrate(parser: argparse.ArgumentParser) -> None:
 def _calibrate(options: argparse.Namespace) -> int:
     from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
-    from magcal_service.offline.calibrate import calibrate_recording
+    from magcal_service.offline.calibrate import calibrate
     from magcal_service.recordings.reader import read_recording
 
     find_method(options.method)
     recording = read_recording(options.recording, options.craft)
-    result = calibrate_recording(recording, options.method)
+    result = calibrate(recording, options.method)
     print("\n".join(recording.report.lines()))
     print(_table(result))
     if options.json is not None:

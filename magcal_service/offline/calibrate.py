@@ -18,7 +18,8 @@ from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method, StartGate
 from magcal_service.estimators.parts.start import batch_start
-from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, scalar_residual
+from magcal_service.model import STATE_SIZE, Array, d_matrix, scalar_residual
+from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -48,8 +49,8 @@ class Residuals:
     held_out: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Calibration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(NineErrors):
     """The result of ``calibrate``.
 
     Parameters
@@ -82,10 +83,9 @@ class Calibration:
         """What to do about the first reason, empty where there is none."""
         return REMEDIES[self.reasons[0]] if self.reasons else ""
 
-    def as_json(self) -> str:
-        """The contract's JSON, with ``verdict``, ``remedy``, ``held_out``, ``counters`` and ``model_doubt`` added."""
-        sigma = np.sqrt(np.diagonal(self.covariance))
-        content: dict[str, Any] = {
+    def to_dict(self) -> dict[str, Any]:
+        """What ``calibrate --json`` writes, as plain data."""
+        return {
             "method": self.method,
             "trusted": self.trusted,
             "verdict": self.verdict,
@@ -93,9 +93,9 @@ class Calibration:
             "remedy": self.remedy,
             "samples": self.samples,
             "ticks": self.ticks,
-            "bias_nt": self.x[BIAS].tolist(),
-            "D": d_matrix(self.x).tolist(),
-            "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+            "bias_nt": self.bias_nt.tolist(),
+            "D": self.D.tolist(),
+            "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
             "residual_rms_nt": {
                 "before": self.residuals.before,
                 "after": self.residuals.after,
@@ -105,7 +105,19 @@ class Calibration:
             "counters": self.counters,
             "model_doubt": self.model_doubt,
         }
-        return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+    def as_json(self) -> str:
+        """``to_dict`` as text, indented."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+
+    def __repr__(self) -> str:
+        reasons = f" ({', '.join(self.reasons)})" if self.reasons else ""
+        head = f"Calibration by {self.method}: {self.verdict}{reasons}, {self.samples} samples"
+        levels = self.residuals
+        tail = (
+            f"  residual {levels.before:.1f} -> {levels.after:.1f} nT at a noise floor of {levels.noise_floor:.1f} nT"
+        )
+        return "\n".join([head, *([] if self.verdict is Verdict.NOT_STARTED else [self._table()]), tail])
 
 
 def refuse_without_channel(recording: Recording, method: Method) -> None:
@@ -116,19 +128,21 @@ def refuse_without_channel(recording: Recording, method: Method) -> None:
         raise RecordingError([Fault(f"{recording.name}: channels", "missing", accepted)])
 
 
-def calibrate_file(path: Path, method: str = "ukf") -> Calibration:
-    """Read a recording and calibrate it.
+def calibrate(recording: Recording | Path | str, method: str = "ukf", config: CraftConfig | None = None) -> Calibration:
+    """Run a method over a recording and judge the result on the whole of it.
+
+    Parameters
+    ----------
+    recording: a recording, or the descriptor or session to read one from.
+    method: name of an estimator; of a given ``config`` its own.
+    config: the craft's configuration; None: as the recording states it.
 
     Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method.
     """
-    return calibrate_recording(read_recording(path), method)
-
-
-def calibrate_recording(recording: Recording, method: str = "ukf") -> Calibration:
-    """Run a method over a recording and judge the result on the whole of it."""
+    recording = recording if isinstance(recording, Recording) else read_recording(recording)
+    craft = craft_of(recording, method) if config is None else config
     refuse_hopeless(recording)
-    refuse_without_channel(recording, find_method(method))
-    craft = craft_of(recording, method)
+    refuse_without_channel(recording, find_method(craft.filter.method))
     pipeline = replay(recording, craft).pipeline
     state = pipeline.estimator.estimate()
     residuals = residuals_of(recording, state.x, craft)

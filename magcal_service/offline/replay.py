@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,8 +26,12 @@ from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links.recording import RecordingLink
+from magcal_service.model import Array
+from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
-from magcal_service.wire.messages import Command, Estimate, Message
+from magcal_service.trust.reasons import Reason
+from magcal_service.wire.messages import Command, Estimate, Message, Verdict
 
 CRAFT: Final = "craft"
 
@@ -57,25 +61,60 @@ def craft_of(recording: Recording, method: str | None = None) -> CraftConfig:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Replay:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Replay(NineErrors):
     """A recording after it has gone through the service.
 
     Parameters
     ----------
     pipeline: the craft's, as the recording left it.
     estimates: how many were published.
+    x, covariance: the last estimate (9,) and its covariance (9, 9) [nT, -].
     remark: what kept the replay from beginning as the session did, empty where nothing did.
     """
 
     pipeline: Pipeline
     estimates: int
+    x: Array
+    covariance: Array
     remark: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """How far the last estimate is to be trusted."""
+        return self.pipeline.trust.verdict
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why it is not trusted, where it is not."""
+        return tuple(self.pipeline.trust.reasons)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What became of the samples, by kind."""
+        return dict(self.pipeline.ticks.counters + self.pipeline.counters)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The last estimate and the counters as plain data."""
+        return {
+            "verdict": str(self.verdict),
+            "reasons": [str(reason) for reason in self.reasons],
+            "estimates": self.estimates,
+            "bias_nt": self.bias_nt.tolist(),
+            "D": self.D.tolist(),
+            "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
+            "counters": self.counters,
+            "remark": self.remark,
+        }
+
+    def __repr__(self) -> str:
+        reasons = f" ({', '.join(self.reasons)})" if self.reasons else ""
+        return f"Replay: {self.verdict}{reasons}, {self.estimates} estimates\n{self._table()}"
 
 
 def replay(
-    recording: Recording,
-    craft: CraftConfig,
+    recording: Recording | Path | str,
+    config: CraftConfig | None = None,
     speed: float = 0.0,
     csv: EstimateCsv | None = None,
     sink: Callable[[Message], None] | None = None,
@@ -86,11 +125,15 @@ def replay(
 
     Parameters
     ----------
+    recording: a recording, or the descriptor or session to read one from.
+    config: the craft's configuration; None: as the recording states it.
     speed: times real time; 0 as fast as it goes.
     csv: where each tick's estimate is written.
     sink: is called with every message that the service publishes.
     as_recorded: begin with the state that a session began with, where it is replayed under its own configuration.
     """
+    recording = recording if isinstance(recording, Recording) else read_recording(recording)
+    craft = craft_of(recording) if config is None else config
     estimates = Counter[str]()
 
     def count(message: Message) -> None:
@@ -107,7 +150,9 @@ def replay(
         service.run(threading.Event())
     if service.csv_error is not None:
         raise service.csv_error
-    return Replay(service.pipelines[craft.name], estimates["all"], remark)
+    pipeline = service.pipelines[craft.name]
+    state = pipeline.estimator.estimate()
+    return Replay(pipeline, estimates["all"], state.x, state.covariance, remark)
 
 
 def _commanded(recording: Recording) -> bool:

@@ -6,7 +6,7 @@ The log itself is not opened here.  ``docs/recording-format.md`` explains each k
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.specs import (
@@ -31,10 +31,18 @@ _SESSION_BRINGS = ("time", "reference", "position", "channels")
 """Sections that a recorded session makes superfluous."""
 
 
+SAMPLES_IN_MEMORY: Final = "rows.csv"
+"""Stands for the file of samples where there is none: rows that a program holds."""
+
+
 def load_descriptor(path: Path | str) -> Descriptor:
     """Read and check a descriptor; raises ``RecordingError`` with every fault of the file."""
     path = Path(path)
-    top = open_toml(path, RecordingError)
+    return descriptor_of(open_toml(path, RecordingError), path)
+
+
+def descriptor_of(top: Table, path: Path) -> Descriptor:
+    """The descriptor of a table that stands, or would stand, in the file ``path``; raises ``RecordingError``."""
     top.integer("version", _VERSION, minimum=_VERSION, maximum=_VERSION)
     if not top.has("version"):
         top.refuse("version", "missing", f"required: version = {_VERSION}")

@@ -57,7 +57,11 @@ def _read_session(path: Path, descriptor: Descriptor | None, craft: str | None, 
 
 def read_described(descriptor: Descriptor) -> Recording:
     """Read the log in rows of a descriptor that has been loaded; raises as ``read_recording``."""
-    table = read_table(descriptor.samples, descriptor.delimiter)
+    return read_rows(descriptor, read_table(descriptor.samples, descriptor.delimiter))
+
+
+def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
+    """The recording of rows that have been split into cells; raises as ``read_recording``."""
     _check_columns(descriptor, table)
     log = RowArrays(table)
     time_ns = log.times(descriptor.time)

@@ -22,7 +22,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Final, NamedTuple, Self
 
-from magcal_service import __version__
 from magcal_service.config.settings import CraftConfig, RecordConfig
 from magcal_service.config.text import craft_as_toml, digest
 from magcal_service.errors import DecodeError, Fault, InputRefusedError
@@ -31,6 +30,7 @@ from magcal_service.recordings.mcap import CRAFT, DROPPED, SESSION, STATE, RawMe
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.session_files import LIBRARY, SessionFolder, recover_in_place
 from magcal_service.recordings.state_text import state_as_text
+from magcal_service.version import __version__
 from magcal_service.wire.kinds import KIND_BY_CODE, kind_of
 from magcal_service.wire.messages import SCHEMA_VERSION, Clock, Message
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +48,11 @@ class Channel:
     values: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+if TYPE_CHECKING:
+    from magcal_service.recordings.in_memory import DataFrame
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Recording:
     """A log as arrays: the rows with a usable time and magnetometer vector, in file order.
 
@@ -77,8 +82,78 @@ class Recording:
     stream: tuple[Message, ...] | None = None
     state: dict[str, Any] | None = None
 
+    @classmethod
+    def from_arrays(
+        cls,
+        time: npt.ArrayLike,
+        B: npt.ArrayLike,
+        H: npt.ArrayLike,
+        *,
+        frame: str = "eci",
+        position_ecef_km: npt.ArrayLike | None = None,
+        noise_nt: float | None = None,
+        spin_axis: str | tuple[float, float, float] = "z",
+        spin_rpm: float | None = None,
+        channels: Mapping[str, tuple[npt.ArrayLike, str]] | None = None,
+        attitude: npt.ArrayLike | None = None,
+    ) -> Recording:
+        """A recording of arrays, one row per sample.
+
+        Parameters
+        ----------
+        time: (n,) datetime64 (UTC), or seconds since any instant (then nothing that needs the date is known).
+        B: measured vectors (n, 3) [nT], sensor axes; rows that are not finite are refused and counted.
+        H: reference [nT]: vectors (n, 3) in ``frame``, magnitudes (n,), or one magnitude for all.
+        frame: axes of H, ``"eci"``, ``"ecef"`` or ``"ned"``.
+        position_ecef_km: places (n, 3) [km], Earth-fixed axes.
+        noise_nt: white noise of the sensor, 1 sigma per axis [nT]; None: estimated.
+        spin_axis, spin_rpm: the spin where there is one: body axis, and rate about it [rpm].
+        channels: telemetry by name: values (n,) or (n, k), and their unit (``units.CHANNEL_UNITS``).
+        attitude: quaternions (n, 4), scalar first, that turn vectors of inertial axes into body axes.
+
+        Raises RecordingError for shapes, units, axes or times that are not accepted.
+        """
+        from magcal_service.recordings.in_memory import from_arrays
+
+        return from_arrays(
+            time,
+            B,
+            H,
+            frame=frame,
+            position_ecef_km=position_ecef_km,
+            noise_nt=noise_nt,
+            spin_axis=spin_axis,
+            spin_rpm=spin_rpm,
+            channels=channels,
+            attitude=attitude,
+        )
+
+    @classmethod
+    def from_dataframe(cls, frame: DataFrame, tables: Mapping[str, Any]) -> Recording:
+        """A recording of a data frame, described as a log is.
+
+        Parameters
+        ----------
+        frame: columns by name, of pandas, polars, pyarrow, or a mapping; each is taken by ``numpy.asarray``.
+        tables: the tables of a RECORDING.toml without ``[samples]``, such as ``{"time": {"column": "t", "format":
+            "unix_s"}, "magnetometer": {"columns": ["x", "y", "z"], "unit": "uT"}, "reference": {"constant": 49.0}}``.
+
+        Rows are read, refused and counted as those of a file.  Raises RecordingError as ``read_recording``.
+        """
+        from magcal_service.recordings.in_memory import from_dataframe
+
+        return from_dataframe(frame, tables)
+
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        known = [name for name, part in (("position", self.position), ("craft", self.craft)) if part is not None]
+        channels = f", channels {', '.join(self.channels)}" if self.channels else ""
+        return (
+            f"Recording {self.name}: {len(self)} samples over {self.duration_s:.0f} s, "
+            f"{self.report.refused} rows refused{''.join(f', {name}' for name in known)}{channels}"
+        )
 
     @property
     def duration_s(self) -> float:

@@ -34,6 +34,11 @@ _GATES: Final = {
 }
 
 
+def reason_of(gate: StartGate) -> Reason:
+    """What it means for the verdict that a start was stopped by this gate."""
+    return _GATES[gate]
+
+
 class _Levels:
     """Thresholds.  "Seldom" is below once a year of ticks on simulated good data."""
 

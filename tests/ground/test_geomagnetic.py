@@ -120,7 +120,7 @@ def test_times_and_places_must_pair() -> None:
 
 def test_without_ppigrf_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ppigrf", None)
-    with pytest.raises(ExtraMissingError, match=r"magcal-service\[sim\]"):
+    with pytest.raises(ExtraMissingError, match=r"magcal\[sim\]"):
         geo.igrf_ecef_nt(np.array([utc_ns(2026, 1, 1)]), np.array([[7000.0, 0.0, 0.0]]))
 
 

@@ -16,8 +16,8 @@ _EXPLAINED: Final = Path(__file__).parent / "explained.toml"
 _PAGE: Final = """# Mutation testing
 
 Single changes of the core (an operator, a bound, a number, a call left out), drawn by seed, and whether the tests *of
-the same room* notice. The changes are made by [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators in a copy of the
-checkout; `tests/mutation/rooms.py` says which code and which tests belong together. This page is written by
+the same room* notice. The changes are made by [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators in a copy of
+the checkout; `tests/mutation/rooms.py` says which code and which tests belong together. This page is written by
 `python -m tests.mutation --sample {sample} --seed {seed} --out docs`; `make mutate` tries a small sample.
 
 {table}

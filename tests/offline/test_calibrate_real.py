@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from magcal_service.errors import RecordingError
-from magcal_service.offline.calibrate import Calibration, calibrate_file
+from magcal_service.offline.calibrate import Calibration, calibrate
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording
 from magcal_service.trust.reasons import Reason
@@ -32,7 +32,7 @@ def path_of(name: str) -> Path:
 def calibrated(name: str) -> Calibration:
     path = path_of(name)
     if name not in _done:
-        _done[name] = calibrate_file(path)
+        _done[name] = calibrate(path)
     return _done[name]
 
 
@@ -73,4 +73,4 @@ def test_too_short_a_recording_is_refused_with_its_number(tmp_path: Path) -> Non
     (tmp_path / "recording.csv").write_text("\n".join(lines[:30]) + "\n")
     (tmp_path / "recording.toml").write_text(source.read_text())
     with pytest.raises(RecordingError, match=r"samples: 29 is refused; at least 50"):
-        calibrate_file(tmp_path / "recording.toml")
+        calibrate(tmp_path / "recording.toml")

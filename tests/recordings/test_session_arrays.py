@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from magcal_service.errors import RecordingError
-from magcal_service.offline.calibrate import calibrate_file
+from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.replay import craft_of
 from magcal_service.recordings.json_form import schema_name, to_json
 from magcal_service.recordings.mcap import RawMessage, Topic
@@ -215,8 +215,8 @@ def test_calibrate_reads_a_session_as_it_reads_the_simulators_recording(tmp_path
     own = replace(craft("craft"), spin=None)
     record(tmp_path / "rec", stream(700, "random-errors"), [replace(own, name="paper")])
     (file,) = (tmp_path / "rec").glob("*.mcap")
-    session = calibrate_file(file, "two-step")
-    rows = calibrate_file(
+    session = calibrate(file, "two-step")
+    rows = calibrate(
         record_simulation(Simulation(load_scenario("random-errors"), 5, 700.0), tmp_path / "csv"), "two-step"
     )
     assert session.samples == rows.samples

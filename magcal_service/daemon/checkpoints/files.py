@@ -23,9 +23,9 @@ from typing import Any, Final
 
 import msgpack
 
-from magcal_service import __version__
 from magcal_service.config.settings import CraftConfig, StateConfig
 from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
 MAGIC: Final = b"magcal-state 1\n"

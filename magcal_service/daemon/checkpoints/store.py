@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service import __version__
 from magcal_service.config.settings import CraftConfig, StateConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.snapshot import SnapshotError
+from magcal_service.version import __version__
 
 log = logging.getLogger("magcal")
 

@@ -16,8 +16,8 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from magcal_service import __version__
 from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.version import __version__
 
 _log = logging.getLogger("magcal.metrics")
 

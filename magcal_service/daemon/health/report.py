@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from magcal_service import __version__
 from magcal_service.daemon.health.figures import BOUNDS_S, Flow, Process, TickLateness, troubles
 from magcal_service.daemon.health.metrics import Labels, Metrics
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.base import Link
 from magcal_service.ticks.assembler import REFUSALS
+from magcal_service.version import __version__
 from magcal_service.wire.messages import Verdict
 
 

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service import __version__
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.report.figures import pictures, track
 from magcal_service.diagnosis.result import Entry, held_out_rms, moved_bias
@@ -30,6 +29,7 @@ from magcal_service.errors import ExtraMissingError
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.interface import Value, value_of
 from magcal_service.physics.interface import in_words as number_in_words
+from magcal_service.version import __version__
 
 _MOST_PLACES: Final = 8
 _TEMPLATE: Final = "page.html"

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from magcal_service import __version__
 from magcal_service.config.settings import StateConfig, default_craft
 from magcal_service.daemon.checkpoints.files import (
     MAGIC,
@@ -23,6 +22,7 @@ from magcal_service.daemon.checkpoints.files import (
 )
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import InputRefusedError
+from magcal_service.version import __version__
 
 CRAFT = default_craft("demo")
 

@@ -1,0 +1,94 @@
+"""What a diagnosis comes to, as one frozen result for programs and notebooks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.diagnose import diagnose as run
+from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rms
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.model import STATE_SIZE, Array
+from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.usable import refuse_hopeless
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Answer(NineErrors):
+    """What physics a recording shows beyond nine errors.
+
+    Parameters
+    ----------
+    verdict: ``none``, ``named`` or ``unknown``.
+    trusted, reasons: whether it may be acted on, and what speaks against it.
+    effects: what was found, by the share of the mismatch that it explains.
+    held_out_rms_nt: rms of the residual on blocks that took no part [nT]: ``simulation``, ``recalibrated`` (nine errors
+        fitted anew), ``with_effects``.
+    x, covariance: nine errors (9,) with the effects beside them, and their covariance (9, 9) [nT, -].
+    content: what ``diagnosis.json`` holds.
+    """
+
+    verdict: str
+    trusted: bool
+    reasons: tuple[str, ...]
+    effects: tuple[Entry, ...]
+    held_out_rms_nt: dict[str, float]
+    x: Array
+    covariance: Array
+    content: dict[str, Any]
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Answer:
+        """The answer of a finished diagnosis."""
+        found = entries(diagnosis)
+        return cls(
+            verdict=str(diagnosis.verdict),
+            trusted=diagnosis.trusted,
+            reasons=tuple(map(str, diagnosis.reasons)),
+            effects=found,
+            held_out_rms_nt=held_out_rms(diagnosis),
+            x=np.asarray(diagnosis.fit.x[:STATE_SIZE]),
+            covariance=np.asarray(diagnosis.fit.covariance[:STATE_SIZE, :STATE_SIZE]),
+            content=json.loads(as_json(diagnosis, found)),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``magcal diagnose`` writes as ``diagnosis.json``."""
+        return self.content
+
+    def __repr__(self) -> str:
+        doubt = "trusted" if self.trusted else f"do not act on this: {', '.join(self.reasons)}"
+        levels = " -> ".join(f"{value:.0f}" for value in self.held_out_rms_nt.values())
+        head = f"Diagnosis: {self.verdict} ({doubt}); held out {levels} nT (simulation, recalibrated, with effects)"
+        return "\n".join([head, *(f"  {entry.effect}: {entry.says}" for entry in self.effects)])
+
+
+def diagnose(
+    recordings: Recording | Path | str | Sequence[Recording | Path | str],
+    *,
+    simulation: Array | None = None,
+) -> Answer:
+    """Compare a recording with its simulation and name what was left out.
+
+    Parameters
+    ----------
+    recordings: one recording, or the descriptor or session to read one from; a sequence of one is accepted too.
+    simulation: nine errors (9,) of the simulation to compare with; None: as calibrated on the first half.
+
+    Raises ``InputRefusedError`` where the recording is refused or there are several.
+    """
+    given = [recordings] if isinstance(recordings, Recording | Path | str) else list(recordings)
+    if len(given) != 1:
+        accepted = "one is accepted; diagnose several one after another"
+        raise InputRefusedError([Fault("number of recordings", len(given), accepted)])
+    recording = given[0] if isinstance(given[0], Recording) else read_recording(given[0])
+    refuse_hopeless(recording)
+    return Answer.of(run(recording, simulation))
