@@ -23,13 +23,13 @@ from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
-WGS84_A_KM = 6378.137
-WGS84_E2 = 6.69437999014e-3
-IGRF_YEARS = (1900, 2030)
+WGS84_A_KM = 6378.137  # equatorial radius that defines the WGS84 ellipsoid
+WGS84_E2 = 6.69437999014e-3  # its first eccentricity squared, f (2 - f) with 1/f = 298.257223563
+IGRF_YEARS = (1900, 2030)  # first epoch of IGRF-14, and the end of its secular variation
 RADIUS_KM = (6300.0, 60000.0)  # below the surface, and beyond synchronous orbit, the model says nothing useful
 
 _J2000_NS = 946_728_000 * 10**9  # 2000-01-01T12:00:00Z
-_CENTURY_NS = 36525 * 86400 * 10**9
+_CENTURY_NS = 36525 * 86400 * 10**9  # Julian century, the unit of time of the sidereal polynomial
 _ROWS = 8192  # positions per call of the model: bounds its memory to about 100 MB
 _POLE_DEG = 1e-7  # the model divides by sin(colatitude); 1e-7 deg is 11 mm on the ground
 

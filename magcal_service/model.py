@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
 
-STATE_SIZE: Final = 9
+STATE_SIZE: Final = 9  # three of the bias and six of the symmetric D
 BIAS: Final = slice(0, 3)  # bx, by, bz [nT]
 D_SCALE: Final = slice(3, 6)  # D11, D22, D33 [-]
-D_SHEAR: Final = slice(6, 9)  # D12, D13, D23 [-]
-D_ALL: Final = slice(3, 9)
+D_ALL: Final = slice(3, 9)  # D_SCALE and D12, D13, D23 [-]
 STATE_NAMES: Final = ("bx", "by", "bz", "D11", "D22", "D33", "D12", "D13", "D23")
-STATE_UNITS: Final = ("nT", "nT", "nT", "", "", "", "", "", "")
 
 # w_i gains B_j * D_ij: for each row i, the state's column of D_i1, D_i2, D_i3
 _D_COLUMNS: Final = np.array([[3, 6, 7], [6, 4, 8], [7, 8, 5]])
@@ -101,20 +99,29 @@ def scalar_residual(x: Array, field_nt: Array, reference_magnitude_nt: Array) ->
     return residual
 
 
-def scalar_noise(reference_magnitude_nt: Array, noise_nt: float) -> tuple[float, Array]:
-    """Mean and variance of v in z = h(x) + v for isotropic noise: 3 s^2 [nT^2] and 4 |H|^2 s^2 + 6 s^4 [nT^4].
+def mean_of_v(noise_variance: Array | float) -> Array | float:
+    """Mean of v in z = h(x) + v, equation (3), for isotropic noise Sigma = s^2 I: tr(Sigma) = 3 s^2 [nT^2].
 
-    From |(I + D) B - b|^2 = |H|^2 + 2 (AH)'eps + |eps|^2 with Sigma = s^2 I: mean tr(Sigma), variance
-    4 H'Sigma H + 2 tr(Sigma^2).
+    From |(I + D) B - b|^2 = |H|^2 + 2 (AH)'eps + |eps|^2.  ``noise_variance`` is s^2 [nT^2], a number or any shape.
     """
-    variance = noise_nt**2
-    return 3.0 * variance, 4.0 * reference_magnitude_nt**2 * variance + 6.0 * variance**2
+    return 3.0 * noise_variance
+
+
+def variance_of_v(reference_magnitude_nt: Array | float, noise_variance: Array | float) -> Array | float:
+    """Variance of v as in ``mean_of_v``: 4 H'Sigma H + 2 tr(Sigma^2) = 4 |H|^2 s^2 + 6 s^4 [nT^4].
+
+    |H| [nT] and s^2 [nT^2] are numbers or arrays that broadcast.
+    """
+    linear = 4.0 * noise_variance * reference_magnitude_nt * reference_magnitude_nt
+    return linear + 6.0 * noise_variance * noise_variance
 
 
 def without_radial_noise(
     x: Array, field_nt: Array, reference_magnitude_nt: Array, noise_share: float = 1.0
 ) -> tuple[Array, Array]:
-    """Take the radial noise off the calibrated vectors: (w_hat, B_hat), each (..., 3) [nT].
+    """Project calibrated vectors onto the known magnitude; this removes the radial noise.
+
+    Returns the projected vectors and what would have been measured, (w_hat, B_hat), each (..., 3) [nT].
 
     The scalar residual is the radial noise; a sensitivity evaluated at the noisy B contains that same noise, and their
     product does not average out (errors in variables: about 1e-4 in D at 300 nT).  On the projected vector only
@@ -122,7 +129,7 @@ def without_radial_noise(
     that would have given ``w_hat``.
 
     ``noise_share`` is the share of the residual's variance that is noise (the rest is physics that was left out): its
-    expected radial noise is that share of the residual, so only so much is taken off.
+    expected radial noise is that share of the residual, so only that much is removed.
     """
     w = calibrate(x, field_nt)
     length = np.linalg.norm(w, axis=-1)

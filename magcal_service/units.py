@@ -75,7 +75,7 @@ def _family(quantity: str, base: str, factors: Mapping[str, float]) -> dict[str,
     return {name: ChannelUnit(quantity, base, factor) for name, factor in factors.items()}
 
 
-_DEG = math.pi / 180.0
+_DEG = math.pi / 180.0  # radians per degree
 
 CHANNEL_UNITS: Mapping[str, ChannelUnit] = MappingProxyType(
     {

@@ -8,9 +8,9 @@ from typing import Final
 
 from magcal_service.errors import ConfigError, Fault
 
-DONE: Final = 0
-REFUSED: Final = 2
-NOT_TRUSTED: Final = 3
+DONE: Final = 0  # of the contract, as the other two
+REFUSED: Final = 2  # what argparse ends with for a wrong argument
+NOT_TRUSTED: Final = 3  # done, but the reason not to use the result is in the output
 CRAFT_HELP: Final = "which craft of a session that holds several"
 
 

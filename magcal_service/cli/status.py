@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from magcal_service.links import Link
     from magcal_service.wire.messages import Status
 
-HEALTHY, NOT_REACHED, NOT_HEALTHY = 0, 2, 3
+HEALTHY, NOT_REACHED, NOT_HEALTHY = 0, 2, 3  # done, refused and not trusted, of a daemon
 
-_ASK_AGAIN_S: Final = 1.0
+_ASK_AGAIN_S: Final = 1.0  # a command put before the daemon subscribes is lost, so it is repeated until answered
 _OTHERS_S: Final = 1.0
 """Where nobody said which craft there are, those count that are heard so long after the first [s]."""
 

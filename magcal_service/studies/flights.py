@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.parts.spin_window import across_axis
-from magcal_service.geomagnetic import igrf_eci_nt
+from magcal_service.geomagnetic import WGS84_A_KM, igrf_eci_nt
 from magcal_service.model import Array, measure
 from magcal_service.studies.bounds import Flight
 from magcal_service.ticks.assembler import Tick
@@ -29,7 +29,6 @@ TABLE_1: Final[Nine] = (5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.
 """True errors of the paper's experiment [nT, -]."""
 
 EARTH_GM_KM3_S2: Final = 398600.4418
-EARTH_RADIUS_KM: Final = 6378.137
 START_UTC_NS: Final = 1_748_786_400 * 10**9  # 2025-06-01T14:00:00Z
 NODE_DEG: Final = 40.0
 """The paper gives neither date nor node, and the bounds depend on them: for (1, 1, 1) the scalar bound of bz, 3 sigma,
@@ -75,7 +74,7 @@ class FlightPlan:
     @property
     def period_s(self) -> float:
         """Time of one orbit [s]."""
-        return 2.0 * math.pi * math.sqrt((EARTH_RADIUS_KM + self.altitude_km) ** 3 / EARTH_GM_KM3_S2)
+        return 2.0 * math.pi * math.sqrt((WGS84_A_KM + self.altitude_km) ** 3 / EARTH_GM_KM3_S2)
 
     def orbit_normal(self) -> Vector:
         """Unit vector along the orbit's angular momentum, ECI."""
@@ -186,7 +185,7 @@ def _circular_orbit_km(plan: FlightPlan, times_s: Array) -> NDArray[np.float64]:
     node = math.radians(plan.node_deg)
     towards_node = np.array([math.cos(node), math.sin(node), 0.0])
     ahead = np.cross(plan.orbit_normal(), towards_node)
-    radius_km = EARTH_RADIUS_KM + plan.altitude_km
+    radius_km = WGS84_A_KM + plan.altitude_km
     position: NDArray[np.float64] = radius_km * (np.outer(np.cos(angle), towards_node) + np.outer(np.sin(angle), ahead))
     return position
 

@@ -9,13 +9,14 @@ from magcal_service.model import (
     calibrate,
     d_matrix,
     field_jacobian,
+    mean_of_v,
     measure,
     predicted_scalar,
     scalar_jacobian,
     scalar_measurement,
-    scalar_noise,
     scalar_residual,
     state_of,
+    variance_of_v,
     vector_jacobian,
     without_radial_noise,
 )
@@ -73,7 +74,7 @@ def test_mean_and_variance_of_v_hold_for_simulated_noise(noise_nt: float) -> Non
     measured = measure(TABLE_1, truth + noise_nt * rng.normal(size=truth.shape))
     magnitude = np.full(len(truth), 40_000.0)
     v = scalar_measurement(measured, magnitude) - predicted_scalar(TABLE_1, measured)
-    mean, variance = scalar_noise(magnitude, noise_nt)
+    mean, variance = mean_of_v(noise_nt**2), variance_of_v(magnitude, noise_nt**2)
     assert v.mean() == pytest.approx(mean, abs=4.0 * np.sqrt(variance[0] / len(v)))
     assert v.var() == pytest.approx(variance[0], rel=0.01)
 

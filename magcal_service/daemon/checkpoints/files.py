@@ -29,7 +29,7 @@ from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
 MAGIC: Final = b"magcal-state 1\n"
-_DIGEST_BYTES: Final = 32
+_DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
 """No craft's state comes near it: 0.4 MB with 4096 samples collected towards a start."""
 

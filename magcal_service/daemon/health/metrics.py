@@ -21,9 +21,9 @@ from magcal_service.version import __version__
 
 _log = logging.getLogger("magcal.metrics")
 
-_PATIENCE_S: Final = 1.0
-_REQUEST_BYTES: Final = 4096
-_BACKLOG: Final = 8
+_PATIENCE_S: Final = 1.0  # for one request: one thread serves all, and a scraper on this machine sends at once
+_REQUEST_BYTES: Final = 4096  # read of a request; its first line is all that matters
+_BACKLOG: Final = 8  # connections that wait for the thread; a scraper has one
 
 Labels = Mapping[str, str]
 Sample = tuple[str, Labels, float]

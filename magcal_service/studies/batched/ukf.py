@@ -28,6 +28,7 @@ from magcal_service.config.settings import CraftConfig, SpinWindow
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.unscented import UnscentedWeights
+from magcal_service.estimators.ukf import INNOVATION_MEMORY, SPIN_WINDOWS
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.batched.start import BatchedStart
 from magcal_service.studies.batched.unscented import roots, scalar_innovations, spin_innovations
@@ -35,9 +36,7 @@ from magcal_service.ticks.assembler import Tick
 
 Flags = NDArray[np.bool_]
 
-_INNOVATION_MEMORY: Final = 100
-_INNOVATION_MEAN: Final = 2.0
-_SPIN_MEMORY: Final = 16
+_INNOVATION_MEAN: Final = 2.0  # below the 2.5 of ``ukf``: a run leaves before its single filter would act
 _SPIN_MEAN: Final = 2.0 * 2.5
 """Running means of squared innovations, and of those of spin windows, at which a run leaves the batch.
 
@@ -173,7 +172,7 @@ class BatchedUkf:
         scaled = found.cross * weight
         x += scaled * found.value
         covariance -= np.multiply(scaled[:, None], found.cross, out=self._scratch[:, :, :count])
-        self._innovations[:count] = np.minimum(self._innovations[:count] + used, _INNOVATION_MEMORY)
+        self._innovations[:count] = np.minimum(self._innovations[:count] + used, INNOVATION_MEMORY)
         excess = used * (norm - self._innovation[:count])
         self._innovation[:count] += excess / np.maximum(self._innovations[:count], 1)
         self.left[self._run[:count][~used]] = True
@@ -188,15 +187,15 @@ class BatchedUkf:
         x += (gain * found.value).sum(axis=1)
         for i in range(2):
             covariance -= np.multiply(gain[:, None, i], found.cross[:, i], out=self._scratch[:, :, :count])
-        self._spin_count[:count] = np.minimum(self._spin_count[:count] + 1, _SPIN_MEMORY)
+        self._spin_count[:count] = np.minimum(self._spin_count[:count] + 1, SPIN_WINDOWS)
         excess = np.minimum(found.squared, 1e3) - self._spin_norm[:count]
         self._spin_norm[:count] += excess / self._spin_count[:count]
 
     def _leave(self) -> None:
         """Runs near a loss of consistency leave; all that have left make room."""
         count = self._active
-        changed = (self._innovations[:count] == _INNOVATION_MEMORY) & (self._innovation[:count] > _INNOVATION_MEAN)
-        changed |= (self._spin_count[:count] == _SPIN_MEMORY) & (self._spin_norm[:count] > _SPIN_MEAN)
+        changed = (self._innovations[:count] == INNOVATION_MEMORY) & (self._innovation[:count] > _INNOVATION_MEAN)
+        changed |= (self._spin_count[:count] == SPIN_WINDOWS) & (self._spin_norm[:count] > _SPIN_MEAN)
         self.left[self._run[:count][changed]] = True
         for column in np.flatnonzero(self.left[self._run[:count]])[::-1].tolist():
             self._active -= 1

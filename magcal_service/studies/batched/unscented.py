@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.unscented import UnscentedWeights, cholesky
-from magcal_service.model import STATE_SIZE, Array
+from magcal_service.model import STATE_SIZE, Array, mean_of_v, variance_of_v
 
 
 def roots(covariance: Array, out: Array) -> Array:
@@ -113,9 +113,9 @@ def scalar_innovations(
     shift = 2.0 * weights.pair * quadratic.sum(axis=0)
     quadratic -= shift
     square = (linear * linear).sum(axis=0) + (quadratic * quadratic).sum(axis=0)
-    noise = 4.0 * noise_variance * magnitude_nt * magnitude_nt + 6.0 * noise_variance * noise_variance
+    noise = variance_of_v(magnitude_nt, noise_variance)
     variance = 2.0 * weights.pair * square + weights.covariance_0 * shift * shift + noise
-    value = 3.0 * noise_variance - residual * (vectors.length + magnitude_nt) - shift
+    value = mean_of_v(noise_variance) - residual * (vectors.length + magnitude_nt) - shift
     cross = np.einsum("ijr,jr->ir", root, linear) * (2.0 * weights.pair * weights.spread)
     return ScalarInnovations(value, variance, cross)
 
