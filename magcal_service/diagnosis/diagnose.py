@@ -13,16 +13,19 @@ import numpy as np
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, hypotheses_of
 from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
 from magcal_service.diagnosis.lines import is_red
-from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, Prepared, prepare
+from magcal_service.diagnosis.prepare import Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
-from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.interface import ActsOn, Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.recording import Recording
 
 Progress = Callable[[str], None]
+
+COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloured_noise, nutation, spin_rate))
 
 UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
@@ -125,7 +128,7 @@ def diagnose(
         left = structures(search, explained.fit, phase, floor)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
-    unexplained = _unexplained(prepared, explained.fit, left, findings.get("coloured_noise"))
+    unexplained = _unexplained(prepared, explained.fit, left, findings.get(COLOURED_NOISE))
     verdict = _verdict(explained, findings, unexplained)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -200,21 +203,21 @@ def _other_findings(
         scene = replace(scene, calibrated_nt=clean)
     if not prepared.problem.is_vector:
         view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
+        wanted = (ActsOn.ATTITUDE, *([ActsOn.NOISE] if coloured else []))
         for effect in effects:
-            wanted = IN_ATTITUDE + (IN_NOISE if coloured else ())
-            if effect.find is None or effect.name not in wanted:
+            if effect.find is None or effect.acts_on not in wanted:
                 continue
             finding = effect.find(view)
-            if finding is not None and not (effect.name == "nutation" and _imitated(finding, prepared, fit, spin)):
+            if finding is not None and not (effect.name == NUTATION and _imitated(finding, prepared, fit, spin)):
                 findings[effect.name] = finding
-    if "nutation" in findings and "spin_rate" in findings and _is_coning(findings):
-        del findings["spin_rate"]
+    if NUTATION in findings and SPIN_RATE in findings and _is_coning(findings):
+        del findings[SPIN_RATE]
     return findings, spin
 
 
 def _is_coning(findings: Mapping[str, Finding]) -> bool:
     """Whether a steady rate differs from the stated one by no more than coning makes of it."""
-    rate, angle = findings["spin_rate"].parameters, findings["nutation"].parameters["angle_deg"].value
+    rate, angle = findings[SPIN_RATE].parameters, findings[NUTATION].parameters["angle_deg"].value
     if "nominal_rpm" not in rate:
         return False
     nominal, found = float(rate["nominal_rpm"].value), float(rate["rate_rpm"].value)

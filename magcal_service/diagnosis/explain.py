@@ -554,5 +554,5 @@ def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesi
     found = [hypothesis for effect in effects for hypothesis in effect.hypotheses(problem.scene)]
     if not problem.is_vector:
         return found
-    magnitude = ("time_offset", "position_offset", "reference_epoch", "external_field")
-    return [replace(h) for h in found if h.effect not in magnitude]
+    of_reference = {effect.name for effect in effects if effect.acts_on.is_reference}
+    return [replace(h) for h in found if h.effect not in of_reference]

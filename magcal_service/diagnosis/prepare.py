@@ -14,7 +14,7 @@ from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Proble
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate
-from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.interface import ActsOn, Effect, Finding
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
 from magcal_service.physics.scene.view import View
@@ -148,7 +148,7 @@ def _sample_findings(
     spoiled = np.zeros(len(scene), dtype=bool)
     findings = {}
     for effect in effects:
-        if effect.find is None or effect.name not in IN_SAMPLES:
+        if effect.find is None or effect.acts_on is not ActsOn.SAMPLES:
             continue
         finding = effect.find(view)
         if finding is None:
@@ -157,12 +157,6 @@ def _sample_findings(
         if finding.spoiled is not None:
             spoiled |= finding.spoiled
     return findings, spoiled
-
-
-IN_SAMPLES: Final = ("stuck_axis", "saturation", "quantisation")
-IN_ATTITUDE: Final = ("nutation", "spin_rate")
-IN_NOISE: Final = ("coloured_noise",)
-"""Effects that are looked for elsewhere than in the field, and where."""
 
 
 def _spin(recording: Recording, scene: Scene) -> SpinSolution | None:

@@ -14,10 +14,9 @@ from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.explain import ACCEPTED_NATS, CLASS_NATS, Candidate
 from magcal_service.diagnosis.leftover import fitted_terms, significant
 from magcal_service.diagnosis.locate import Place, locate
-from magcal_service.diagnosis.prepare import IN_ATTITUDE, IN_NOISE, IN_SAMPLES
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
-from magcal_service.physics.interface import Effect, Finding, Value, Values, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, Value, Values, value_of
 
 _LEAST_PROBABILITY: Final = 1e-4
 _MOST_RIVALS: Final = 4
@@ -83,13 +82,15 @@ def _plain(values: Array) -> Any:
 def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
     """Effects in the residual by the share of the mismatch that they explain, then those in attitude and noise."""
     fields = [_of_term(diagnosis, index) for index in range(len(diagnosis.fit.terms))]
-    samples = [_of_finding(diagnosis, name) for name in diagnosis.findings if name in IN_SAMPLES]
-    others = [_of_finding(diagnosis, name) for name in diagnosis.findings if name in (*IN_ATTITUDE, *IN_NOISE)]
+    acts_on = {effect.name: effect.acts_on for effect in diagnosis.effects}
+    samples = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] is ActsOn.SAMPLES]
+    others = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] is not ActsOn.SAMPLES]
 
     def by_share(entry: Entry) -> float:
         return -float(entry.where["share_of_mismatch"])
 
-    order = (*IN_ATTITUDE, *IN_NOISE)  # a craft that nutates has a rate that seems to change, too
+    # a craft that nutates has a rate that seems to change, too: attitude first, by name
+    order = [name for kind in (ActsOn.ATTITUDE, ActsOn.NOISE) for name, acts in acts_on.items() if acts is kind]
     named = sorted([*fields, *samples], key=by_share) + sorted(others, key=lambda e: order.index(e.effect))
     if diagnosis.verdict is Verdict.UNKNOWN:
         return (_unknown(diagnosis), *named)

@@ -28,9 +28,7 @@ from magcal_service.residuals import noise_floor, rms
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Verdict
 
-_HELD_OUT_BLOCKS: Final = (
-    10  # contiguous, every second one held out: ten minutes each of an orbit
-)
+_HELD_OUT_BLOCKS: Final = 10  # contiguous, every second one held out: ten minutes each of an orbit
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import pkgutil
 from functools import cache
 
 from magcal_service.physics import effects
-from magcal_service.physics.interface import Effect
+from magcal_service.physics.interface import Effect, Watched
 
 
 @cache
@@ -25,4 +25,15 @@ def catalogue() -> tuple[Effect, ...]:
 
 def effect_named(name: str) -> Effect:
     """The effect of that name; KeyError where there is none."""
-    return {effect.name: effect for effect in catalogue()}[name]
+    return _by_name()[name]
+
+
+@cache
+def _by_name() -> dict[str, Effect]:
+    return {effect.name: effect for effect in catalogue()}
+
+
+@cache
+def watched_as(kind: Watched, quantity: str = "") -> tuple[str, ...]:
+    """Names of the effects that the watch sees in this way, of a quantity where they follow one."""
+    return tuple(effect.name for effect in catalogue() if (kind, quantity) in effect.watched)

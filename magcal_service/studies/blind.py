@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.errors import ConfigError, Fault
+from magcal_service.physics.catalogue import catalogue
 from magcal_service.studies.progress import progress
 from magcal_service.studies.report import Cell, Findings, Table
 from magcal_service.studies.study import Request, Study
@@ -274,9 +275,6 @@ def _misses(outcomes: Sequence[Outcome]) -> Table:
     return Table("Every case that was not answered fully right", columns, tuple(rows))
 
 
-_NO_FIELD: Final = ("quantisation", "saturation", "stuck_axis", "coloured_noise", "nutation", "spin_rate")
-
-
 def _figures(outcomes: Sequence[Outcome]) -> dict[str, Cell]:
     groups = _groups(outcomes)
     figures: dict[str, Cell] = {f"right: {name}": _rate(group) for name, group in groups.items()}
@@ -287,7 +285,8 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Cell]:
     z = [v for o in outcomes if o.score == 1.0 for values in o.sigmas.values() for v in values]
     figures["parameters within 3 sigma"] = sum(v < 3.0 for v in z) / max(len(z), 1)
     figures["parameters compared"] = len(z)
-    fields = [o for o in outcomes if o.expected == "named" and o.score == 1.0 and not set(o.truth) & set(_NO_FIELD)]
+    no_field = {effect.name for effect in catalogue() if not effect.acts_on.is_live}
+    fields = [o for o in outcomes if o.expected == "named" and o.score == 1.0 and not set(o.truth) & no_field]
     excess = sum(o.excess for o in fields)
     figures["share of the held-out excess taken away"] = sum(o.taken for o in fields) / max(excess, 1e-9)
     figures["median time of a diagnosis [s]"] = float(np.median([o.seconds for o in outcomes]))

@@ -16,14 +16,11 @@ import numpy as np
 
 from magcal_service import geomagnetic
 from magcal_service.physics.apply.compensation import stale_after_s
+from magcal_service.physics.interface import LIGHT, WARMTH
 from magcal_service.physics.scene.sunlight import sun_eci, sunlit
 from magcal_service.snapshot import Saved
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame, PositionSample, TelemetrySample
-
-LIGHT: Final = "light"
-WARMTH: Final = "warmth"
-"""Quantities that positions give: the share of sunlight, and what follows it with a time constant of ``_WARMTH_S``."""
 
 DRIVING: Final = ("temperature", "current", "magnetic moment", "sun")
 """Quantities of channels that an effect of the catalogue follows."""

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, Array
+from magcal_service.physics.catalogue import watched_as
+from magcal_service.physics.interface import Watched
 
 FALSE_PER_YEAR: Final = 0.1
 """False alarms expected in a year of ticks where the model is right: the sum over all tests."""
@@ -152,17 +154,20 @@ def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
     phase = (times - times.mean()) / max(float(np.ptp(times)), 1e-9)
     root = inverse_root(blocks.sum(axis=0)[:STATE_SIZE, :STATE_SIZE])
     found = []
-    for what, part in (("bias", BIAS), ("scale", D_SCALE)):
+    for part, course, step in (
+        (BIAS, Watched.BIAS_COURSE, Watched.BIAS_STEP),
+        (D_SCALE, Watched.SCALE_COURSE, Watched.SCALE_STEP),
+    ):
         line = of_course(blocks, part, phase[:, None], samples, root)
-        found.append(Explanation((f"{what}_drift",), "", line, 3))
+        found.append(Explanation(watched_as(course), "", line, 3))
         if count >= 8:
             curve = of_course(blocks, part, np.stack([phase, phase**2, phase**3], axis=1), samples, root)
-            found.append(Explanation((f"{what}_drift",), "", curve, 9))
+            found.append(Explanation(watched_as(course), "", curve, 9))
         steps = [of_course(blocks, part, (number >= k)[:, None] * 1.0, samples, root) for k in range(1, count)]
-        found.append(Explanation((f"{what}_step",), "", max(steps), 3, count - 1))
+        found.append(Explanation(watched_as(step), "", max(steps), 3, count - 1))
         # within a block, which then has a value of its own
         steps = [of_course(blocks, part, _apart(number, k), samples, root) for k in range(1, count - 1)]
-        found.append(Explanation((f"{what}_step",), "", max(steps), 6, count - 2))
+        found.append(Explanation(watched_as(step), "", max(steps), 6, count - 2))
     free = of_course(blocks, BIAS, np.eye(count)[:, 1:], samples, root)
     found.append(Explanation((UNKNOWN,), "slow", free, 3 * (count - 1)))
     return found
@@ -196,9 +201,9 @@ def spectral(power: Array, share: Array) -> tuple[list[Explanation], float]:
     angle = np.pi * np.arange(count) / (count - 1)
     memory = [likelihood(1.0 / (1.0 - 2.0 * r * np.cos(angle) + r * r)) for r in _CORRELATIONS.tolist()]
     best = int(np.argmax(memory))
-    found = [Explanation(("coloured_noise",), "", memory[best] - white, 1, len(memory))]
+    found = [Explanation(watched_as(Watched.MEMORY), "", memory[best] - white, 1, len(memory))]
     lines = [_line(weight, level, at) - white for at in range(1, count - 1) if weight[at] > 0.0]
-    found.append(Explanation(("tone",), "", max(lines, default=0.0), 3, max(len(lines), 1)))
+    found.append(Explanation(watched_as(Watched.LINE), "", max(lines, default=0.0), 3, max(len(lines), 1)))
     filled = np.where(weight > 0.0, np.maximum(level, 1e-30), 1.0)
     free = -float((weight * (np.log(filled) + 1.0)).sum()) - white
     found.append(Explanation((UNKNOWN,), "fast", free, int((weight > 0.0).sum()) - 1))

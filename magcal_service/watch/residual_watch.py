@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian, without_radial_noise
+from magcal_service.physics.catalogue import watched_as
+from magcal_service.physics.interface import Watched
 from magcal_service.snapshot import Saved, SnapshotError
 from magcal_service.ticks.assembler import Tick
-from magcal_service.watch.drivers import LIGHT, WARMTH, Driver, DriverTrack, value_of
+from magcal_service.watch.drivers import Driver, DriverTrack, value_of
 from magcal_service.watch.evidence import (
     CLASS_NATS,
     FALSE_PER_YEAR,
@@ -58,15 +60,6 @@ _MOST_ALONE: Final = 2  # samples far off by themselves in a chunk that is still
 _WIDER: Final = 2.0  # than the filter's gate: samples in a row that jump out of that count as if there
 _UNKNOWN_SHARE: Final = 1.25
 _FLAT: Final = 10  # times that an axis has to repeat its largest reading for a flat top
-_BEND: Final = {"temperature": 2, WARMTH: 2}  # drivers of bias and of scale; the others: of bias alone
-_BY: Final = {
-    "temperature": ("thermal_bias",),
-    WARMTH: ("thermal_bias",),
-    "current": ("current_loop",),
-    "magnetic moment": ("torquer",),
-    "sun": ("sun_disturbance",),
-    LIGHT: ("current_loop", "sun_disturbance"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +83,11 @@ class Finding:
         driver = f" ({self.driver})" if self.driver else ""
         what = "something unknown" if self.effects == (UNKNOWN,) else " or ".join(self.effects)
         return f"looks like {what}{driver}, {self.nats:.0f} nats over {self.minutes:.0f} min"
+
+
+def _width(driver: Driver) -> int:
+    """Columns of a driver: a field along each axis, and where gains follow it as well a gain of each."""
+    return 6 if watched_as(Watched.SCALE_BY, driver.quantity) else 3
 
 
 def _spoiled(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -195,7 +193,7 @@ class ModelWatch(Saved):
 
     def _size(self) -> int:
         """Columns of the sums: nine errors, those without a driver, the drivers', the residual."""
-        return STATE_SIZE + _OWN + sum(3 * _BEND.get(driver.quantity, 1) for driver in self._drivers) + 1
+        return STATE_SIZE + _OWN + sum(map(_width, self._drivers)) + 1
 
     @property
     def is_open(self) -> bool:
@@ -297,7 +295,7 @@ class ModelWatch(Saved):
         """What each thing that may have been left out would explain of the window so far."""
         assert self._rest is not None
         fast, raised = spectral(self._power, self._share)
-        memory = max(one.gain for one in fast if one.effects == ("coloured_noise",))
+        memory = max(one.gain for one in fast if one.effects == watched_as(Watched.MEMORY))
         count = self._samples
         rest = self._rest if walks else without(self._rest)
         slow = [
@@ -311,25 +309,26 @@ class ModelWatch(Saved):
 
     def _columns_of(self) -> Iterator[tuple[tuple[str, ...], str, list[int], int]]:
         """Names, driver, columns behind the nine errors, and how many of their kind, of each explanation by columns."""
-        yield ("cubic_response",), "", [0, 1, 2], 1
+        yield watched_as(Watched.CUBE), "", [0, 1, 2], 1
         if max(self._topped) >= _FLAT:
-            yield ("saturation",), "", [3, 4, 5], 1
-        yield ("time_offset", "position_offset"), "", [6], 1
+            yield watched_as(Watched.FLAT_TOP), "", [3, 4, 5], 1
+        yield watched_as(Watched.SLOPE), "", [6], 1
         at, channels = _OWN, dict[str, list[int]]()
         for driver, void in zip(self._drivers, self._void, strict=True):
-            along, bend = [at, at + 1, at + 2], _BEND.get(driver.quantity, 1)
+            along = [at, at + 1, at + 2]
             if not void:
                 channels.setdefault(driver.channel, []).extend(along)
-                yield _BY[driver.quantity], driver.label, along, len(self._drivers)
-                if bend == 2:
-                    scale = [at + 3, at + 4, at + 5]
-                    yield ("thermal_scale",), driver.label, scale, len(self._drivers)
-                    yield ("thermal_bias", "thermal_scale"), driver.label, along + scale, len(self._drivers)
-            at += 3 * bend
+                bias, scale = (watched_as(kind, driver.quantity) for kind in (Watched.BIAS_BY, Watched.SCALE_BY))
+                yield bias, driver.label, along, len(self._drivers)
+                if scale:
+                    across = [at + 3, at + 4, at + 5]
+                    yield scale, driver.label, across, len(self._drivers)
+                    yield bias + scale, driver.label, along + across, len(self._drivers)
+            at += _width(driver)
         for driver in {one.channel: one for one in self._drivers}.values():
             columns = channels.get(driver.channel, [])
             if len(columns) > 3:
-                yield _BY[driver.quantity], driver.label, columns, 1
+                yield watched_as(Watched.BIAS_BY, driver.quantity), driver.label, columns, 1
 
     def _columns(self, table: Array) -> Array:
         """Rows of the sums (n, k) from samples, magnitudes and drivers."""
@@ -344,6 +343,6 @@ class ModelWatch(Saved):
         for index, driver in enumerate(self._drivers):
             along = unit * table[:, 5 + index, None]
             parts.append(along)
-            if driver.quantity in _BEND:
+            if watched_as(Watched.SCALE_BY, driver.quantity):
                 parts.append(along * b_hat)
         return np.column_stack([*parts, residual])

@@ -11,9 +11,10 @@ import pytest
 from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import Array, d_matrix
-from magcal_service.physics.apply.compensation import OF_REFERENCE, Compensation, stale_after_s
+from magcal_service.physics.apply.compensation import Compensation, stale_after_s
 from magcal_service.physics.apply.forward import effects_on
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.wire.messages import (
     Command,
@@ -67,7 +68,11 @@ def whole(term: ModelTerm) -> PhysicsModel:
     return model_of(term, origin_ns=flight().origin_ns, x=X)
 
 
-LIVE = [h for h in forms() if h.effect not in OF_REFERENCE and h.driver not in NEEDS_COURSE and "Sun" not in h.variant]
+LIVE = [
+    h
+    for h in forms()
+    if not effect_named(h.effect).acts_on.is_reference and h.driver not in NEEDS_COURSE and "Sun" not in h.variant
+]
 SUN = ("inferred:array_current", "inferred:sun_direction")
 
 

@@ -1,4 +1,4 @@
-"""Live compensation: what ``physics.toml`` holds is taken off every sample and every reference as they come.
+"""Live compensation: what ``physics.toml`` holds is subtracted from every sample and corrected in every reference.
 
 A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
 model says it should have had.  Drivers are the newest values on the link: a channel is held until its next value, a
@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
-from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind
+from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import ActsOn
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
 from magcal_service.snapshot import Saved
@@ -37,15 +39,6 @@ from magcal_service.wire.messages import (
     TelemetrySample,
     Vector,
 )
-
-OF_REFERENCE: Final = ("time_offset", "external_field", "position_offset", "reference_epoch")
-"""Effects that are errors of the reference."""
-
-_NOT_LIVE: Final = ("inferred:detumbling", "inferred:dumping")
-"""Drivers that need the course of the field before a sample, which no single sample tells."""
-
-_NOT_LIVE_FORMS: Final = ("by minutes", "far along")
-"""Forms that need the orbit ahead or behind."""
 
 _MOST_CHANNELS: Final = 64
 _STALE_PACES: Final = 3.0
@@ -122,9 +115,11 @@ class Compensation(Saved):
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
-        self._field_terms = tuple(term for term in model.terms if term.effect not in OF_REFERENCE)
-        self._growth_terms = tuple(t for t in model.terms if t.effect in OF_REFERENCE and t.effect != "time_offset")
-        self._time_terms = tuple(term for term in model.terms if term.effect == "time_offset")
+        self._field_terms = tuple(term for term in model.terms if not _acts_on(term).is_reference)
+        self._growth_terms = tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE)
+        self._time_terms = tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE_TIME)
+        self._direct = tuple(effect_named(term.effect).direct(term) for term in self._field_terms)
+        self._needs_scene = not all(self._direct)
         self._channels = {}
         self._places = []
         self._last = None
@@ -181,7 +176,8 @@ class Compensation(Saved):
         shift_s, unfit = shifts_s(self._time_terms, (sample.time_ns - self.model.origin_ns) * 1e-9)
         sample = replace(sample, time_ns=sample.time_ns - sum(round(one_s * 1e9) for one_s in shift_s))
         sample = self._grown(sample) if self._growth_terms else sample
-        self._missing_reference = [*(name for name in self._missing_reference if name != "time_offset"), *unfit]
+        of_time = {term.effect for term in self._time_terms}
+        self._missing_reference = [*(name for name in self._missing_reference if name not in of_time), *unfit]
         return sample
 
     def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
@@ -189,44 +185,74 @@ class Compensation(Saved):
         if not self._field_terms:
             return sample
         self._begun_ns = self._begun_ns or sample.time_ns
-        in_order = self._last is not None and sample.time_ns > self._last.time_ns
+        in_order = self._last is None or sample.time_ns > self._last.time_ns
         row = Row(sample.time_ns, sample.field_body_nt)
-        rows = [self._last, row] if self._last is not None and in_order else [row]
-        scene = self._scene(rows, sample.clock)
-        corrected, missing = np.array(sample.field_body_nt), []
+        scene = self._scene_of(row, sample.clock, in_order=in_order) if self._needs_scene else None
+        corrected, missing = sample.field_body_nt, []
         for index, term in enumerate(self._field_terms):
-            memory = Memory(-1, self._states[index] if in_order or self._last is None else dict(self._states[index]))
             try:
-                without = corrected - self._offset(term, scene, memory, sample.time_ns)
-                if not np.abs(without).max() <= MAX_SAMPLE_FIELD_NT:
-                    raise MisfitError(f"{term.effect}: without it the sample would be {without.tolist()}")
-                corrected = without
+                d = (
+                    self._now(index, row)
+                    if scene is None or self._direct[index]
+                    else self._on(scene, index, row, in_order)
+                )
+                corrected = self._without(corrected, d, term)
             except (DriverMissingError, MisfitError):
                 missing.append(term.effect)
-        if in_order or self._last is None:
+        if in_order:
             self._last = row
         self._missing_field = missing
-        x, y, z = corrected.tolist()
-        return replace(sample, field_body_nt=(x, y, z))
+        return replace(sample, field_body_nt=corrected)
+
+    def _without(self, measured: Vector, d: Sequence[float], term: ModelTerm) -> Vector:
+        """B - (I + D)^-1 d (3,) [nT]; MisfitError where that is no reading that a sensor could give."""
+        b1, b2, b3 = measured
+        d1, d2, d3 = d
+        r1, r2, r3 = self._rows
+        x = b1 - (r1[0] * d1 + r1[1] * d2 + r1[2] * d3)
+        y = b2 - (r2[0] * d1 + r2[1] * d2 + r2[2] * d3)
+        z = b3 - (r3[0] * d1 + r3[1] * d2 + r3[2] * d3)
+        limit = MAX_SAMPLE_FIELD_NT
+        if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):
+            raise MisfitError(f"{term.effect}: without it the sample would be {(x, y, z)}")
+        return x, y, z
+
+    def _now(self, index: int, row: Row) -> list[float]:
+        """What a direct term makes of this moment (3,) [nT]: the channel's newest value, no scene."""
+        form = self._direct[index]
+        assert form is not None
+        held = self._channels.get(form.channel)
+        if held is None or held.quantity != form.quantity or max(form.columns) >= len(held.values):
+            raise DriverMissingError(f"{self._field_terms[index].effect}: channel {form.channel} is not there")
+        if abs(row.time_ns - held.time_ns) * 1e-9 > stale_after_s(held.pace_s, held.quantity):
+            raise DriverMissingError(f"{self._field_terms[index].effect}: channel {form.channel} is stale")
+        return form.field(held.values, row.field_nt)
+
+    def _on(self, scene: Scene | None, index: int, row: Row, in_order: bool) -> list[float]:
+        """What a term makes of the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
+        assert scene is not None
+        memory = Memory(-1, self._states[index] if in_order else dict(self._states[index]))
+        with np.errstate(all="ignore"):
+            found: list[float] = (
+                self._bound(self._field_terms[index], scene, memory, row.time_ns).disturbance()[0][-1].tolist()
+            )
+        return found
+
+    def _scene_of(self, row: Row, clock: Clock, *, in_order: bool) -> Scene:
+        return self._scene([self._last, row] if self._last is not None and in_order else [row], clock)
 
     @cached_property
-    def _inverse(self) -> Array:
-        return np.asarray(np.linalg.inv(np.eye(3) + d_matrix(self.model.x)))
+    def _rows(self) -> list[list[float]]:
+        """(I + D)^-1 by rows."""
+        rows: list[list[float]] = np.linalg.inv(np.eye(3) + d_matrix(self.model.x)).tolist()
+        return rows
 
     # How it is applied
 
-    def _offset(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Array:
-        """What a term makes of the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
-        with np.errstate(all="ignore"):
-            return np.asarray(self._inverse @ self._bound(term, scene, memory, time_ns).disturbance()[0][-1])
-
     def _bound(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Bound:
-        if term.variant in _NOT_LIVE_FORMS:
-            raise DriverMissingError(
-                f"{term.effect}, {term.variant}: needs the orbit ahead, correct the reference itself"
-            )
-        if term.driver in _NOT_LIVE or (term.effect == "axis_skew" and scene.rate_body is None):
-            raise DriverMissingError(f"{term.effect}: {term.driver} cannot be followed live")
+        effect = effect_named(term.effect)
+        if {term.driver, term.variant} & set(effect.not_live) or (effect.needs_rate and scene.rate_body is None):
+            raise DriverMissingError(f"{term.effect}, {described(term)}: cannot be followed live")
         if term.driver == "inferred:temperature" and not self._is_warm(term, time_ns):
             raise DriverMissingError(f"{term.effect}: its temperature at the start is not known yet")
         return bind(term, scene, memory)
@@ -325,6 +351,8 @@ class Compensation(Saved):
         total, missing = 0.0, []
         for term in self._growth_terms:
             try:
+                if {term.driver, term.variant} & set(effect_named(term.effect).not_live):
+                    raise DriverMissingError(f"{term.effect}, {term.variant}: needs the orbit ahead")
                 with np.errstate(all="ignore"):
                     growth = float(np.broadcast_to(bind(term, scene).disturbance()[1], 3)[-1])
                 if not abs(total + growth) <= _MOST_GROWTH * magnitude:
@@ -334,6 +362,10 @@ class Compensation(Saved):
                 missing.append(term.effect)
         self._missing_reference = missing
         return total
+
+
+def _acts_on(term: ModelTerm) -> ActsOn:
+    return effect_named(term.effect).acts_on
 
 
 def shifts_s(terms: Sequence[ModelTerm], elapsed_s: float) -> tuple[list[float], list[str]]:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
+from magcal_service.physics.interface import Block, Columns, Direct, Hypothesis, Nonlinear, Term, direct, joined
 from magcal_service.physics.scene.scene import Scene
 
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
@@ -41,6 +41,15 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
                 variant=f"column {index + 1}" if several else "",
                 constants={"zero_degc": zero, "column": float(index)},
             )
+
+
+def direct_by_temperature(term: Term, block: str, *, is_gain: bool = False) -> Direct | None:
+    """The direct form of a term that a recorded temperature drives; None for another."""
+    one_of_several = term.variant.startswith("column ")
+    if (term.variant and not one_of_several) or "zero_degc" not in term.constants:
+        return None
+    column = int(term.constants.get("column", 0.0))
+    return direct(term, "temperature", block, [column], term.constants["zero_degc"], is_gain=is_gain)
 
 
 def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:

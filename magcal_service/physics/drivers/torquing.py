@@ -44,19 +44,24 @@ _LONGEST_PERIOD_S: Final = 20.0
 _LEAST_SAMPLES: Final = 200
 
 
-def inferred(scene: Scene) -> Iterator[Hypothesis]:
+DETUMBLING: Final = "inferred:detumbling"
+DUMPING: Final = "inferred:dumping"
+"""Drivers that need the course of the field before a sample."""
+
+
+def inferred(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     """Every pattern, where the samples are close enough to see one."""
     if (scene.period_s > _LONGEST_PERIOD_S or len(scene) < _LEAST_SAMPLES) and not scene.is_given:
         return
-    yield _regular(scene)
-    yield _detumbling(scene)
+    yield _regular(scene, effect)
+    yield _detumbling(scene, effect)
     steady = along_axes(-np.sign(scene.field_slope))
     block = Block("detumbling_nt", "nT", (3, 3))
-    yield Hypothesis("torquer", "inferred:detumbling", lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
-    yield from _dumping(scene)
+    yield Hypothesis(effect, DETUMBLING, lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
+    yield from _dumping(scene, effect)
 
 
-def _regular(scene: Scene) -> Hypothesis:
+def _regular(scene: Scene, effect: str) -> Hypothesis:
     """A constant dipole, on and off."""
     duty = (
         Nonlinear("period_s", "s", np.empty(0), True, "period"),
@@ -69,7 +74,7 @@ def _regular(scene: Scene) -> Hypothesis:
         on = np.mod(scene.time_s / period_s - phase, 1.0) < share
         return along_axes(on.astype(np.float64))
 
-    return Hypothesis("torquer", "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
+    return Hypothesis(effect, "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
 
 
 # Detumbling
@@ -83,7 +88,7 @@ def _pulsed(scene: Scene, period_s: float, phase: float, lead_s: float) -> tuple
     return -np.sign(scene.field_slope[measured]), np.mod(cycle, 1.0)
 
 
-def _detumbling(scene: Scene) -> Hypothesis:
+def _detumbling(scene: Scene, effect: str) -> Hypothesis:
     edges = np.linspace(float(scene.time_s[0]), float(scene.time_s[-1]), _PARTS + 1)
     edges[-1] += scene.period_s
     numbers = (
@@ -127,8 +132,8 @@ def _detumbling(scene: Scene) -> Hypothesis:
     block = Block("detumbling_nt", "nT", (3, 3))
     variant = "sign of dB/dt on a duty"
     return Hypothesis(
-        "torquer",
-        "inferred:detumbling",
+        effect,
+        DETUMBLING,
         columns,
         (block,),
         variant,
@@ -158,7 +163,7 @@ def _held(scene: Scene, into_s: Array, hold_s: float) -> NDArray[np.intp]:
     return np.minimum(np.searchsorted(scene.time_s, made_s - 0.5 * scene.period_s), rows)
 
 
-def _dumping(scene: Scene) -> Iterator[Hypothesis]:
+def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     span = float(scene.time_s[-1] - scene.time_s[0])
     if span < 3.0 * INTERVAL_S[0] and not scene.is_given:
         return
@@ -204,8 +209,8 @@ def _dumping(scene: Scene) -> Iterator[Hypothesis]:
     block = Block("dumping", "1", (3, 3))
     variant = "momentum dumped at intervals"
     yield Hypothesis(
-        "torquer",
-        "inferred:dumping",
+        effect,
+        DUMPING,
         columns,
         (block,),
         variant,

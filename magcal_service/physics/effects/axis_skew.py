@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -23,6 +23,8 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="axis_skew",
+    acts_on=ActsOn.FIELD,
+    needs_rate=True,
     title="axes digitised one after another",
     equation="d_i = delay_i dB_i/dt for y and z against x",
     units={"after_x_s": "s", "delay_s": "s"},

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import Block, Effect, along_axes
+from magcal_service.physics.interface import ActsOn, Block, Effect, Watched, along_axes
 
 EFFECT = Effect(
     name="bias_drift",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.BIAS_COURSE, ""),),
     title="the bias drifts",
     equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample",
     units={"nt_per_s": "nT/s", "nt_per_s2": "nT/s2", "nt_end": "nT", "time_constant_s": "s"},

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import Block, Effect, along_axes
+from magcal_service.physics.interface import ActsOn, Block, Effect, Watched, along_axes
 
 EFFECT = Effect(
     name="bias_step",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.BIAS_STEP, ""),),
     title="the bias changes at one instant",
     equation="d = step (t >= at)",
     units={"step_nt": "nT", "at_s": "s"},

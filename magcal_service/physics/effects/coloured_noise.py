@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, Watched, value_of
 from magcal_service.physics.scene.view import View
 
 ORDER: Final = 8
@@ -154,6 +154,8 @@ def _find(view: View) -> Finding | None:
 
 EFFECT = Effect(
     name="coloured_noise",
+    acts_on=ActsOn.NOISE,
+    watched=((Watched.MEMORY, ""),),
     title="the noise has a memory, or another level than stated",
     equation="eps_k = sum_j a_j eps_(k-j) + white; correlation at one sample rho",
     units={"correlation": "1", "level_nt": "nT", "stated_nt": "nT"},

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Watched
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -35,6 +35,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="cubic_response",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.CUBE, ""),),
     title="the sensor's answer bends with the field",
     equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2",
     units={"per_nt2": "1/nT2", "cross_per_nt2": "1/nT2", "common_per_nt2": "1/nT2"},

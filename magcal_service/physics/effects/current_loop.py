@@ -7,7 +7,19 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.interface import (
+    LIGHT,
+    ActsOn,
+    Block,
+    Columns,
+    Direct,
+    Effect,
+    Hypothesis,
+    Term,
+    Watched,
+    along_axes,
+    direct,
+)
 from magcal_service.physics.scene.scene import Scene
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
@@ -94,8 +106,19 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
 
 
+def _direct(term: Term) -> Direct | None:
+    """By the circuits of one channel; all channels together are worked out on a scene."""
+    if "+" in term.driver:
+        return None
+    keys = [f"column_{index}" for index in range(len(term.constants))]
+    columns = [int(term.constants[key]) for key in keys if key in term.constants]
+    return direct(term, "current", "nt_per_a", columns)
+
+
 EFFECT = Effect(
     name="current_loop",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.BIAS_BY, "current"), (Watched.BIAS_BY, LIGHT)),
     title="currents in the harness or the solar arrays",
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
     units={"nt_per_a": "nT/A", "nt_full_sun": "nT"},
@@ -109,4 +132,5 @@ EFFECT = Effect(
         "Currents add {nt_full_sun} nT in full sun, with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    direct=_direct,
 )

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 INDUCED: Final = 0.27
@@ -57,6 +57,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="external_field",
+    acts_on=ActsOn.REFERENCE,
     title="currents above the craft: the ring current",
     equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials in time",
     units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s"},

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.scene.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
@@ -60,6 +60,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="hysteresis",
+    acts_on=ActsOn.FIELD,
     title="permeable parts remember the field",
     equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
     units={"share": "1", "share_matrix": "1", "half_width": "1", "scale_nt": "nT"},

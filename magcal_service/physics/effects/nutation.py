@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
 from magcal_service.physics.scene.steady_spin import across
 from magcal_service.physics.scene.view import View
 
@@ -107,6 +107,7 @@ def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) ->
 
 EFFECT = Effect(
     name="nutation",
+    acts_on=ActsOn.ATTITUDE,
     title="the craft nutates",
     equation="the momentum cones in the body: h = a_b + tan(angle) (b1 cos nu t + b2 sin nu t), w . h = H . a_i",
     units={"angle_deg": "deg", "rate_rad_s": "rad/s", "frequency_hz": "Hz"},

@@ -9,7 +9,7 @@ import numpy as np
 from magcal_service import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.drivers.far import shifted
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Watched
 from magcal_service.physics.scene.scene import Scene
 
 _STEP_KM = 10.0
@@ -82,6 +82,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="position_offset",
+    acts_on=ActsOn.REFERENCE,
+    not_live=("far along",),
+    watched=((Watched.SLOPE, ""),),
     title="the reference was computed at the wrong place",
     equation="H_ref at r + dr: |A H| = |H_ref| + grad|H| . dr, dr radial, along the track and across it",
     units={

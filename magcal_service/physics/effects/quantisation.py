@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _ON_LATTICE: Final = 0.04
@@ -54,6 +54,7 @@ def _find(view: View) -> Finding | None:
 
 EFFECT = Effect(
     name="quantisation",
+    acts_on=ActsOn.SAMPLES,
     title="values on a lattice",
     equation="B_i rounded to a multiple of q: adds a variance of q^2 / 12",
     units={"lsb_nt": "nT", "lsb_by_axis_nt": "nT", "added_noise_nt": "nT"},

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _YEAR_NS: Final = round(365.25 * 86400 * 1e9)
@@ -55,6 +55,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="reference_epoch",
+    acts_on=ActsOn.REFERENCE,
     title="the reference comes from old coefficients or a truncated series",
     equation="|A H| = |H_ref| + years * d|H|/dt (secular variation); or the terms above a degree, times a share",
     units={"years": "a", "share": "1"},

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -32,6 +32,7 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="response_lag",
+    acts_on=ActsOn.FIELD,
     title="the sensor answers late",
     equation="tau dy/dt = A H - y: what turns is short by 1 / sqrt(1 + w^2 tau^2), |B| by tau^2 |dB/dt|^2 / (2 |B|)",
     units={"tau2_s2": "s2", "tau_s": "s"},

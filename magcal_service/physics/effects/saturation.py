@@ -8,7 +8,17 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Finding, Hypothesis, Nonlinear, value_of
+from magcal_service.physics.interface import (
+    ActsOn,
+    Block,
+    Columns,
+    Effect,
+    Finding,
+    Hypothesis,
+    Nonlinear,
+    Watched,
+    value_of,
+)
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.view import View
 
@@ -67,6 +77,8 @@ def _find(view: View) -> Finding | None:
 
 EFFECT = Effect(
     name="saturation",
+    acts_on=ActsOn.SAMPLES,
+    watched=((Watched.FLAT_TOP, ""),),
     title="an axis stops or bends at the end of its range",
     equation="B_i = +-L beyond L; soft knee: what is missing grows as ((|B_i| - K) / (L - K))^2",
     units={

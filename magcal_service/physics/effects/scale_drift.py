@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import Block, Effect, gains
+from magcal_service.physics.interface import ActsOn, Block, Effect, Watched, gains
 
 EFFECT = Effect(
     name="scale_drift",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.SCALE_COURSE, ""),),
     title="the gain drifts",
     equation="D + diag(rate) t, so d = -diag(rate) t B; quadratic or relaxing as for a bias, t from the first sample",
     units={"per_s": "1/s", "per_s2": "1/s2", "end": "1", "time_constant_s": "s"},

@@ -7,7 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.interface import (
+    ActsOn,
+    Block,
+    Effect,
+    Hypothesis,
+    Values,
+    Watched,
+    common_gain,
+    gains,
+    value_of,
+)
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -25,6 +35,8 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="scale_step",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.SCALE_STEP, ""),),
     title="the gain changes at one instant",
     equation="D + diag(step) from t >= at, so d = -diag(step) B",
     units={"step": "1", "step_common": "1", "at_s": "s"},

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _LEAST_NATS: Final = 15.0
@@ -80,6 +80,7 @@ def _fitted(phase_rad: Array, share: Array, sigma_rad: Array, order: int) -> _Fi
 
 EFFECT = Effect(
     name="spin_rate",
+    acts_on=ActsOn.ATTITUDE,
     title="the spin rate is not what was assumed, or changes",
     equation="phase = phase_0 + rate t + change t^2 / 2, from the part of the field across the axis",
     units={"rate_rpm": "rpm", "rate_rpm_per_s": "rpm/s", "nominal_rpm": "rpm"},

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.physics.effects.quantisation import step_of
-from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
 from magcal_service.physics.scene.view import View, runs
 
 SHORTEST: Final = 25
@@ -52,6 +52,7 @@ def _find(view: View) -> Finding | None:
 
 EFFECT = Effect(
     name="stuck_axis",
+    acts_on=ActsOn.SAMPLES,
     title="an axis repeats one value",
     equation="B_i = const over a stretch while the other axes move",
     units={"axis": "1", "value_nt": "nT", "share_of_samples": "1", "from_s": "s", "to_s": "s"},

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.interface import LIGHT, ActsOn, Block, Columns, Effect, Hypothesis, Watched, along_axes
 from magcal_service.physics.scene.scene import Scene, Telemetry
 
 
@@ -56,6 +56,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="sun_disturbance",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.BIAS_BY, "sun"), (Watched.BIAS_BY, LIGHT)),
     title="a disturbance locked to the Sun's direction in the body",
     equation="d = lit (F s + second-degree harmonics of s), s the Sun's direction in the body",
     units={"nt": "nT", "second_nt": "nT", "light_nt": "nT"},

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from magcal_service.physics.drivers.temperature import inferred, recorded
-from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
+from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
+from magcal_service.physics.interface import WARMTH, ActsOn, Block, Effect, Hypothesis, Watched, along_axes
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -16,6 +16,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="thermal_bias",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.BIAS_BY, "temperature"), (Watched.BIAS_BY, WARMTH)),
     title="a bias that follows the sensor's temperature",
     equation="d = k (T - T0); where T is not recorded, dT/dt = (T_eq(lit) - T) / tau",
     units={
@@ -37,4 +39,5 @@ EFFECT = Effect(
         "{time_constant_s} s.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    direct=lambda term: direct_by_temperature(term, "nt_per_k"),
 )

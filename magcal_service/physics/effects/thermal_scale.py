@@ -8,8 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.drivers.temperature import inferred, recorded
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
+from magcal_service.physics.interface import (
+    WARMTH,
+    ActsOn,
+    Block,
+    Columns,
+    Effect,
+    Hypothesis,
+    Values,
+    Watched,
+    common_gain,
+    gains,
+    value_of,
+)
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -36,6 +48,8 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="thermal_scale",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.SCALE_BY, "temperature"), (Watched.SCALE_BY, WARMTH)),
     title="a gain that follows the sensor's temperature",
     equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B",
     units={
@@ -64,4 +78,5 @@ EFFECT = Effect(
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    direct=lambda term: direct_by_temperature(term, "per_k", is_gain=True),
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.physics.drivers.far import shifted
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Watched
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -26,6 +26,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 EFFECT = Effect(
     name="time_offset",
+    acts_on=ActsOn.REFERENCE_TIME,
+    not_live=("by minutes",),
+    watched=((Watched.SLOPE, ""),),
     title="time tags of sensor and reference disagree",
     equation="the field at the sensor at its tag t is H_ref(t + offset + drift t)",
     units={"offset_s": "s", "drift_ppm": "1e-6", "late_s": "s", "late_s_per_h": "s/h", "share": "1"},

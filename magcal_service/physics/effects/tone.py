@@ -8,12 +8,14 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.interface import (
+    ActsOn,
     Block,
     Columns,
     Effect,
     Hypothesis,
     Nonlinear,
     Values,
+    Watched,
     oscillation,
     value_of,
 )
@@ -42,6 +44,8 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="tone",
+    acts_on=ActsOn.FIELD,
+    watched=((Watched.LINE, ""),),
     title="a line at a fixed frequency, fixed in the body",
     equation="d = p cos(2 pi f t) + q sin(2 pi f t), f as sampled: |f_true - n f_s|",
     units={"cosine_nt": "nT", "sine_nt": "nT", "frequency_hz": "Hz", "amplitude_nt": "nT"},

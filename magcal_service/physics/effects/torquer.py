@@ -8,8 +8,19 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.drivers.torquing import inferred
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
+from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
+from magcal_service.physics.interface import (
+    ActsOn,
+    Block,
+    Columns,
+    Effect,
+    Hypothesis,
+    Nonlinear,
+    Values,
+    Watched,
+    along_axes,
+    value_of,
+)
 from magcal_service.physics.scene.scene import Scene
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
@@ -70,7 +81,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         with_largest = constants | {"largest_am2": largest}
         driven = _driven(scene, moment, largest)
         yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
-    yield from inferred(scene)
+    yield from inferred(scene, "torquer")
 
 
 def _derived(parameters: Values) -> Values:
@@ -81,6 +92,9 @@ def _derived(parameters: Values) -> Values:
 
 EFFECT = Effect(
     name="torquer",
+    acts_on=ActsOn.FIELD,
+    not_live=(DETUMBLING, DUMPING),
+    watched=((Watched.BIAS_BY, "magnetic moment"),),
     title="magnetic torquers",
     equation="d = M m(t), m with the coil's decay L/R, and a remanence that keeps the sign of the last command",
     units={

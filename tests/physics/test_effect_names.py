@@ -1,0 +1,113 @@
+"""One owner for each effect: its name stands as a text in its own file alone."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from magcal_service.physics import effects
+from magcal_service.physics.catalogue import catalogue, watched_as
+from magcal_service.physics.interface import ActsOn, Watched
+
+ROOT = Path(__file__).resolve().parents[2]
+HOME = Path(effects.__file__).parent
+NAMES = {effect.name for effect in catalogue()}
+
+ANOTHER_MEANING = {
+    ("magcal_service/trust/modes.py", "stuck_axis"),  # a degraded mode of that name
+    ("sim_sensor/field.py", "reference_epoch"),  # keys of the simulator's own scenarios,
+    ("sim_sensor/scenario.py", "torquer"),  # which shares nothing with the catalogue
+}
+
+
+def texts(tree: ast.AST) -> Iterator[ast.Constant]:
+    """String literals that are no docstring."""
+    documents = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+            yield node
+
+
+def references(tree: ast.AST) -> set[int]:
+    """What stands in ``confused_with=(...)``: whom an effect may be taken for is its own to say, by name."""
+    return {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.keyword) and node.arg == "confused_with"
+        for part in ast.walk(node.value)
+    }
+
+
+def strangers(path: Path) -> list[str]:
+    """Names of effects that a file holds and does not own."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    allowed = references(tree) if path.parent == HOME else set()
+    own = {path.stem} if path.parent == HOME else set()
+    place = path.relative_to(ROOT).as_posix()
+    return [
+        f"{place}:{node.lineno}: {node.value}"
+        for node in texts(tree)
+        if node.value in NAMES - own and id(node) not in allowed and (place, node.value) not in ANOTHER_MEANING
+    ]
+
+
+def test_no_effect_is_named_outside_its_own_file() -> None:
+    files = [path for room in ("magcal_service", "sim_sensor") for path in (ROOT / room).rglob("*.py")]
+    assert len(files) > 200
+    assert [found for path in files for found in strangers(path)] == []
+
+
+def test_a_name_in_another_file_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "stray.py"
+    path.write_text('"""thermal_bias"""\nx = ["thermal_bias"]\n', encoding="utf-8")
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    assert strangers(path) == ["stray.py:2: thermal_bias"]
+
+
+def test_what_each_effect_disturbs_is_one_of_six_kinds() -> None:
+    kinds = {kind: {effect.name for effect in catalogue() if effect.acts_on is kind} for kind in ActsOn}
+    assert kinds[ActsOn.REFERENCE_TIME] == {"time_offset"}
+    assert kinds[ActsOn.REFERENCE] == {"external_field", "position_offset", "reference_epoch"}
+    assert kinds[ActsOn.SAMPLES] == {"stuck_axis", "saturation", "quantisation"}
+    assert kinds[ActsOn.ATTITUDE] == {"nutation", "spin_rate"}
+    assert kinds[ActsOn.NOISE] == {"coloured_noise"}
+    assert len(kinds[ActsOn.FIELD]) == 14
+
+
+def test_an_effect_of_the_field_or_the_reference_can_be_compensated_live() -> None:
+    assert [kind for kind in ActsOn if kind.is_live] == [ActsOn.FIELD, ActsOn.REFERENCE, ActsOn.REFERENCE_TIME]
+    for effect in catalogue():
+        assert effect.acts_on.is_live or not (effect.not_live or effect.needs_rate)
+
+
+@pytest.mark.parametrize(
+    ("kind", "quantity", "names"),
+    [
+        (Watched.BIAS_BY, "temperature", ("thermal_bias",)),
+        (Watched.SCALE_BY, "temperature", ("thermal_scale",)),
+        (Watched.BIAS_BY, "light", ("current_loop", "sun_disturbance")),
+        (Watched.BIAS_BY, "current", ("current_loop",)),
+        (Watched.BIAS_BY, "magnetic moment", ("torquer",)),
+        (Watched.SCALE_BY, "current", ()),
+        (Watched.SLOPE, "", ("position_offset", "time_offset")),
+        (Watched.CUBE, "", ("cubic_response",)),
+        (Watched.FLAT_TOP, "", ("saturation",)),
+        (Watched.MEMORY, "", ("coloured_noise",)),
+        (Watched.LINE, "", ("tone",)),
+        (Watched.BIAS_COURSE, "", ("bias_drift",)),
+        (Watched.SCALE_COURSE, "", ("scale_drift",)),
+        (Watched.BIAS_STEP, "", ("bias_step",)),
+        (Watched.SCALE_STEP, "", ("scale_step",)),
+    ],
+)
+def test_the_watch_asks_the_effects_what_it_may_be_seeing(kind: Watched, quantity: str, names: tuple[str, ...]) -> None:
+    assert watched_as(kind, quantity) == names
