@@ -1,4 +1,4 @@
-"""Live objects to plain data and back, by the type hints of the attributes that they name.
+"""Live objects to plain data and back, by the fields of the dataclass that holds their memory.
 
 Numbers, texts and arrays alone are written; what is read has to fit the hints to the last element, and no number may be
 a NaN or an infinity.  Nothing in the data chooses a class or runs code: the object that is restored was built from its
@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from functools import cache
-from typing import Any, Final, NoReturn, TypeVar, cast, get_args, get_origin
+from typing import Any, ClassVar, Final, NoReturn, TypeVar, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,20 @@ class SnapshotError(MagcalError):
     """Data that do not fit the object they are to be restored into; names where, and what is accepted there."""
 
 
-class Saved:
-    """An object whose state are the attributes that its class, and those it derives from, declare with their types."""
+class Stateful:
+    """An object with a memory: a dataclass that it also derives from, whose fields are all that outlives a restart.
+
+    ``class Ukf(Stateful, UkfMemory)``: the fields of ``UkfMemory`` are attributes of the filter, they are saved and
+    restored whole, and what else is set after the construction is named in ``worked_out``, because it follows from
+    them.  ``tests/ground/test_stateful.py`` holds every class to that.
+    """
+
+    worked_out: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are set after the construction and follow from the memory."""
 
     def export_state(self) -> dict[str, Any]:
-        """The state as plain data: maps, arrays, numbers, texts and bytes."""
-        return {name: plain(getattr(self, name)) for name in _hints(type(self))}
+        """The memory as plain data: maps, arrays, numbers, texts and bytes."""
+        return {name: plain(getattr(self, name)) for name in _memory(type(self))}
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Take over an exported state.
@@ -51,7 +59,7 @@ class Saved:
 
         Raises SnapshotError; the object is of no use then and has to be built anew.
         """
-        hints = _hints(type(self))
+        hints = _memory(type(self))
         if not isinstance(saved, dict) or set(saved) != set(hints):
             _refuse(where, saved, f"a map of {', '.join(hints)}")
         for name, hint in hints.items():
@@ -66,13 +74,22 @@ def _read_hints(kind: type) -> dict[str, Any]:
 _hints: Final = cast("Callable[[type], dict[str, Any]]", cache(_read_hints))
 
 
+def _read_memory(kind: type) -> dict[str, Any]:
+    """The fields of a class's memory, with their types."""
+    hints = _hints(kind)
+    return {part.name: hints[part.name] for part in fields(kind)} if is_dataclass(kind) else {}
+
+
+_memory: Final = cast("Callable[[type], dict[str, Any]]", cache(_read_memory))
+
+
 def _refuse(where: str, value: object, accepted: str) -> NoReturn:
     raise SnapshotError(f"{where} is {type(value).__name__}; {accepted} is accepted")
 
 
 def plain(value: Any) -> Any:
     """Plain data of any value that a saved attribute may have."""
-    if isinstance(value, Saved):
+    if isinstance(value, Stateful):
         return value.export_state()
     if isinstance(value, np.ndarray):
         return [list(value.shape), value.astype(value.dtype.newbyteorder("<")).tobytes()]
@@ -112,7 +129,7 @@ def restored(data: Any, hint: Any, where: str, template: Any = None, given: Mapp
             return None
         options = tuple(option for option in options if option is not type(None))
     kind = options[0]
-    if isinstance(template, Saved):
+    if isinstance(template, Stateful):
         template.restore_state(data, where, _arguments(kind))
         return template
     if kind in (Array, _BOOLS):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import parse_model
-from magcal_service.snapshot import Saved, SnapshotError, restored
+from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
@@ -78,13 +78,9 @@ _UPPER_3 = np.triu_indices(3)
 _IDENTITY_3 = np.eye(3)
 
 
-class Pipeline(Saved):
-    """Everything the daemon does for one craft.
-
-    Parameters
-    ----------
-    config: the craft's configuration.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class PipelineMemory:
+    """What of ``Pipeline`` outlives a restart, saved and restored whole."""
 
     ticks: TickAssembler
     estimator: Estimator
@@ -103,6 +99,18 @@ class Pipeline(Saved):
     _physics: str
     compensation: Compensation | None
     watch: ModelWatch
+
+
+class Pipeline(Stateful, PipelineMemory):
+    """Everything the daemon does for one craft.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    """
+
+    worked_out = ("_events", "_state", "_walk", "trust")
+    """Events leave with the message that caused them; the others follow from estimator, monitor and configuration."""
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config

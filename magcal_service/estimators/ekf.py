@@ -12,6 +12,8 @@ the extended filter; Cetin, Soken & Tekinalp 2020, equations (2)-(4), who report
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
@@ -19,14 +21,26 @@ from magcal_service.estimators.interface import Method, Phase, StateEstimate, Ti
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.model import STATE_SIZE, Array, calibrate, field_jacobian
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _FIRST_NOISE = 0.01
 """Share of |H| that stands for an unknown noise level before it is learned."""
 
 
-class Ekf(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class EkfMemory:
+    """What of ``Ekf`` outlives a restart, saved and restored whole."""
+
+    _x: Array
+    _covariance: Array
+    _noise: NoiseLevel
+    _phase: Phase
+    _samples: int
+    _time_s: float | None
+
+
+class Ekf(Stateful, EkfMemory):
     """One craft's filter.
 
     Parameters
@@ -35,13 +49,6 @@ class Ekf(Saved):
     """
 
     name = "ekf"
-
-    _x: Array
-    _covariance: Array
-    _noise: NoiseLevel
-    _phase: Phase
-    _samples: int
-    _time_s: float | None
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config

@@ -100,7 +100,7 @@ class Estimator(Protocol):
         """The estimate after the last tick."""
 
     def export_state(self) -> dict[str, Any]:
-        """The whole state as plain data (``snapshot.Saved``)."""
+        """The whole state as plain data (``snapshot.Stateful``)."""
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Take over an exported state; ``SnapshotError`` where it does not fit."""

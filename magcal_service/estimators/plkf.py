@@ -14,6 +14,8 @@ Soken & Tekinalp 2020, equation (6) with D = 0.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
@@ -22,14 +24,23 @@ from magcal_service.estimators.interface import Method, Phase, StateEstimate, Ti
 from magcal_service.estimators.parts.bias_only import BiasState
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.model import scalar_residual
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _LEAK_MEMORY_S = 1500.0
 """Time over which the leak keeps its sign: a quarter of a low orbit."""
 
 
-class Plkf(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class PlkfMemory:
+    """What of ``Plkf`` outlives a restart, saved and restored whole."""
+
+    _state: BiasState
+    _windows: SpinWindows
+    _time_s: float | None
+
+
+class Plkf(Stateful, PlkfMemory):
     """One craft's filter.
 
     Parameters
@@ -40,10 +51,6 @@ class Plkf(Saved):
     """
 
     name = "plkf"
-
-    _state: BiasState
-    _windows: SpinWindows
-    _time_s: float | None
 
     def __init__(self, config: CraftConfig) -> None:
         self._spin = _spin_of(config)

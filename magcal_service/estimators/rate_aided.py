@@ -18,6 +18,7 @@ dB/dt = -w x (B - b); Sakai 2011 for spinning craft; Wu 2019.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -27,7 +28,7 @@ from magcal_service.estimators.interface import Method, Phase, StateEstimate, Ti
 from magcal_service.estimators.parts.bias_only import BiasState
 from magcal_service.estimators.parts.spin_window import LEO_FIELD_RATE_RAD_S
 from magcal_service.model import Array, scalar_residual
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 GYRO_NOISE_RAD_S: Final = 1e-3
@@ -54,14 +55,19 @@ def rotation(rate_rad_s: Array, seconds: float) -> Array:
     return turned
 
 
-class _RateNoise(Saved):
-    """Noise of the gyro by its second differences, and how far the axis of turning really changes."""
+@dataclass(init=False, repr=False, eq=False)
+class _RateNoiseMemory:
+    """What of ``_RateNoise`` outlives a restart, saved and restored whole."""
 
     _last: list[Array]
     _count: int
     _noise: float
     _change: Array
     _expected: float
+
+
+class _RateNoise(Stateful, _RateNoiseMemory):
+    """Noise of the gyro by its second differences, and how far the axis of turning really changes."""
 
     def __init__(self) -> None:
         self._last = []
@@ -93,15 +99,9 @@ class _RateNoise(Saved):
         return projector
 
 
-class RateAided(Saved):
-    """One craft's filter.
-
-    Parameters
-    ----------
-    config: the craft's configuration (sensor, filter's prior and process noise of the bias).
-    """
-
-    name = "rate-aided"
+@dataclass(init=False, repr=False, eq=False)
+class RateAidedMemory:
+    """What of ``RateAided`` outlives a restart, saved and restored whole."""
 
     _state: BiasState
     _joint: Array
@@ -110,6 +110,17 @@ class RateAided(Saved):
     _last: tuple[float, Array, Array | None] | None
     _norm: float
     _updates: int
+
+
+class RateAided(Stateful, RateAidedMemory):
+    """One craft's filter.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, filter's prior and process noise of the bias).
+    """
+
+    name = "rate-aided"
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from functools import reduce
 from operator import add
 from typing import Final
@@ -23,7 +24,7 @@ import numpy as np
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method
 from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums, scaled, unscaled_information
-from magcal_service.estimators.two_step import Solution, TwoStep
+from magcal_service.estimators.two_step import Solution, TwoStep, TwoStepMemory
 from magcal_service.ticks.assembler import Tick
 
 WINDOW_S: Final = 5400.0
@@ -35,7 +36,15 @@ DECAY_S: Final = 1800.0
 _BLOCK_S: Final = 60.0
 
 
-class SlidingBatch(TwoStep):
+@dataclass(init=False, repr=False, eq=False)
+class SlidingBatchMemory(TwoStepMemory):
+    """What of ``SlidingBatch`` outlives a restart, saved and restored whole."""
+
+    _blocks: deque[tuple[float, MagnitudeSums]]  # time of the first sample, sums
+    _now_s: float
+
+
+class SlidingBatch(TwoStep, SlidingBatchMemory):
     """One craft's sliding batch.
 
     Parameters
@@ -46,9 +55,6 @@ class SlidingBatch(TwoStep):
     """
 
     name = "sliding-batch"
-
-    _blocks: deque[tuple[float, MagnitudeSums]]  # time of the first sample, sums
-    _now_s: float
 
     def __init__(self, config: CraftConfig, *, window_s: float = WINDOW_S, decay_s: float = DECAY_S) -> None:
         self.window_s, self.decay_s = window_s, decay_s

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -30,7 +30,7 @@ from magcal_service.estimators.steady_spin.state import ERRORS, SPIN_STATE_SIZE,
 from magcal_service.estimators.steady_spin.watch import SpinGate, SpinWatch
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _PHASE_LOST_RAD: Final = 0.3
@@ -53,7 +53,20 @@ def configured_tie(config: CraftConfig, sigma_rad: float) -> AxisTie | None:
     return AxisTie(across_axis(np.array(config.spin.axis)), max(sigma_rad, SMALLEST_AXIS_SIGMA_RAD))
 
 
-class SpinTracker(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class SpinTrackerMemory:
+    """What of ``SpinTracker`` outlives a restart, saved and restored whole."""
+
+    state: SpinState
+    time_s: float
+    noise_variance: float
+    _noise_samples: int
+    _rate_walk: float
+    _watch: SpinWatch
+    lost: SpinGate | None
+
+
+class SpinTracker(Stateful, SpinTrackerMemory):
     """The running filter with its noise level and its watch.
 
     Parameters
@@ -63,14 +76,6 @@ class SpinTracker(Saved):
     error_walk: variance that the nine errors gain per second (9,), or None.
     time_s: sample time of the start [s].
     """
-
-    state: SpinState
-    time_s: float
-    noise_variance: float
-    _noise_samples: int
-    _rate_walk: float
-    _watch: SpinWatch
-    lost: SpinGate | None
 
     def __init__(self, config: CraftConfig, start: SpinStart, error_walk: Array | None, time_s: float) -> None:
         self.state = start.state
@@ -116,17 +121,9 @@ class SpinTracker(Saved):
         self.state.covariance = self.state.covariance * factor
 
 
-class SpinFilter(Saved):
-    """One craft's spin estimator with its scalar fallback.
-
-    Parameters
-    ----------
-    config: the craft's configuration (sensor, spin, filter); without a spin the whole range of rates is searched.
-    axis_sigma_rad: how well the configured axis is known [rad]; 0: exactly, until the samples contradict it.
-    rate_walk: random walk of the body rate to begin with [rad/s/sqrt(s)]; it is raised where the spin changes.
-    """
-
-    name = "spin"
+@dataclass(init=False, repr=False, eq=False)
+class SpinFilterMemory:
+    """What of ``SpinFilter`` outlives a restart, saved and restored whole."""
 
     _scalar: Ukf
     _search: SpinSearch
@@ -137,6 +134,19 @@ class SpinFilter(Saved):
     _restarts: int
     _scalar_restarts: int
     fallbacks: int
+
+
+class SpinFilter(Stateful, SpinFilterMemory):
+    """One craft's spin estimator with its scalar fallback.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, spin, filter); without a spin the whole range of rates is searched.
+    axis_sigma_rad: how well the configured axis is known [rad]; 0: exactly, until the samples contradict it.
+    rate_walk: random walk of the body rate to begin with [rad/s/sqrt(s)]; it is raised where the spin changes.
+    """
+
+    name = "spin"
 
     def __init__(self, config: CraftConfig, axis_sigma_rad: float = 0.0, rate_walk: float = 0.0) -> None:
         self.config = config

@@ -34,7 +34,7 @@ from magcal_service.estimators.parts.magnitude_sums import (
 from magcal_service.estimators.parts.noise_level import NoiseLevel, is_sound, squared_innovations
 from magcal_service.estimators.parts.start import HANDOVER_SHARE, LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _ITERATIONS: Final = 60
@@ -186,16 +186,9 @@ class _Problem:
         return unscaled_covariance(self._variance * np.linalg.inv(self._normal(y)))
 
 
-class TwoStep(Saved):
-    """One craft's batch.
-
-    Parameters
-    ----------
-    config: the craft's configuration (sensor, filter's prior and ``start_s``).
-    corrected: as ``two_step``.
-    """
-
-    name = "two-step"
+@dataclass(init=False, repr=False, eq=False)
+class TwoStepMemory:
+    """What of ``TwoStep`` outlives a restart, saved and restored whole."""
 
     _x: Array
     _covariance: Array
@@ -209,6 +202,18 @@ class TwoStep(Saved):
     _fresh: int
     _solved_count: float
     _all: MagnitudeSums
+
+
+class TwoStep(Stateful, TwoStepMemory):
+    """One craft's batch.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, filter's prior and ``start_s``).
+    corrected: as ``two_step``.
+    """
+
+    name = "two-step"
 
     def __init__(self, config: CraftConfig, *, corrected: bool = True) -> None:
         self.config = config

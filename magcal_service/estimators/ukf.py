@@ -14,7 +14,7 @@ Source: Cetin, Soken, Tekinalp 2020, equations (2)-(8); Crassidis, Lai & Harman 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -34,7 +34,7 @@ from magcal_service.estimators.parts.unscented import (
     transformed_innovation,
 )
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 REJECTED_MEMORY: Final = 60
@@ -84,19 +84,9 @@ def _only(tick: Tick, used: NDArray[np.bool_]) -> Tick:
     )
 
 
-class Ukf(Saved):
-    """One craft's filter.
-
-    Parameters
-    ----------
-    config: the craft's configuration (sensor, spin, filter).
-
-    Attributes
-    ----------
-    changes: jumps of the errors that ``filter.adaptive`` has found and followed.
-    """
-
-    name = "ukf"
+@dataclass(init=False, repr=False, eq=False)
+class UkfMemory:
+    """What of ``Ukf`` outlives a restart, saved and restored whole."""
 
     _x: Array
     _covariance: Array
@@ -121,6 +111,21 @@ class Ukf(Saved):
     _spin_norm: float
     _spin_count: int
     _detector: ChangeDetector | None
+
+
+class Ukf(Stateful, UkfMemory):
+    """One craft's filter.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, spin, filter).
+
+    Attributes
+    ----------
+    changes: jumps of the errors that ``filter.adaptive`` has found and followed.
+    """
+
+    name = "ukf"
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config

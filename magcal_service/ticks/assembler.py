@@ -38,7 +38,7 @@ import numpy as np
 
 from magcal_service.config.settings import SensorConfig, TickConfig
 from magcal_service.model import Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.axis_watch import AxisWatch
 from magcal_service.ticks.rate_track import RateTrack
 from magcal_service.ticks.reference_track import ReferenceTrack
@@ -99,14 +99,9 @@ class Tick:
     rate_body_rad_s: Array | None = None
 
 
-class TickAssembler(Saved):
-    """One craft's samples on their way into ticks.
-
-    Parameters
-    ----------
-    config: times of the tick stage.
-    sensor: when a sensor counts as stuck.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class TickAssemblerMemory:
+    """What of ``TickAssembler`` outlives a restart, saved and restored whole."""
 
     counters: Counter[str]
     rates: RateTrack
@@ -124,6 +119,18 @@ class TickAssembler(Saved):
     _last_field: Vector | None
     _axes: AxisWatch
     _done: list[Tick]
+
+
+class TickAssembler(Stateful, TickAssemblerMemory):
+    """One craft's samples on their way into ticks.
+
+    Parameters
+    ----------
+    config: times of the tick stage.
+    sensor: when a sensor counts as stuck.
+    """
+
+    worked_out = ("_hold_ns",)  # of the configuration and of the physics that is loaded
 
     def __init__(self, config: TickConfig, sensor: SensorConfig) -> None:
         self.sensor = sensor

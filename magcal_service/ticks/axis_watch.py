@@ -7,9 +7,10 @@ there it is a fault when the value has stood for a minute while another componen
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.wire.messages import Vector
 
 _FEWEST: Final = 60
@@ -25,15 +26,9 @@ _MOVED: Final = 0.2
 """How far another component has to move meanwhile, as a share of the vector's length."""
 
 
-class AxisWatch(Saved):
-    """Watches the three components of one sensor.
-
-    Parameters
-    ----------
-    longest_ns: how long a component may keep one value while the others move [ns].
-    fewest: identical values in a row that are a fault where noise would have changed them.
-    noise_nt: the sensor's noise, 1 sigma [nT]; None: not known.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class AxisWatchMemory:
+    """What of ``AxisWatch`` outlives a restart, saved and restored whole."""
 
     _last: list[float]
     _count: list[int]
@@ -42,6 +37,17 @@ class AxisWatch(Saved):
     _seen: list[list[float]]
     _low: list[list[float]]
     _high: list[list[float]]
+
+
+class AxisWatch(Stateful, AxisWatchMemory):
+    """Watches the three components of one sensor.
+
+    Parameters
+    ----------
+    longest_ns: how long a component may keep one value while the others move [ns].
+    fewest: identical values in a row that are a fault where noise would have changed them.
+    noise_nt: the sensor's noise, 1 sigma [nT]; None: not known.
+    """
 
     def __init__(self, longest_ns: int, fewest: int, noise_nt: float | None) -> None:
         self._longest_ns, self._fewest, self._noise_nt = longest_ns, fewest, noise_nt or 0.0

@@ -7,9 +7,10 @@ The rate is interpolated linearly between the two samples around the time asked 
 from __future__ import annotations
 
 from bisect import bisect_left
+from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, TelemetrySample, Vector
 
@@ -17,18 +18,23 @@ _MOST: Final = 8192
 """Rates kept at most; the oldest go first."""
 
 
-class RateTrack(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class RateTrackMemory:
+    """What of ``RateTrack`` outlives a restart, saved and restored whole."""
+
+    _channel: str
+    _clock: Clock | None
+    _times: list[int]
+    _rates: list[Vector]
+
+
+class RateTrack(Stateful, RateTrackMemory):
     """Rates of one craft, by time.
 
     Parameters
     ----------
     max_gap_ns: two samples further apart are not interpolated between [ns].
     """
-
-    _channel: str
-    _clock: Clock | None
-    _times: list[int]
-    _rates: list[Vector]
 
     def __init__(self, max_gap_ns: int) -> None:
         self._max_gap_ns = max_gap_ns

@@ -20,7 +20,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.wire.messages import Clock, Frame, ReferenceSample, Vector
 
 _MOST: Final = 8192
@@ -44,7 +44,17 @@ class Reference:
     field_eci_nt: Vector | None
 
 
-class ReferenceTrack(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class ReferenceTrackMemory:
+    """What of ``ReferenceTrack`` outlives a restart, saved and restored whole."""
+
+    _clock: Clock | None
+    _times: list[int]
+    _found: list[Reference]
+    _votes: list[ReferenceSample]
+
+
+class ReferenceTrack(Stateful, ReferenceTrackMemory):
     """Reference samples of one craft, by time.
 
     Parameters
@@ -54,10 +64,7 @@ class ReferenceTrack(Saved):
     late_ns, jump_ns: a sample further behind or ahead of the newest has to be confirmed [ns].
     """
 
-    _clock: Clock | None
-    _times: list[int]
-    _found: list[Reference]
-    _votes: list[ReferenceSample]
+    worked_out = ("_counters",)  # the assembler's, which saves them
 
     def __init__(self, max_gap_ns: int, counters: Counter[str], late_ns: int, jump_ns: int) -> None:
         self._max_gap_ns, self._late_ns, self._jump_ns = max_gap_ns, late_ns, jump_ns

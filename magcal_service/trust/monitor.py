@@ -19,7 +19,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.kinds import MAX_REASONS
@@ -88,13 +88,9 @@ def _largest_variance(estimate: StateEstimate, field_nt: Array) -> float:
     return float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1])
 
 
-class TrustMonitor(Saved):
-    """Watches one craft's ticks.
-
-    Parameters
-    ----------
-    config: the craft's configuration.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class TrustMonitorMemory:
+    """What of ``TrustMonitor`` outlives a restart, saved and restored whole."""
 
     _innovation: float
     _rejected_share: float
@@ -118,6 +114,15 @@ class TrustMonitor(Saved):
     _sudden_share: float
     _frozen: bool
     _unchecked_s: float
+
+
+class TrustMonitor(Stateful, TrustMonitorMemory):
+    """Watches one craft's ticks.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    """
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
@@ -328,12 +333,17 @@ class TrustMonitor(Saved):
         return unfinished
 
 
-class Moments(Saved):
-    """Running mean and standard deviation (Welford 1962)."""
+@dataclass(init=False, repr=False, eq=False)
+class MomentsMemory:
+    """What of ``Moments`` outlives a restart, saved and restored whole."""
 
     mean: float
     _count: int
     _sum: float
+
+
+class Moments(Stateful, MomentsMemory):
+    """Running mean and standard deviation (Welford 1962)."""
 
     def __init__(self) -> None:
         self._count, self.mean, self._sum = 0, 0.0, 0.0

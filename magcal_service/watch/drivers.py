@@ -18,7 +18,7 @@ from magcal_service import geomagnetic
 from magcal_service.physics.apply.compensation import stale_after_s
 from magcal_service.physics.interface import LIGHT, WARMTH
 from magcal_service.physics.scene.sunlight import sun_eci, sunlit
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame, PositionSample, TelemetrySample
 
@@ -62,11 +62,16 @@ class Series:
     values: list[tuple[float, ...]]
 
 
-class DriverTrack(Saved):
-    """Drivers of one craft, by time."""
+@dataclass(init=False, repr=False, eq=False)
+class DriverTrackMemory:
+    """What of ``DriverTrack`` outlives a restart, saved and restored whole."""
 
     _channels: dict[str, Series]
     _light: list[tuple[int, float, float]]
+
+
+class DriverTrack(Stateful, DriverTrackMemory):
+    """Drivers of one craft, by time."""
 
     def __init__(self) -> None:
         self._channels = {}

@@ -23,7 +23,7 @@ from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian, without_radial_noise
 from magcal_service.physics.catalogue import watched_as
 from magcal_service.physics.interface import Watched
-from magcal_service.snapshot import Saved, SnapshotError
+from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch.drivers import Driver, DriverTrack, value_of
 from magcal_service.watch.evidence import (
@@ -120,13 +120,9 @@ def likely(explanations: list[Explanation], samples: int) -> list[Explanation]:
     return [one for one in named if one.score(samples) > named[0].score(samples) - CLASS_NATS]
 
 
-class ModelWatch(Saved):
-    """Watches one craft's residual.
-
-    Parameters
-    ----------
-    gate_sigma: a residual beyond so many sigmas is far off.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class ModelWatchMemory:
+    """What of ``ModelWatch`` outlives a restart, saved and restored whole."""
 
     drivers: DriverTrack
     finding: Finding | None
@@ -148,6 +144,15 @@ class ModelWatch(Saved):
     _share: Array
     _samples: int
     _began_s: float
+
+
+class ModelWatch(Stateful, ModelWatchMemory):
+    """Watches one craft's residual.
+
+    Parameters
+    ----------
+    gate_sigma: a residual beyond so many sigmas is far off.
+    """
 
     def __init__(self, gate_sigma: float) -> None:
         self._gate = gate_sigma

@@ -32,7 +32,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 
 EVERY_TICKS: Final = 16
 """Ticks between two tests, and between the newest candidates for the time of a jump."""
@@ -131,17 +131,22 @@ class _Open:
     free: slice
 
 
-class ChangeDetector(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class ChangeDetectorMemory:
+    """What of ``ChangeDetector`` outlives a restart, saved and restored whole."""
+
+    _tick: int
+    _past: list[_Past]
+    _open: _Open | None
+
+
+class ChangeDetector(Stateful, ChangeDetectorMemory):
     """Asks one filter, tick by tick, whether the errors have jumped.
 
     Parameters
     ----------
     walk: covariance of the random walk per second (9, 9) [nT, -]; None: no process noise.
     """
-
-    _tick: int
-    _past: list[_Past]
-    _open: _Open | None
 
     def __init__(self, walk: Array | None = None) -> None:
         self._walk = walk

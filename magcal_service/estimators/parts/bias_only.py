@@ -6,6 +6,8 @@ its covariance hold for D = 0 only.  A true D moves their bias by about D times 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
@@ -13,16 +15,12 @@ from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.model import BIAS, STATE_SIZE, Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 
 
-class BiasState(Saved):
-    """A bias with its covariance, and the account that every estimator keeps.
-
-    Parameters
-    ----------
-    config: the craft's configuration (sensor, filter's prior and process noise of the bias).
-    """
+@dataclass(init=False, repr=False, eq=False)
+class BiasStateMemory:
+    """What of ``BiasState`` outlives a restart, saved and restored whole."""
 
     bias_nt: Array
     covariance: Array
@@ -30,6 +28,15 @@ class BiasState(Saved):
     phase: Phase
     samples: int
     rejected: int
+
+
+class BiasState(Stateful, BiasStateMemory):
+    """A bias with its covariance, and the account that every estimator keeps.
+
+    Parameters
+    ----------
+    config: the craft's configuration (sensor, filter's prior and process noise of the bias).
+    """
 
     def __init__(self, config: CraftConfig) -> None:
         self._prior = prior_sigma(config.filter)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from magcal_service.model import BIAS, D_ALL, Array, calibrate, d_matrix, field_jacobian
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 
 _MEMORY: Final = 600
 """Samples over which an unknown noise level is averaged: 3 % of its value."""
@@ -17,7 +18,17 @@ _SETTLED: Final = 30
 """Residuals from which on the second differences are believed."""
 
 
-class NoiseLevel(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class NoiseLevelMemory:
+    """What of ``NoiseLevel`` outlives a restart, saved and restored whole."""
+
+    total_nt: float
+    white_nt: float
+    _count: int
+    _before: list[float]
+
+
+class NoiseLevel(Stateful, NoiseLevelMemory):
     """1 sigma of the residual, and of the part of it that is white.
 
     The second difference of white noise s has the variance 6 s^2 and leaves out what is slow, so physics that was left
@@ -27,11 +38,6 @@ class NoiseLevel(Saved):
     ----------
     given_nt: 1 sigma per axis [nT], then never changed; None: learned.
     """
-
-    total_nt: float
-    white_nt: float
-    _count: int
-    _before: list[float]
 
     def __init__(self, given_nt: float | None) -> None:
         self.given_nt = given_nt

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from magcal_service.config.settings import SpinConfig, SpinWindow
 from magcal_service.model import Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 LEO_FIELD_RATE_RAD_S: Final = 2.3e-3
@@ -148,7 +148,16 @@ def _against_fit(
     return scaled, _UNSOUND * noise_nt if noise_nt else _UNSOUND_BY_MEDIAN * float(np.median(scaled[keep]))
 
 
-class SpinWindows(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class SpinWindowsMemory:
+    """What of ``SpinWindows`` outlives a restart, saved and restored whole."""
+
+    _ticks: deque[Tick]
+    _first_s: float
+    _samples: int
+
+
+class SpinWindows(Stateful, SpinWindowsMemory):
     """Collects ticks into windows of spin.
 
     Parameters
@@ -156,10 +165,6 @@ class SpinWindows(Saved):
     spin: the configured spin.
     noise_nt: the sensor's noise, 1 sigma per axis [nT]; None: not known.
     """
-
-    _ticks: deque[Tick]
-    _first_s: float
-    _samples: int
 
     def __init__(self, spin: SpinConfig, noise_nt: float | None = None) -> None:
         self.spin = spin

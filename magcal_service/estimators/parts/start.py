@@ -26,7 +26,7 @@ from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 Entry = TypeVar("Entry")
@@ -234,13 +234,9 @@ def vector_sigma(covariance: Array, field_nt: Array) -> float:
     return float(np.sqrt(variance.max()))
 
 
-class StartBuffer(Saved, Generic[Entry]):
-    """What is kept towards a start, one entry a tick, and when a start is due.
-
-    Parameters
-    ----------
-    start_s: sample time after which a start is first tried [s].
-    """
+@dataclass(init=False, repr=False, eq=False)
+class StartBufferMemory(Generic[Entry]):
+    """What of ``StartBuffer`` outlives a restart, saved and restored whole."""
 
     stride: int
     samples: int
@@ -249,6 +245,15 @@ class StartBuffer(Saved, Generic[Entry]):
     _seen: int
     _last_s: float | None
     _attempt_at_s: float
+
+
+class StartBuffer(Stateful, StartBufferMemory[Entry]):
+    """What is kept towards a start, one entry a tick, and when a start is due.
+
+    Parameters
+    ----------
+    start_s: sample time after which a start is first tried [s].
+    """
 
     def __init__(self, start_s: float) -> None:
         self.stride = 1
@@ -287,7 +292,18 @@ class StartBuffer(Saved, Generic[Entry]):
         return True
 
 
-class StartCollector(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class StartCollectorMemory:
+    """What of ``StartCollector`` outlives a restart, saved and restored whole."""
+
+    gate: StartGate | None
+    spin_contradicted: bool
+    noise_contradicted: bool
+    _ticks: StartBuffer[Tick]
+    _windows: list[Window]
+
+
+class StartCollector(Stateful, StartCollectorMemory):
     """Collects ticks until a batch solution passes every gate.
 
     Parameters
@@ -301,12 +317,6 @@ class StartCollector(Saved):
     spin_contradicted: the solution is one without the spin windows, because with them nothing fitted.
     noise_contradicted: the solution is one that takes the noise from the residual.
     """
-
-    gate: StartGate | None
-    spin_contradicted: bool
-    noise_contradicted: bool
-    _ticks: StartBuffer[Tick]
-    _windows: list[Window]
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config

@@ -9,14 +9,19 @@ import numpy as np
 
 from magcal_service.estimators.steady_spin.fit import Samples
 from magcal_service.model import Array
-from magcal_service.snapshot import Saved, SnapshotError, plain, restored
+from magcal_service.snapshot import SnapshotError, Stateful, plain, restored
 
 CAPACITY: Final = 16384
 """Samples kept, 0.9 MB: three orbits at 1 Hz, half an orbit at 6 Hz."""
 
 
-class SampleBuffer(Saved):
-    """The newest samples; when it is full, the oldest quarter goes."""
+class SampleBuffer(Stateful):
+    """The newest samples; when it is full, the oldest quarter goes.
+
+    Its memory are the rows that are filled, written by methods of its own: the rest of the table is room.
+    """
+
+    worked_out = ("_rows", "count")
 
     def __init__(self) -> None:
         self._rows = np.empty((256, 7))

@@ -38,7 +38,7 @@ from magcal_service.estimators.steady_spin.state import (
 from magcal_service.estimators.steady_spin.watch import FitQuality, SpinGate, fit_quality
 from magcal_service.model import Array, d_matrix, scalar_residual
 from magcal_service.residuals import rms
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 RATE_WALKS: Final = (0.0, 1e-8, 1e-7, 1e-6, 1e-5)
@@ -114,15 +114,9 @@ def retry_at(seconds: float) -> float:
     return max(seconds * _RETRY, seconds + _PAUSE_S)
 
 
-class SpinSearch(Saved):
-    """Collects samples and tries for a start.
-
-    Parameters
-    ----------
-    config: the craft's configuration.
-    rate_walk: smallest random walk of the body rate [rad/s/sqrt(s)], for a spin known to change.
-    axis: the configured axis; it is believed as long as the samples agree with it.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class SpinSearchMemory:
+    """What of ``SpinSearch`` outlives a restart, saved and restored whole."""
 
     seen: SpinEstimate | None
     gate: SpinGate
@@ -135,6 +129,17 @@ class SpinSearch(Saved):
     _last_s: float | None
     _began_s: float
     _attempt_at_s: float
+
+
+class SpinSearch(Stateful, SpinSearchMemory):
+    """Collects samples and tries for a start.
+
+    Parameters
+    ----------
+    config: the craft's configuration.
+    rate_walk: smallest random walk of the body rate [rad/s/sqrt(s)], for a spin known to change.
+    axis: the configured axis; it is believed as long as the samples agree with it.
+    """
 
     def __init__(self, config: CraftConfig, rate_walk: float = 0.0, axis: AxisTie | None = None) -> None:
         self.config = config

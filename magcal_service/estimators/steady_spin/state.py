@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 
 SPIN_STATE_SIZE: Final = 15
 ERRORS: Final = slice(0, STATE_SIZE)  # b [nT], D [-]
@@ -114,7 +114,17 @@ class Innovation:
         return float(self.value @ self.weighted)
 
 
-class SpinState(Saved):
+@dataclass(init=False, repr=False, eq=False)
+class SpinStateMemory:
+    """What of ``SpinState`` outlives a restart, saved and restored whole."""
+
+    x: Array
+    body_from_eci: Array
+    rate_rad_s: Array
+    covariance: Array
+
+
+class SpinState(Stateful, SpinStateMemory):
     """The fifteen-state extended filter itself: predict, look, apply.
 
     Parameters
@@ -124,11 +134,6 @@ class SpinState(Saved):
     rate_rad_s: body rate (3,) [rad/s].
     covariance: of the fifteen error states (15, 15).
     """
-
-    x: Array
-    body_from_eci: Array
-    rate_rad_s: Array
-    covariance: Array
 
     def __init__(self, x: Array, body_from_eci: Array, rate_rad_s: Array, covariance: Array) -> None:
         self.x = x

@@ -20,7 +20,7 @@ import numpy as np
 from magcal_service.estimators.steady_spin.fit import SpinFit
 from magcal_service.estimators.steady_spin.state import Innovation
 from magcal_service.model import Array
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 
 MEMORY: Final = 300
 """Samples over which the running ratio of across to along is averaged: 1 +- 0.1."""
@@ -108,8 +108,9 @@ def fit_quality(fit: SpinFit) -> FitQuality:
     return FitQuality(math.sqrt(total / 3.0), 0.5 * (total - along) / max(along, 1e-12), drift, len(y))
 
 
-class SpinWatch(Saved):
-    """Watches the innovations of a running filter."""
+@dataclass(init=False, repr=False, eq=False)
+class SpinWatchMemory:
+    """What of ``SpinWatch`` outlives a restart, saved and restored whole."""
 
     _count: int
     _along: float
@@ -121,6 +122,10 @@ class SpinWatch(Saved):
     _drift: float
     _rejected_in_row: int
     _since_gap: int
+
+
+class SpinWatch(Stateful, SpinWatchMemory):
+    """Watches the innovations of a running filter."""
 
     def __init__(self) -> None:
         self._count = 0

@@ -27,7 +27,7 @@ from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import ActsOn
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
-from magcal_service.snapshot import Saved
+from magcal_service.snapshot import Stateful
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
@@ -89,17 +89,9 @@ class Row:
     field_nt: Vector
 
 
-class Compensation(Saved):
-    """One craft's compensation.
-
-    Parameters
-    ----------
-    model: from ``physics.toml``.
-
-    Attributes
-    ----------
-    missing: effects that the newest sample or reference was not corrected for.
-    """
+@dataclass(init=False, repr=False, eq=False)
+class CompensationMemory:
+    """What of ``Compensation`` outlives a restart, saved and restored whole."""
 
     _channels: dict[str, Held]
     _places: list[Place]
@@ -112,6 +104,19 @@ class Compensation(Saved):
     _states: list[dict[str, Array]]
     _missing_field: list[str]
     _missing_reference: list[str]
+
+
+class Compensation(Stateful, CompensationMemory):
+    """One craft's compensation.
+
+    Parameters
+    ----------
+    model: from ``physics.toml``.
+
+    Attributes
+    ----------
+    missing: effects that the newest sample or reference was not corrected for.
+    """
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
