@@ -10,11 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.explain import ACCEPTED_NATS, Explained, Search, hypotheses_of
+from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
@@ -120,7 +121,7 @@ def diagnose(
     coefficients = _memory(prepared, search.problem, explained.fit)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        search = replace(search, problem=problem, whitening=coefficients, hypotheses=[], _cache={})
+        search = search.with_noise(problem, coefficients)
         explained = search.run(search.refreshed(baseline), 0.3 * floor)
         left = structures(search, explained.fit, phase, 0.3 * floor)
     elif left and significant(left[0]):
@@ -176,7 +177,7 @@ def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array |
     fit = explained.fit
     if not fit.terms:
         return explained
-    nameless = replace(search, problem=baseline.problem, _cache={})
+    nameless = replace(search, problem=baseline.problem)
     best = structures(nameless, baseline, phase, floor)[0]
     product = largest_product(nameless, baseline, floor)
     for count in range(len(fit.terms), 0, -1):

@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search
+from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.shapes import Shape, body_shape, products_of_two, shapes
 from magcal_service.model import Array
 from magcal_service.physics.interface import along_axes, oscillation

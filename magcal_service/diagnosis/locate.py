@@ -13,7 +13,6 @@ from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import Structure, structures
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
-from magcal_service.model import Array
 from magcal_service.physics.interface import along_axes, oscillation
 
 _LINES: Final = 4
@@ -143,13 +142,3 @@ def _coincidence(frequency: float, spin_hz: float | None, period_s: float) -> st
             alias = "" if line < 0.5 * rate else ", an alias"
             return f", at {name}{alias}"
     return ""
-
-
-def residual_spectrum(search: Search, residual: Array) -> tuple[Array, Array]:
-    """Frequencies [Hz] and amplitude density [nT / sqrt(Hz)] of a scalar residual (n,), gaps as zeros."""
-    scene = search.problem.scene
-    slot = np.rint(scene.time_s / scene.period_s).astype(np.intp)
-    grid = np.zeros(int(slot[-1]) + 1)
-    grid[slot] = residual[: len(slot)]
-    power = np.abs(np.fft.rfft(grid)) ** 2 * 2.0 * scene.period_s / max(len(slot), 1)
-    return np.fft.rfftfreq(len(grid), scene.period_s), np.sqrt(power)

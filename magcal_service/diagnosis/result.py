@@ -11,10 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.explain import ACCEPTED_NATS, CLASS_NATS, Candidate
+from magcal_service.diagnosis.explain import CLASS_NATS
 from magcal_service.diagnosis.leftover import fitted_terms, significant
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
 from magcal_service.physics.interface import ActsOn, Effect, Finding, Value, Values, value_of
 
@@ -187,7 +188,7 @@ def _mismatch(diagnosis: Diagnosis) -> float:
 
 def _where_of_term(diagnosis: Diagnosis, index: int) -> dict[str, Any]:
     fit = diagnosis.fit
-    search = replace(diagnosis.search, whitening=np.zeros(0), _cache={})  # shares are of the residual as it is
+    search = replace(diagnosis.search, whitening=np.zeros(0))  # shares are of the residual as it is
     term = fit.terms[index]
     rows = search.rows_of(term.hypothesis, term.theta, fit)
     assert rows is not None

@@ -108,7 +108,6 @@ class Nonlinear:
     Parameters
     ----------
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
-    logarithmic: steps between values are ratios.
     role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"held"`` once
         it has been searched (the columns jump with it), or ``""``.
     """
@@ -116,7 +115,6 @@ class Nonlinear:
     name: str
     unit: str
     grid: Array
-    logarithmic: bool = False
     role: str = ""
 
 

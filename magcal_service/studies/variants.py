@@ -23,9 +23,6 @@ COLUMNS: Final = (
 )  # fmt: skip
 """Heads of ``Measured.cells``."""
 
-FEWEST: Final = 10
-"""Runs with an estimate below which a scatter is not stated."""
-
 
 @dataclass(frozen=True, slots=True)
 class Variant:

@@ -167,7 +167,18 @@ def test_a_stream_cut_anywhere_goes_on_to_the_last_bit_in_a_fresh_process(method
     goes_on()
 
 
-@pytest.mark.parametrize("what", ["freeze", "process_noise", "stuck", "saturated", "gap", "no telemetry"])
+def test_a_cut_between_a_command_and_the_next_tick_goes_on_to_the_last_bit(elsewhere: Worker) -> None:
+    """What a freeze has left to the first tick after it is carried over."""
+    config = craft("ukf", physics=False, adaptive=False, told=True)
+    messages = stream([("freeze", 200, 1), ("resume", 280, 1)])
+    at = 1 + next(i for i, one in enumerate(messages) if isinstance(one, Command) and one.name == "resume")
+    whole = Pipeline(config)
+    published(whole, messages[:at])
+    state = msgpack.packb(whole.export_state())
+    assert elsewhere(config, state, messages[at:]) == published(whole, messages[at:])
+
+
+@pytest.mark.parametrize("what", ["freeze", "process_noise", "stuck", "saturated", "gap", "no telemetry", "spike"])
 def test_a_cut_in_the_midst_of_a_trouble_goes_on_to_the_last_bit(what: str, elsewhere: Worker) -> None:
     """Each trouble a minute before the cut, an end of it after: what is only kept while it lasts must not be lost."""
     config = craft("ukf", physics=True, adaptive=True, told=True)

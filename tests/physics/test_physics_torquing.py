@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.explain import ACCEPTED_NATS, Search, hypotheses_of
+from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.problem import Problem, solve
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis, Segments

@@ -41,9 +41,6 @@ _FEWEST_JUDGED: Final = 8
 _FEWEST_FOR_SQUARE: Final = 40
 """Samples from which on six columns, and nine, leave enough of them to be judged."""
 
-_SHORTEST_SPAN: Final = 0.9
-"""A window closed early by a gap is used when it spans at least this share of its turns."""
-
 
 @dataclass(frozen=True, slots=True)
 class Window:

@@ -42,7 +42,7 @@ def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypoth
     curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape)
     both = joined(linear, act(elapsed**2))
     yield Hypothesis(effect, "none", lambda _: both, (block, curve), "quadratic")
-    tau = Nonlinear("time_constant_s", "s", span * np.array(_RELAXATION_SHARES), logarithmic=True)
+    tau = Nonlinear("time_constant_s", "s", span * np.array(_RELAXATION_SHARES))
     end = Block(
         f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape
     )

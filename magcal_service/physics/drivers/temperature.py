@@ -77,7 +77,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
         (block, Block(f"start_{block.name}", block.unit, block.shape)),
         variant="answer to light",
         nonlinear=(
-            Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, logarithmic=True),
+            Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S),
             Nonlinear("skin_s", "s", SKINS_S),
         ),
         odds=_AGAINST_GUESSING if any(recorded(scene, effect, act, block)) else 0.0,

@@ -64,7 +64,7 @@ def inferred(scene: Scene, effect: str) -> Iterator[Hypothesis]:
 def _regular(scene: Scene, effect: str) -> Hypothesis:
     """A constant dipole, on and off."""
     duty = (
-        Nonlinear("period_s", "s", np.empty(0), True, "period"),
+        Nonlinear("period_s", "s", np.empty(0), "period"),
         Nonlinear("on_share", "1", _SHARES, role="held"),
         Nonlinear("phase", "1", np.linspace(0.0, 1.0, _PHASES, endpoint=False), role="held"),
     )

@@ -1,0 +1,265 @@
+"""Every hypothesis at its best on a residual: rows through the noise's whitening, grids, and what is believable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.diagnosis.linear import Gain, Workspace
+from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.problem import Fit, Problem, free_numbers
+from magcal_service.diagnosis.refine import refined as refined_numbers
+from magcal_service.model import Array
+from magcal_service.physics.effects.coloured_noise import whitened
+from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
+
+ACCEPTED_NATS: Final = 12.0
+"""Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
+
+LEAST_VISIBLE: Final = 0.03
+"""Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
+
+WHOLE: Final = 0.25
+"""A shift that is the whole of its field has the amplitude 1; a fit may be so far off, a first look twice as far."""
+
+_SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which have a hypothesis of their own
+_LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise's own, and no frequency to look at
+_LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
+_OF_LINES: Final = ("frequency", "period")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis with its best nonlinear numbers, its gain, and its evidence after the cost of the search."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    gain: Gain
+    nats: float
+
+
+@dataclass(eq=False)
+class Screen:
+    """A problem's residual, and the hypotheses that may explain it.
+
+    Parameters
+    ----------
+    problem: the problem.
+    hypotheses: what may be left out.
+    effects: the catalogue that the hypotheses come from.
+    whitening: autoregressive coefficients (p,) of the noise; empty: white.
+    spin_hz: the spin's frequency, for lines.
+    """
+
+    problem: Problem
+    hypotheses: Sequence[Hypothesis]
+    effects: Sequence[Effect] = ()
+    whitening: Array = field(default_factory=lambda: np.zeros(0))
+    spin_hz: float | None = None
+    _cache: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.look_at(self.problem, self.hypotheses)
+
+    def look_at(self, problem: Problem, hypotheses: Sequence[Hypothesis]) -> None:
+        """Go on with another problem and its hypotheses; rows of the one before are forgotten."""
+        self.problem, self.hypotheses, self._cache = problem, hypotheses, {}
+        names = [hypothesis.effect for hypothesis in hypotheses]
+        self._forms = {name: names.count(name) for name in set(names)}  # what choosing the best of them costs
+
+    # Rows
+
+    def white(self, rows: Array) -> Array:
+        """Rows (m,) or (m, k) through the noise's whitening filter."""
+        if not len(self.whitening):
+            return rows
+        found = whitened(rows.reshape(len(rows), -1), self.whitening, self.problem.scene.unit)
+        return found.reshape(rows.shape)
+
+    def workspace(self, fit: Fit, without: int | None = None) -> Workspace:
+        """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
+        residual, columns = fit.residual, fit.columns
+        if without is not None:
+            own = _columns_of(fit, without)
+            linear = own[: fit.terms[without].hypothesis.size]
+            residual = residual + columns[:, linear] @ fit.terms[without].amplitudes
+            columns = np.delete(columns, own, axis=1)
+        return Workspace(self.white(residual), self.white(columns))
+
+    def rows_of(self, hypothesis: Hypothesis, theta: Array, fit: Fit) -> Array | None:
+        """White columns of a hypothesis (m, k); those without nonlinear numbers are kept."""
+        if not hypothesis.nonlinear and id(hypothesis) in self._cache:
+            return self._cache[id(hypothesis)]
+        rows = self.problem.rows(hypothesis.columns(theta), fit.unit)
+        if rows is None or not np.isfinite(rows).all():
+            return None
+        rows = self.white(rows)
+        if not hypothesis.nonlinear:
+            self._cache[id(hypothesis)] = rows
+        return rows
+
+    def _rows(self, columns: Columns, fit: Fit) -> Array:
+        rows = self.problem.rows(columns, fit.unit)
+        assert rows is not None, "a proposal for a residual that does not see it"
+        return self.white(rows)
+
+    # Screening
+
+    def screen(
+        self,
+        space: Workspace,
+        fit: Fit,
+        sigma_nt: float,
+        skip: Sequence[str] = (),
+        among: Sequence[Hypothesis] | None = None,
+    ) -> list[Candidate]:
+        """Every hypothesis (or those ``among``) at its best, best first."""
+        lines: Array | None = None
+        found = []
+        for hypothesis in self.hypotheses if among is None else among:
+            if hypothesis.effect in skip:
+                continue
+            if lines is None and any(number.role in _OF_LINES for number in hypothesis.nonlinear):
+                lines = self._lines(space, fit)
+            candidate = self._best(hypothesis, space, fit, sigma_nt, lines)
+            if candidate is not None:
+                found.append(candidate)
+        return sorted(found, key=lambda candidate: -candidate.nats)
+
+    def _lines(self, space: Workspace, fit: Fit) -> Array:
+        if self.problem.is_vector:
+            return np.zeros(0)
+        scene = self.problem.scene
+        found = strongest(scene, space.residual, fit.unit, _LINES, self.spin_hz)
+        if not len(found):
+            return found
+        rows = self.white(oscillation(scene.time_s, float(found[0])).along(fit.unit))
+        enough = space.gain(rows, math.sqrt(space.squares / space.count)).nats > _LEAST_LINE_NATS
+        return found if enough else found[:0]
+
+    def _best(
+        self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float, lines: Array | None
+    ) -> Candidate | None:
+        cost = math.log(self._forms[hypothesis.effect]) + hypothesis.odds
+        grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
+        if any(len(grid) == 0 for grid in grids):
+            return None
+
+        def gain(theta: Array) -> Gain | None:
+            rows = self.rows_of(hypothesis, theta, fit)
+            return None if rows is None else space.gain(rows, sigma_nt)
+
+        if not grids:
+            only = gain(np.zeros(0))
+            if only is None:
+                return None
+            return self._believable(Candidate(hypothesis, np.zeros(0), only, only.nats - cost), space, fit)
+        if hypothesis.nonlinear[0].role == "instant":
+            found = self._instant(hypothesis, space, fit, sigma_nt)
+            if found is None:
+                return None
+            cost += search_cost(hypothesis.nonlinear[0], self.problem)
+            return self._believable(Candidate(hypothesis, found[0], found[1], found[1].nats - cost), space, fit)
+        best: tuple[float, Array, Gain] | None = None
+        if hypothesis.proposals is None:
+            tried = _product(grids)
+        else:
+            tried = hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), rows))
+        for values in tried:
+            trial = gain(values)
+            if trial is not None and (best is None or trial.nats > best[0]):
+                best = (trial.nats, values, trial)
+        if best is None:
+            return None
+        theta, refined = best[1], best[2]
+        if best[0] > 0.5 * ACCEPTED_NATS:
+            theta, refined = refined_numbers(hypothesis, gain, theta, refined, grids, self.problem)
+        cost += sum(search_cost(number, self.problem) for number in hypothesis.nonlinear)
+        return self._believable(Candidate(hypothesis, theta, refined, refined.nats - cost), space, fit)
+
+    def _instant(
+        self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float
+    ) -> tuple[Array, Gain] | None:
+        """The best instant of a change: first on the grid, then every sample between the best one's neighbours."""
+        rows = self.rows_of(hypothesis, np.array([-np.inf]), fit)
+        if rows is None:
+            return None
+        times = self.problem.row_time_s
+        firsts = np.unique(np.searchsorted(times, hypothesis.nonlinear[0].grid))
+        firsts = firsts[(firsts > 0) & (firsts < len(times) - 1)]
+        if len(firsts) < 3:
+            return None
+        best = int(np.argmax([gain.nats for gain in space.gated(rows, firsts, sigma_nt)]))
+        low, high = firsts[max(best - 1, 0)], firsts[min(best + 1, len(firsts) - 1)]
+        finer = np.arange(low, high + 1)
+        if self.problem.is_vector:
+            finer = np.unique(finer - finer % 3)
+        gains = space.gated(rows, finer[finer > 0], sigma_nt)
+        top = int(np.argmax([gain.nats for gain in gains]))
+        row = int(finer[finer > 0][top])
+        return np.array([0.5 * (times[row] + times[max(row - 1 - 2 * self.problem.is_vector, 0)])]), gains[top]
+
+    def _believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> Candidate | None:
+        """The candidate, unless it is larger than its physics ever is, or all but absorbed by what is fitted anyway."""
+        if candidate.nats < 0.5 * ACCEPTED_NATS:
+            return candidate
+        if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
+            return None
+        rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
+        assert rows is not None
+        signal = rows @ candidate.gain.amplitudes
+        size = float(signal @ signal)
+        if math.sqrt(size / len(signal)) > self.problem.largest(candidate.hypothesis):
+            return None
+        seen = space.projected(signal[:, None])
+        return candidate if float((seen**2).sum()) > LEAST_VISIBLE**2 * size else None
+
+
+def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
+    """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
+    at, free = fit.problem.size, fit.linear_size
+    for number, term in enumerate(fit.terms):
+        count, moving = term.hypothesis.size, len(free_numbers(term))
+        if number == index:
+            return np.concatenate([np.arange(at, at + count), np.arange(free, free + moving)]).astype(np.intp)
+        at, free = at + count, free + moving
+    raise IndexError(index)
+
+
+def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
+    """Values to try first; a period may show as a line of its own or as side lines of the spin."""
+    if number.role not in _OF_LINES:
+        return number.grid
+    if lines is None or not len(lines):
+        return np.zeros(0)
+    if number.role == "frequency":
+        return lines
+    beside = [] if spin_hz is None else [np.abs(lines - spin_hz), lines + spin_hz]
+    found = np.unique(np.round(np.concatenate([lines, *beside]), 7))
+    return 1.0 / found[found > _SLOWEST_DUTY_HZ]
+
+
+def _product(grids: Sequence[Array]) -> Array:
+    """Every combination of the grids' values (m, k)."""
+    return np.stack([axis.ravel() for axis in np.meshgrid(*grids, indexing="ij")], axis=1)
+
+
+def search_cost(number: Nonlinear, problem: Problem) -> float:
+    """ln of how many independent places were looked at."""
+    if number.role in ("frequency", "period", "instant"):
+        return math.log(max(len(problem.scene), 2))
+    return math.log(max(len(number.grid), 1))
+
+
+def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesis]:
+    """Every way every effect may act on a problem's scene, in a form that its residual can see."""
+    found = [hypothesis for effect in effects for hypothesis in effect.hypotheses(problem.scene)]
+    if not problem.is_vector:
+        return found
+    of_reference = {effect.name for effect in effects if effect.acts_on.is_reference}
+    return [replace(h) for h in found if h.effect not in of_reference]
