@@ -1,6 +1,6 @@
 """Commands that reach beyond one craft's arithmetic: its checkpoints, and the daemon's end.
 
-``pipeline.COMMANDS`` are answered by the craft's pipeline itself.
+``command_table`` has them all; those of the craft are answered by its pipeline.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Commander:
         self._shut_down = shut_down
 
     def carry_out(self, command: Command, pipeline: Pipeline) -> CommandReply | None:
-        """The answer to a command of ``COMMANDS``, carried out; None for any other."""
-        work = COMMANDS.get(command.name)
+        """The answer to a command of ``DAEMON_COMMANDS``, carried out; None for any other."""
+        work = DAEMON_COMMANDS.get(command.name)
         if work is None:
             return None
         refusal = work(self, command, pipeline)
@@ -45,7 +45,7 @@ class Commander:
             return refusal
         refusal = self._checkpoints.save_named(pipeline, name)
         if not refusal:
-            pipeline.tell("checkpoint", f"{name!r} written", command.source)
+            pipeline.note("checkpoint", f"{name!r} written", command.source)
         return refusal
 
     def _rollback(self, command: Command, pipeline: Pipeline) -> str:
@@ -54,7 +54,7 @@ class Commander:
             return refusal
         refusal = self._checkpoints.roll_back(pipeline, name)
         if not refusal:
-            pipeline.tell("rolled_back", f"to checkpoint {name!r}", command.source)
+            pipeline.note("rolled_back", f"to checkpoint {name!r}", command.source)
         return refusal
 
     def _load_physics(self, command: Command, pipeline: Pipeline) -> str:
@@ -72,11 +72,11 @@ class Commander:
         except InputRefusedError as error:
             return str(error)
         pipeline.load_physics(loaded.text)
-        pipeline.tell("physics_loaded", name, command.source)
+        pipeline.note("physics_loaded", name, command.source)
         return ""
 
     def _shutdown(self, command: Command, pipeline: Pipeline) -> str:
-        pipeline.tell("shutdown", "command", command.source)
+        pipeline.note("shutdown", "command", command.source)
         self._shut_down()
         return ""
 
@@ -90,7 +90,7 @@ class Commander:
         return name, ""
 
 
-COMMANDS: Final[dict[str, Callable[[Commander, Command, Pipeline], str]]] = {
+DAEMON_COMMANDS: Final[dict[str, Callable[[Commander, Command, Pipeline], str]]] = {
     "checkpoint": Commander._checkpoint,
     "rollback": Commander._rollback,
     "load_physics": Commander._load_physics,

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig, FilterConfig
+from magcal_service.daemon.command_table import PROCESS_NOISE_LIMITS, unknown
 from magcal_service.daemon.events import Event
 from magcal_service.errors import DecodeError, InputRefusedError
 from magcal_service.estimators import find_method
@@ -67,11 +68,10 @@ WATCHED: Final = {
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 """Reasons under which ticks are kept from the watch.  Its window outlives a new start: it has errors of its own."""
 
-COMMANDS: Final = ("status", "freeze", "resume", "reset", "process_noise")
-ALL_COMMANDS: Final = (*COMMANDS, "checkpoint", "rollback", "load_physics", "shutdown")
-"""Those of ``commands`` included."""
-
 _WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
+
+CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
+"""Carries out a command of the daemon's for a craft; None where it is the craft's own."""
 
 _UPPER = np.triu_indices(STATE_SIZE)
 _UPPER_3 = np.triu_indices(3)
@@ -199,7 +199,7 @@ class Pipeline(Stateful, PipelineMemory):
         """An event of this craft, now."""
         return Event(self.config.name, what, cause, source, self.last_time_ns)
 
-    def tell(self, what: str, cause: str, source: str = SOURCE) -> None:
+    def note(self, what: str, cause: str, source: str = SOURCE) -> None:
         """Note an event for ``take_events``."""
         self._events.append(self.event(what, cause, source))
 
@@ -209,14 +209,28 @@ class Pipeline(Stateful, PipelineMemory):
         return events
 
     def handle(self, message: Message) -> list[Message]:
-        """Take one message; what is to be published because of it, in order: ``answer``, then ``advance``."""
+        """Take one message; every message to be published because of it, in order; events wait for ``take_events``."""
         return [*self.answer(message), *self.advance()]
 
-    def answer(self, message: Message) -> list[Message]:
-        """Take one message; what has to leave at once: a sample's vector, a command's reply.
+    def outputs(self, message: Message, carried_out: CarriedOut | None = None) -> Iterator[Message | Event]:
+        """Take one message; what comes of it, in the order in which it has to leave.
 
-        ``advance`` has to follow, once the answer is on its way: a control loop waits for the vector, not for the tick.
+        A sample's vector or a command's reply first, worked out before any tick is: whoever publishes each output as it
+        comes has the vector on its way while the tick is still open.  Then the estimates of ticks that have closed,
+        then the events.
+
+        Parameters
+        ----------
+        message: any message of this craft.
+        carried_out: gives the reply to a command that the daemon carries out, None for one that is the craft's own.
         """
+        reply = carried_out(message, self) if carried_out is not None and isinstance(message, Command) else None
+        yield from self.answer(message) if reply is None else [reply]
+        yield from self.advance()
+        yield from self.take_events()
+
+    def answer(self, message: Message) -> list[Message]:
+        """Take one message; what has to leave at once: a sample's vector, a command's reply."""
         match message:
             case MagnetometerSample():
                 return self._sample(message)
@@ -278,7 +292,7 @@ class Pipeline(Stateful, PipelineMemory):
         self._fault = reason
         self.monitor.observe_fault(fault)
         self.trust = self.monitor.judge(self._state)
-        self.tell("sensor_fault", f"{fault}: {self.trust.verdict}")
+        self.note("sensor_fault", f"{fault}: {self.trust.verdict}")
         return [self._estimate(sample.time_ns, sample.clock)]
 
     def _recover(self) -> None:
@@ -286,7 +300,7 @@ class Pipeline(Stateful, PipelineMemory):
         if self._fault:
             self._fault_left -= 1
             if self._fault_left <= 0:
-                self.tell("sensor_recovered", self._fault)
+                self.note("sensor_recovered", self._fault)
                 self._fault = ""
                 self.monitor.observe_fault(None)
         if self._state.phase is Phase.RUNNING and self.monitor.observe_unchecked(self._age_s()):
@@ -344,9 +358,9 @@ class Pipeline(Stateful, PipelineMemory):
         except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
             self._reset()
-            self.tell("estimator_failed", f"{error}; it starts anew")
+            self.note("estimator_failed", f"{error}; it starts anew")
             return
-        self._tell_phase(self._state, state)
+        self._note_phase(self._state, state)
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self.monitor.observe(tick, outcome, state)
         self._watch_model(tick)
@@ -362,15 +376,15 @@ class Pipeline(Stateful, PipelineMemory):
         finding = self.watch.finding
         self.monitor.observe_model(finding is not None)
         if finding is None:
-            self.tell("model_agrees", "a whole window of the watch has found nothing")
+            self.note("model_agrees", "a whole window of the watch has found nothing")
         else:
-            self.tell("model_doubtful", str(finding))
+            self.note("model_doubtful", str(finding))
 
-    def _tell_phase(self, before: StateEstimate, now: StateEstimate) -> None:
+    def _note_phase(self, before: StateEstimate, now: StateEstimate) -> None:
         if now.restarts != before.restarts:
-            self.tell("restarted", "the samples contradicted the estimate")
+            self.note("restarted", "the samples contradicted the estimate")
         if before.phase is Phase.STARTING and now.phase is Phase.RUNNING:
-            self.tell("started", f"the start passed every gate after {now.samples} samples")
+            self.note("started", f"the start passed every gate after {now.samples} samples")
 
     def _reset(self) -> None:
         self.estimator.reset()
@@ -413,26 +427,23 @@ class Pipeline(Stateful, PipelineMemory):
         return number
 
     def _command(self, command: Command) -> CommandReply:
-        """``status`` says how things are; ``freeze`` stops learning, ``resume`` goes on, ``reset`` begins anew."""
-        refusal = ""
-        match command.name:
-            case "freeze" | "resume":
-                self.frozen = command.name == "freeze"
-                self.tell("frozen" if self.frozen else "resumed", "command", command.source)
-            case "reset":
-                self._reset()
-                self.tell("reset", "command", command.source)
-            case "process_noise":
-                refusal = self._process_noise_command(command)
-            case "status":
-                pass
-            case _:
-                refusal = f"{command.name!r} is not known; known: {', '.join(ALL_COMMANDS)}"
-        return self.reply(command, refusal)
+        """Carry out a command of the craft's own; one that nobody knows is refused."""
+        work = OWN_COMMANDS.get(command.name)
+        return self.reply(command, unknown(command.name) if work is None else work(self, command))
+
+    def _freeze_or_resume(self, command: Command) -> str:
+        self.frozen = command.name == "freeze"
+        self.note("frozen" if self.frozen else "resumed", "command", command.source)
+        return ""
+
+    def _reset_command(self, command: Command) -> str:
+        self._reset()
+        self.note("reset", "command", command.source)
+        return ""
 
     def _process_noise_command(self, command: Command) -> str:
         """Set the random walk by ``bias_nt`` and ``D``, 0 where not given; why that is refused, or empty."""
-        given, limits = command.arguments, {"bias_nt": 1000.0, "D": 0.01}
+        given, limits = command.arguments, PROCESS_NOISE_LIMITS
         if self.estimator.name in _WITHOUT_PROCESS_NOISE:
             return f"method {self.estimator.name} has no process noise"
         if not given or not set(given) <= set(limits):
@@ -442,7 +453,7 @@ class Pipeline(Stateful, PipelineMemory):
                 return f"{name} is {value!r}; 0 to {limits[name]:g} is accepted"
         bias_nt, d = (float(given.get(name, 0.0)) for name in limits)
         self._set_process_noise(bias_nt, d)
-        self.tell("process_noise", f"bias {bias_nt:g} nT/sqrt(s), D {d:g} /sqrt(s)", command.source)
+        self.note("process_noise", f"bias {bias_nt:g} nT/sqrt(s), D {d:g} /sqrt(s)", command.source)
         return ""
 
     def reply(self, command: Command, refusal: str = "") -> CommandReply:
@@ -492,6 +503,16 @@ class Pipeline(Stateful, PipelineMemory):
             counters=dict(capped(self.ticks.counters + self.counters + own + counters)),
             text=self.summary(),
         )
+
+
+OWN_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
+    "status": lambda _pipeline, _command: "",
+    "freeze": Pipeline._freeze_or_resume,
+    "resume": Pipeline._freeze_or_resume,
+    "reset": Pipeline._reset_command,
+    "process_noise": Pipeline._process_noise_command,
+}
+"""Those of ``command_table`` that a craft carries out itself: name -> why it is refused, empty where it was done."""
 
 
 def _walk_of(settings: FilterConfig) -> Array | None:

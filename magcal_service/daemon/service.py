@@ -107,7 +107,7 @@ class Service:
             self.pipelines[name], events = self.checkpoints.restore(pipeline)
             if self.pipelines[name] is not pipeline and self.recorder is not None:
                 self.recorder.begin_with(name, self.pipelines[name].export_state())
-            self._tell(events)
+            self._report(events)
 
     def _received(self) -> list[Message]:
         """What has come; how long it was waited for is noted."""
@@ -116,7 +116,7 @@ class Service:
         self.health.lateness.looked(began_s)
         return messages
 
-    def _tell(self, events: Iterable[Event]) -> None:
+    def _report(self, events: Iterable[Event]) -> None:
         """Log each event, and send a status at once that names it."""
         for event in events:
             self.counters["events"] += 1
@@ -167,10 +167,11 @@ class Service:
             return
         if self.recorder is not None:
             self.recorder.add(message)
-        reply = self._commander.carry_out(message, pipeline) if isinstance(message, Command) else None
-        self._publish(pipeline.answer(message) if reply is None else [reply])
-        self._publish(pipeline.advance())
-        self._tell(pipeline.take_events())
+        for output in pipeline.outputs(message, self._commander.carry_out):
+            if isinstance(output, Event):
+                self._report([output])
+            else:
+                self._publish([output])
         if isinstance(message, Command) and message.name == "status":
             self._publish_status(pipeline)
 

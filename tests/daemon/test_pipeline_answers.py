@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import SensorConfig
+from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.messages import (
     CalibratedVector,
@@ -182,3 +183,27 @@ def test_a_message_that_only_the_daemon_sends_is_counted_as_unexpected() -> None
     echo = handle_all(Pipeline(paper_craft()), paper(11, 3).messages())
     assert handle_all(pipeline, echo) == []
     assert pipeline.counters["unexpected"] == len(echo)
+
+
+def test_the_vector_is_out_before_the_tick_is_worked_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever takes the outputs one by one has the vector while the estimator has not been asked yet."""
+    pipeline = Pipeline(paper_craft())
+    order: list[str] = []
+    own = pipeline.estimator.handle
+    monkeypatch.setattr(pipeline.estimator, "handle", lambda tick: order.append("tick") or own(tick))
+    for message in paper(7, 60.0).messages():
+        order.append("message")
+        for output in pipeline.outputs(message):
+            if isinstance(output, CalibratedVector):
+                order.append("vector")  # noqa: PERF401  (as it comes, not when all have come)
+    with_both = " ".join(order).split("message")
+    assert any("vector tick" in each for each in with_both)
+    assert not any("tick vector" in each for each in with_both)
+
+
+def test_a_craft_is_asked_once_and_gives_vector_estimates_events_in_that_order() -> None:
+    pipeline = Pipeline(paper_craft())
+    kinds = [[type(output) for output in pipeline.outputs(message)] for message in paper(7, 700.0).messages()]
+    rank = {CalibratedVector: 0, Estimate: 1, Event: 2}
+    assert all([rank[kind] for kind in each] == sorted(rank[kind] for kind in each) for each in kinds)
+    assert any(Event in each for each in kinds)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from magcal_service.daemon.pipeline import ALL_COMMANDS, COMMANDS, Pipeline
+from magcal_service.daemon.command_table import COMMANDS
+from magcal_service.daemon.pipeline import OWN_COMMANDS, Pipeline
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
@@ -35,7 +36,7 @@ def ask(pipeline: Pipeline, name: str, **arguments: float | str | bool) -> Comma
     return reply
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", OWN_COMMANDS)
 def test_every_command_is_answered_by_name(pipeline: Pipeline, name: str) -> None:
     reply = ask(pipeline, name, **({"bias_nt": 1.0} if name == "process_noise" else {}))
     assert (reply.name, reply.command_source, reply.command_sequence, reply.accepted) == (name, "ops", 7, True)
@@ -48,7 +49,7 @@ def test_status_says_verdict_and_ticks(pipeline: Pipeline) -> None:
 def test_an_unknown_command_is_refused_and_told_what_is_known(pipeline: Pipeline) -> None:
     reply = ask(pipeline, "x" * 32)
     assert not reply.accepted
-    assert reply.text.endswith("is not known; known: " + ", ".join(ALL_COMMANDS))
+    assert reply.text.endswith("is not known; known: " + ", ".join(COMMANDS))
     encode(reply)
 
 
