@@ -78,9 +78,81 @@ def _effect(effect: dict[str, Any]) -> str:
     return f"{effect['effect']}{driver}{share}"
 
 
+def _figures(name: str) -> tuple[dict[str, Any], str]:
+    """Figures of a benchmark, and the command that gave them."""
+    content = read(name)
+    return content["figures"], f"`{content['command']}`"
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _cost_rows() -> list[list[str]]:
+    """What the filter and the daemon cost: what, figure, command."""
+    tick, tick_command = _figures("filter")
+    daemon, daemon_command = _figures("daemon")
+    way, way_command = _figures("latency")
+    live, live_command = _figures("live-physics")
+
+    def times(name: str) -> str:
+        mid, mean = (tick[f"{kind}_us_{name}"] / tick[f"{kind}_us_magcal"] for kind in ("median", "mean"))
+        return f"{mid:.1f} times by the median, {mean:.1f} by the mean"
+
+    runs = len(daemon["replay_18000_s"])
+    loads = (f"median_us_{count}" for count in (0, 1, 2))
+    bare, one, two = (live[key] for key in loads)
+    return [
+        [
+            "a tick of `ukf`, median; mean",
+            f"{tick['median_us_magcal']:.0f} us; {tick['mean_us_magcal']:.0f} us",
+            tick_command,
+        ],
+        ["filterpy's UKF on the same three measurements beside it", times("filterpy"), "same"],
+        ["filterpy's UKF on equation (3) alone", times("filterpy_scalar"), "same"],
+        ["a UKF written plainly in numpy, equation (3) alone", times("numpy_scalar"), "same"],
+        [
+            f"daemon's memory over a bare process with its imports, at 1 Hz ({runs} runs)",
+            f"{_spread(daemon['memory_over_bare_mb_at_1hz'], 0)} MB",
+            daemon_command,
+        ],
+        [
+            "the same after 3000 samples at 500 Hz",
+            f"{_spread(daemon['memory_over_bare_mb_after_3000_at_500hz'], 0)} MB",
+            "same",
+        ],
+        ["processor at 1 Hz", f"{_spread([100 * share for share in daemon['cpu_share_1hz']], 2)} % of a core", "same"],
+        ["replay of 18000 s, process start included", f"{_spread(daemon['replay_18000_s'], 1)} s", "same"],
+        [
+            "sample in to calibrated vector out over zenoh, p50; p99",
+            f"{way['vector_ms_p50']:.1f} ms; {way['vector_ms_p99']:.1f} ms",
+            way_command,
+        ],
+        ["a bare zenoh echo in the same run", f"{way['echo_ms_p50']:.2f} ms; {way['echo_ms_p99']:.1f} ms", "same"],
+        [
+            "the vector path with 0, 1, 2 effects of `physics.toml` that recorded channels drive",
+            f"{bare:.0f}, {one:.0f}, {two:.0f} us: {one / bare:.2f} and {two / bare:.2f} times the bare path",
+            live_command,
+        ],
+    ]
+
+
+def costs() -> str:
+    """The costs with their commands."""
+    return table(["what it costs", "figure", "command"], _cost_rows())
+
+
+def costs_short() -> str:
+    """The costs as the README shows them."""
+    return table(["what it costs", "figure"], [row[:2] for row in _cost_rows()])
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-ukf": recordings_main,
     "recordings-methods": lambda: _side_by_side("after_nt"),
     "recordings-held-out": lambda: _side_by_side("method_held_out_nt"),
     "diagnoses": diagnoses,
+    "costs": costs,
+    "costs-short": costs_short,
 }
