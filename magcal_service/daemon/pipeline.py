@@ -16,10 +16,19 @@ import numpy as np
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.command_table import PROCESS_NOISE_LIMITS, unknown
 from magcal_service.daemon.events import Event
+from magcal_service.daemon.outbox import (
+    SOURCE,
+    Stamp,
+    calibrated_vector,
+    command_reply,
+    estimate_message,
+    status_message,
+)
+from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.errors import DecodeError, InputRefusedError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
+from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import parse_model
 from magcal_service.snapshot import SnapshotError, Stateful, restored
@@ -28,10 +37,7 @@ from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
 from magcal_service.wire.codec import encode
-from magcal_service.wire.fields import fitting
-from magcal_service.wire.kinds import MAX_COUNTERS
 from magcal_service.wire.messages import (
-    CalibratedVector,
     Clock,
     Command,
     CommandReply,
@@ -43,17 +49,6 @@ from magcal_service.wire.messages import (
     Status,
     TelemetrySample,
 )
-
-SOURCE: Final = "magcal"
-FAULTS: Final = {
-    "stuck": (Reason.STUCK, 1),
-    "axis_stuck": (Reason.AXIS_STUCK, 1),
-    "saturated": (Reason.SATURATED, 60),
-}
-"""Refusals that tell of a fault of the sensor: the reason, and how many accepted samples in a row end it.
-
-A turning craft dips into saturation once a turn: its sensor is sound only when it has not for a while.
-"""
 
 WATCHED: Final = {
     Reason.MODEL_DOUBTFUL,
@@ -72,10 +67,6 @@ _WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
 
 CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
 """Carries out a command of the daemon's for a craft; None where it is the craft's own."""
-
-_UPPER = np.triu_indices(STATE_SIZE)
-_UPPER_3 = np.triu_indices(3)
-_IDENTITY_3 = np.eye(3)
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -270,7 +261,7 @@ class Pipeline(Stateful, PipelineMemory):
         self._recover()
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
-        return [self._calibrated(sample)]
+        return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict)]
 
     def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
         """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and said."""
@@ -284,9 +275,9 @@ class Pipeline(Stateful, PipelineMemory):
 
     def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
         """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
-        if reason not in FAULTS:
+        if reason not in SENSOR_FAULTS:
             return []
-        fault, self._fault_left = FAULTS[reason]
+        fault, self._fault_left = SENSOR_FAULTS[reason]
         if reason == self._fault:
             return []
         self._fault = reason
@@ -315,24 +306,6 @@ class Pipeline(Stateful, PipelineMemory):
         if self._walk is None or self._state.phase is not Phase.RUNNING:
             return self._state.covariance
         return self._state.covariance + self._walk * self._age_s()
-
-    def _calibrated(self, sample: MagnetometerSample) -> CalibratedVector:
-        """The sample's vector by the estimate at hand; its covariance is of noise and estimate together."""
-        b1, b2, b3 = sample.field_body_nt
-        jacobian = vector_jacobian(b1, b2, b3)
-        covariance = jacobian @ self._covariance() @ jacobian.T + self._state.noise_nt**2 * _IDENTITY_3
-        dx, dy, dz = (jacobian @ self._state.x).tolist()  # w = B + J(B) x
-        xx, xy, xz, yy, yz, zz = covariance[_UPPER_3].tolist()
-        return CalibratedVector(
-            craft=sample.craft,
-            source=sample.source,
-            sequence=sample.sequence,
-            time_ns=sample.time_ns,
-            clock=sample.clock,
-            field_body_nt=(b1 + dx, b2 + dy, b3 + dz),
-            covariance_nt2=(xx, xy, xz, yy, yz, zz),
-            verdict=self.trust.verdict,
-        )
 
     def _tick(self, tick: Tick) -> Estimate:
         if not tick.times_s.size:
@@ -399,27 +372,9 @@ class Pipeline(Stateful, PipelineMemory):
         self.counters["spin_windows_rejected"] += window_rejected
 
     def _estimate(self, time_ns: int, clock: Clock) -> Estimate:
-        state = self._state
-        bx, by, bz = state.x[BIAS].tolist()
-        d11, d22, d33, d12, d13, d23 = state.x[D_ALL].tolist()
-        return Estimate(
-            craft=self.config.name,
-            source=SOURCE,
-            sequence=self._number(),
-            time_ns=time_ns,
-            clock=clock,
-            method=self.estimator.name,
-            tick=self.ticks.counters["ticks"],
-            bias_nt=(bx, by, bz),
-            D=(d11, d22, d33, d12, d13, d23),
-            covariance=tuple(self._covariance()[_UPPER].tolist()),
-            verdict=self.trust.verdict,
-            reasons=tuple(str(reason) for reason in self.trust.reasons),
-            remedy=self.trust.remedy,
-            residual_rms_nt=self.monitor.residual_rms_nt,
-            noise_nt=state.noise_nt,
-            samples_used=state.samples,
-        )
+        stamp = Stamp(self.config.name, self._number(), time_ns, clock)
+        ticks, rms_nt = self.ticks.counters["ticks"], self.monitor.residual_rms_nt
+        return estimate_message(stamp, self.estimator.name, ticks, self._state, self._covariance(), self.trust, rms_nt)
 
     def _number(self) -> int:
         """The next sequence number of what this craft publishes."""
@@ -458,20 +413,9 @@ class Pipeline(Stateful, PipelineMemory):
 
     def reply(self, command: Command, refusal: str = "") -> CommandReply:
         """The answer to a command that was carried out, or refused for a reason; it is counted."""
-        accepted = not refusal
-        self.counters["commands" if accepted else "commands_refused"] += 1
-        return CommandReply(
-            craft=self.config.name,
-            source=SOURCE,
-            sequence=self._number(),
-            time_ns=self.last_time_ns,
-            clock=self._clock,
-            name=command.name,
-            command_source=command.source,
-            command_sequence=command.sequence,
-            accepted=accepted,
-            text=fitting(refusal or self.summary()),
-        )
+        self.counters["commands_refused" if refusal else "commands"] += 1
+        stamp = Stamp(self.config.name, self._number(), self.last_time_ns, self._clock)
+        return command_reply(stamp, command, refusal, self.summary())
 
     def summary(self) -> str:
         """One line: verdict, reasons, ticks."""
@@ -492,17 +436,9 @@ class Pipeline(Stateful, PipelineMemory):
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
         """Health of this craft; ``counters`` are the link's, added to the craft's own."""
         own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
-        return Status(
-            craft=self.config.name,
-            source=SOURCE,
-            sequence=self._number(),
-            time_ns=self.last_time_ns,
-            clock=self._clock,
-            uptime_s=uptime_s,
-            verdict=self.trust.verdict,
-            counters=dict(capped(self.ticks.counters + self.counters + own + counters)),
-            text=self.summary(),
-        )
+        stamp = Stamp(self.config.name, self._number(), self.last_time_ns, self._clock)
+        counted = self.ticks.counters + self.counters + own + counters
+        return status_message(stamp, uptime_s, self.trust, counted, self.summary())
 
 
 OWN_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
@@ -519,12 +455,3 @@ def _walk_of(settings: FilterConfig) -> Array | None:
     """Covariance that the random walk adds per second (9, 9); None where there is none, or the method has none."""
     walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
     return np.diag(walk**2) if walk.any() and settings.method not in _WITHOUT_PROCESS_NOISE else None
-
-
-def capped(counters: Counter[str]) -> Counter[str]:
-    """As many counters as a status may hold; what is left out is counted."""
-    if len(counters) <= MAX_COUNTERS:
-        return counters
-    kept = Counter(dict(list(counters.items())[: MAX_COUNTERS - 1]))
-    kept["counters_left_out"] = len(counters) - len(kept)
-    return kept

@@ -17,10 +17,11 @@ from magcal_service.diagnosis.prepare import Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.model import STATE_SIZE, Array
+from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
-from magcal_service.physics.interface import ActsOn, Effect, Finding
+from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.recording import Recording
 

@@ -14,7 +14,8 @@ from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Proble
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate
-from magcal_service.physics.interface import ActsOn, Effect, Finding
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
 from magcal_service.physics.scene.view import View

@@ -17,7 +17,8 @@ from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
-from magcal_service.physics.interface import ActsOn, Effect, Finding, Value, Values, value_of
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Effect, Finding, Value, Values, value_of
 
 _LEAST_PROBABILITY: Final = 1e-4
 _MOST_RIVALS: Final = 4

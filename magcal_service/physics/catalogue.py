@@ -10,7 +10,8 @@ import pkgutil
 from functools import cache
 
 from magcal_service.physics import effects
-from magcal_service.physics.interface import Effect, Watched
+from magcal_service.physics.acting import Watched
+from magcal_service.physics.interface import Effect
 
 
 @cache

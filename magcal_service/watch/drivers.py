@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service import geomagnetic
+from magcal_service.physics.acting import LIGHT, WARMTH
 from magcal_service.physics.apply.compensation import stale_after_s
-from magcal_service.physics.interface import LIGHT, WARMTH
 from magcal_service.physics.scene.sunlight import sun_eci, sunlit
 from magcal_service.snapshot import Stateful
 from magcal_service.units import CHANNEL_UNITS

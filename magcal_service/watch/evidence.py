@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, Array
+from magcal_service.physics.acting import Watched
 from magcal_service.physics.catalogue import watched_as
-from magcal_service.physics.interface import Watched
 
 FALSE_PER_YEAR: Final = 0.1
 """False alarms expected in a year of ticks where the model is right: the sum over all tests."""

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian, without_radial_noise
+from magcal_service.physics.acting import Watched
 from magcal_service.physics.catalogue import watched_as
-from magcal_service.physics.interface import Watched
 from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch.drivers import Driver, DriverTrack, value_of

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from magcal_service.physics import effects
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.catalogue import catalogue, watched_as
-from magcal_service.physics.interface import ActsOn, Watched
 
 ROOT = Path(__file__).resolve().parents[2]
 HOME = Path(effects.__file__).parent

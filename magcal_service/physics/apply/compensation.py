@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
+from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import ActsOn
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
 from magcal_service.snapshot import Stateful

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Direct, Hypothesis, Nonlinear, Term, direct, joined
+from magcal_service.physics.acting import Direct, Term, direct
+from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
 from magcal_service.physics.scene.scene import Scene
 
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

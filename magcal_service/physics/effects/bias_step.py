@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import ActsOn, Block, Effect, Watched, along_axes
+from magcal_service.physics.interface import Block, Effect, along_axes
 
 EFFECT = Effect(
     name="bias_step",

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Effect, Finding, Watched, value_of
+from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 ORDER: Final = 8

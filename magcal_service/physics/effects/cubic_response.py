@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Watched
+from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 

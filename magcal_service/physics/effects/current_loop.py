@@ -7,19 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import (
-    LIGHT,
-    ActsOn,
-    Block,
-    Columns,
-    Direct,
-    Effect,
-    Hypothesis,
-    Term,
-    Watched,
-    along_axes,
-    direct,
-)
+from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene.scene import Scene
 
 _LEAST_SWING = 1e-3  # of the channel's largest value

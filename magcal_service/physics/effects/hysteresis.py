@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.scene.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])

@@ -8,8 +8,9 @@ import numpy as np
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.far import shifted
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Watched
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _STEP_KM = 10.0

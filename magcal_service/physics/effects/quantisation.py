@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _ON_LATTICE: Final = 0.04

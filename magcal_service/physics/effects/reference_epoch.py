@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _YEAR_NS: Final = round(365.25 * 86400 * 1e9)

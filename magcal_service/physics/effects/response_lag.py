@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magcal_service.physics.interface import ActsOn, Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

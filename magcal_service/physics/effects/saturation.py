@@ -8,17 +8,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import (
-    ActsOn,
-    Block,
-    Columns,
-    Effect,
-    Finding,
-    Hypothesis,
-    Nonlinear,
-    Watched,
-    value_of,
-)
+from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.interface import Block, Columns, Effect, Finding, Hypothesis, Nonlinear, value_of
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.view import View
 

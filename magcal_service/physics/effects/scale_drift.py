@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import ActsOn, Block, Effect, Watched, gains
+from magcal_service.physics.interface import Block, Effect, gains
 
 EFFECT = Effect(
     name="scale_drift",

@@ -6,18 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import (
-    ActsOn,
-    Block,
-    Effect,
-    Hypothesis,
-    Values,
-    Watched,
-    common_gain,
-    gains,
-    value_of,
-)
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, common_gain, gains, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
+from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _LEAST_NATS: Final = 15.0

@@ -6,8 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.effects.quantisation import step_of
-from magcal_service.physics.interface import ActsOn, Effect, Finding, value_of
+from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View, runs
 
 SHORTEST: Final = 25

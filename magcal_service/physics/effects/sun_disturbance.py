@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import LIGHT, ActsOn, Block, Columns, Effect, Hypothesis, Watched, along_axes
+from magcal_service.physics.acting import LIGHT, ActsOn, Watched
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene.scene import Scene, Telemetry
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import WARMTH, ActsOn, Block, Effect, Hypothesis, Watched, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene.scene import Scene
 
 

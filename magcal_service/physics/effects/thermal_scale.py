@@ -8,20 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.model import Array
+from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import (
-    WARMTH,
-    ActsOn,
-    Block,
-    Columns,
-    Effect,
-    Hypothesis,
-    Values,
-    Watched,
-    common_gain,
-    gains,
-    value_of,
-)
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, common_gain, gains, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

@@ -7,15 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.model import Array
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.interface import (
-    ActsOn,
     Block,
     Columns,
     Effect,
     Hypothesis,
     Nonlinear,
     Values,
-    Watched,
     oscillation,
     value_of,
 )

@@ -8,19 +8,9 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
+from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
-from magcal_service.physics.interface import (
-    ActsOn,
-    Block,
-    Columns,
-    Effect,
-    Hypothesis,
-    Nonlinear,
-    Values,
-    Watched,
-    along_axes,
-    value_of,
-)
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
 from magcal_service.physics.scene.scene import Scene
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])

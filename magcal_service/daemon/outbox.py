@@ -1,0 +1,137 @@
+"""What a craft sends, as records of the wire: vectors, estimates, replies and status from numbers alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.estimators.interface import StateEstimate
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
+from magcal_service.trust.monitor import Trust
+from magcal_service.wire.fields import fitting
+from magcal_service.wire.kinds import MAX_COUNTERS
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    Clock,
+    Command,
+    CommandReply,
+    Estimate,
+    MagnetometerSample,
+    Status,
+    Verdict,
+)
+
+SOURCE: Final = "magcal"
+"""Who sends: the source of every message of the daemon's own."""
+
+_UPPER: Final = np.triu_indices(STATE_SIZE)  # a covariance travels as its upper triangle, row by row
+_UPPER_3: Final = np.triu_indices(3)
+_IDENTITY_3: Final = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """Whose message it is, its number, and the source time [ns] that it speaks of."""
+
+    craft: str
+    sequence: int
+    time_ns: int
+    clock: Clock
+
+
+def calibrated_vector(
+    sample: MagnetometerSample, state: StateEstimate, covariance: Array, verdict: Verdict
+) -> CalibratedVector:
+    """A sample's vector by equation (5), with the covariance of noise and estimate together.
+
+    Parameters
+    ----------
+    sample: as it is to be calibrated [nT].
+    state: the estimate at hand.
+    covariance: its covariance (9, 9), grown by the random walk since the newest sample that it learned from.
+    verdict: how far it is to be trusted.
+    """
+    b1, b2, b3 = sample.field_body_nt
+    jacobian = vector_jacobian(b1, b2, b3)
+    of_vector = jacobian @ covariance @ jacobian.T + state.noise_nt**2 * _IDENTITY_3
+    dx, dy, dz = (jacobian @ state.x).tolist()  # w = B + J(B) x
+    xx, xy, xz, yy, yz, zz = of_vector[_UPPER_3].tolist()
+    return CalibratedVector(
+        craft=sample.craft,
+        source=sample.source,
+        sequence=sample.sequence,
+        time_ns=sample.time_ns,
+        clock=sample.clock,
+        field_body_nt=(b1 + dx, b2 + dy, b3 + dz),
+        covariance_nt2=(xx, xy, xz, yy, yz, zz),
+        verdict=verdict,
+    )
+
+
+def estimate_message(
+    stamp: Stamp, method: str, tick: int, state: StateEstimate, covariance: Array, trust: Trust, residual_rms_nt: float
+) -> Estimate:
+    """The nine errors (x, covariance (9, 9) [nT, -]) with verdict, reasons and remedy."""
+    bx, by, bz = state.x[BIAS].tolist()
+    d11, d22, d33, d12, d13, d23 = state.x[D_ALL].tolist()
+    return Estimate(
+        craft=stamp.craft,
+        source=SOURCE,
+        sequence=stamp.sequence,
+        time_ns=stamp.time_ns,
+        clock=stamp.clock,
+        method=method,
+        tick=tick,
+        bias_nt=(bx, by, bz),
+        D=(d11, d22, d33, d12, d13, d23),
+        covariance=tuple(covariance[_UPPER].tolist()),
+        verdict=trust.verdict,
+        reasons=tuple(str(reason) for reason in trust.reasons),
+        remedy=trust.remedy,
+        residual_rms_nt=residual_rms_nt,
+        noise_nt=state.noise_nt,
+        samples_used=state.samples,
+    )
+
+
+def command_reply(stamp: Stamp, command: Command, refusal: str, summary: str) -> CommandReply:
+    """The answer to a command: why it was refused, or how the craft is now that it was carried out."""
+    return CommandReply(
+        craft=stamp.craft,
+        source=SOURCE,
+        sequence=stamp.sequence,
+        time_ns=stamp.time_ns,
+        clock=stamp.clock,
+        name=command.name,
+        command_source=command.source,
+        command_sequence=command.sequence,
+        accepted=not refusal,
+        text=fitting(refusal or summary),
+    )
+
+
+def status_message(stamp: Stamp, uptime_s: float, trust: Trust, counters: Counter[str], summary: str) -> Status:
+    """Health of a craft, with as many counters as a status may hold."""
+    return Status(
+        craft=stamp.craft,
+        source=SOURCE,
+        sequence=stamp.sequence,
+        time_ns=stamp.time_ns,
+        clock=stamp.clock,
+        uptime_s=uptime_s,
+        verdict=trust.verdict,
+        counters=dict(capped(counters)),
+        text=summary,
+    )
+
+
+def capped(counters: Counter[str]) -> Counter[str]:
+    """As many counters as a status may hold; what is left out is counted."""
+    if len(counters) <= MAX_COUNTERS:
+        return counters
+    kept = Counter(dict(list(counters.items())[: MAX_COUNTERS - 1]))
+    kept["counters_left_out"] = len(counters) - len(kept)
+    return kept
