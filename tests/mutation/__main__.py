@@ -17,20 +17,25 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.mutation.mutants import Bench, Mutant, Outcome, drawn
-from tests.mutation.report import explanation, summary, write
+from tests.mutation.report import explanation, recorded, summary, write
 from tests.mutation.rooms import ROOMS, Room, room_named
 
 
 def main() -> int:
     """Draw, try, report."""
     options = _options()
+    if options.results is not None:
+        return _report(recorded(options.results), options.seed, options.out)
     rooms = [room_named(name) for name in options.room] or list(ROOMS)
     work = [(room, mutant) for room in rooms for mutant in drawn(room, options.sample or sys.maxsize, options.seed)]
     print(f"{len(work)} mutants in {len(rooms)} rooms, seed {options.seed}", flush=True)
-    outcomes = _tried(work, options.workers, options.log)
+    return _report(_tried(work, options.workers, options.log), options.seed, options.out)
+
+
+def _report(outcomes: list[Outcome], seed: int, out: Path | None) -> int:
     print(summary(outcomes))
-    if options.out is not None:
-        write(outcomes, options.seed, options.out)
+    if out is not None:
+        write(outcomes, seed, out)
     return int(any(not outcome.killed_by and not explanation(outcome.mutant) for outcome in outcomes))
 
 
@@ -42,6 +47,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="copies of the checkout worked on at once")
     parser.add_argument("--out", type=Path, metavar="DOCS", help="write mutation.md and results/mutation.json there")
     parser.add_argument("--log", type=Path, metavar="FILE", help="append every outcome as a JSON line")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="report what --log has written, try nothing")
     return parser.parse_args()
 
 
