@@ -115,7 +115,11 @@ def fit(B: npt.ArrayLike, H: npt.ArrayLike, noise_nt: float | None = None) -> Fi
 
 
 def _magnitudes(H: npt.ArrayLike) -> Array:
-    array = np.asarray(H, dtype=np.float64)
+    try:
+        array = np.asarray(H, dtype=np.float64)
+    except (TypeError, ValueError):
+        accepted = "magnitudes (n,) or vectors (n, 3) of numbers [nT] are accepted"
+        raise InputRefusedError([Fault("H", type(H).__name__, accepted)]) from None
     if array.ndim == 1:
         return array
     return np.asarray(np.linalg.norm(vectors("H", array), axis=1))

@@ -115,7 +115,7 @@ def direct(
 ) -> Direct | None:
     """The direct form of a term that one recorded channel drives; None where its numbers are not those of the form."""
     kind, _, channel = term.driver.partition(":")
-    if kind != "channel" or term.nonlinear or set(term.amplitudes) != {block} or not columns:
+    if kind != "channel" or term.nonlinear or set(term.amplitudes) != {block} or not columns or min(columns) < 0:
         return None
     amplitudes = np.asarray(term.amplitudes[block], dtype=np.float64)
     if amplitudes.shape not in ((len(columns), 3), *([(3,)] if len(columns) == 1 else [])):

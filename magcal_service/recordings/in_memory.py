@@ -64,6 +64,9 @@ def from_arrays(
     if attitude is not None:
         parts["attitude"] = _attitude(attitude, count)
     kept = np.asarray(np.isfinite(field).all(axis=1))
+    if not (kept & np.isfinite(reference.magnitude_nt)).any():
+        accepted = "at least one row with three finite components of B and a finite H is needed"
+        raise RecordingError([Fault("usable rows", 0, accepted)])
     descriptor = Descriptor(
         path=Path(ARRAYS),
         samples=Path(ARRAYS),
@@ -130,6 +133,9 @@ def _times(time: npt.ArrayLike) -> tuple[IntArray, bool]:
         accepted = "an array (n,) of datetime64 (UTC), or of seconds since any instant, is accepted"
         raise RecordingError([Fault("time", f"{values.dtype} of shape {values.shape}", accepted)])
     if values.dtype.kind == "M":
+        if np.isnat(values).any():
+            accepted = "a time for every row is accepted; leave out the rows that have none"
+            raise RecordingError([Fault("time", "NaT", accepted)])
         return values.astype("datetime64[ns]").astype(np.int64), True
     seconds = values.astype(np.float64)
     if not np.isfinite(seconds).all() or np.abs(seconds).max() > 9e9:
@@ -138,8 +144,15 @@ def _times(time: npt.ArrayLike) -> tuple[IntArray, bool]:
     return np.round(seconds * 1e9).astype(np.int64), False
 
 
+def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RecordingError([Fault(name, type(values).__name__, "numbers are accepted")]) from None
+
+
 def _columns(name: str, values: npt.ArrayLike, count: int, width: int) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
+    array = _numbers(name, values)
     if array.shape != (count, width):
         accepted = f"({count}, {width}) is accepted: a row for each time"
         raise RecordingError([Fault(f"shape of {name}", array.shape, accepted)])
@@ -149,7 +162,7 @@ def _columns(name: str, values: npt.ArrayLike, count: int, width: int) -> FloatA
 def _reference(H: npt.ArrayLike, count: int, frame: str) -> Reference:
     if frame not in {each.value for each in Frame}:
         raise RecordingError([Fault("frame", frame, nearest(frame, [each.value for each in Frame]))])
-    array = np.asarray(H, dtype=np.float64)
+    array = _numbers("H", H)
     if array.ndim == 0:
         array = np.full(count, float(array))
     if array.shape == (count,):
@@ -178,7 +191,7 @@ def _axis(axis: str | tuple[float, float, float]) -> Vector:
 def _channel(name: str, values: npt.ArrayLike, unit: str, count: int) -> tuple[str, Channel]:
     if unit not in CHANNEL_UNITS:
         raise RecordingError([Fault(f"unit of channel {name}", unit, nearest(unit, CHANNEL_UNITS))])
-    array = np.asarray(values, dtype=np.float64)
+    array = _numbers(f"channel {name}", values)
     array = array[:, None] if array.ndim == 1 else array
     array = _columns(f"channel {name}", array, count, array.shape[1] if array.ndim == 2 else 1)
     return name, Channel(ChannelSpec(name, tuple(f"{name}{i}" for i in range(array.shape[1])), unit), array)

@@ -122,9 +122,10 @@ B_GOOD, H_GOOD = np.full((60, 3), 20_000.0), np.full(60, 34_000.0)
         (B_GOOD * 100, H_GOOD, None, r"largest component of B: 2000000.0 is refused; .* is B in nT"),
         (B_GOOD[:40], H_GOOD[:40], None, r"usable rows of B and H: 40 is refused; at least 50"),
         (B_GOOD, H_GOOD, -1.0, r"noise_nt: -1.0 is refused; a number above 0 nT"),
+        (B_GOOD, ["north"] * 60, None, r"H: 'list' is refused; magnitudes \(n,\) or vectors"),
         ([["a", "b", "c"]], H_GOOD, None, r"B: 'list' is refused; an array of shape \(n, 3\) of numbers"),
     ],
-    ids=["two columns", "lengths", "zero reference", "gauss", "too large", "few rows", "noise", "text"],
+    ids=["two columns", "lengths", "zero reference", "gauss", "too large", "few rows", "noise", "text in H", "text"],
 )
 def test_bad_arrays_are_refused_with_what_is_accepted(B: object, H: object, noise: float | None, says: str) -> None:
     with pytest.raises(magcal.InputRefusedError, match=says):
