@@ -100,6 +100,19 @@ def test_what_is_taken_off_live_is_what_the_recording_would_be_given(hypothesis:
 REFERENCES = ("external_field[storm]", "position_offset[three axes, growing along]", "reference_epoch")
 
 
+@pytest.mark.parametrize("hypothesis", [h for h in LIVE if h.driver.startswith("channel:")], ids=ids)
+def test_a_term_bound_to_its_channel_gives_the_bits_of_the_scene(hypothesis: Hypothesis) -> None:
+    """The fast path of recorded drivers and the general one publish the same vector."""
+    model = whole(drawn(hypothesis)[0])
+    fast, general = Compensation(model), Compensation(model)
+    general._direct, general._needs_scene = (None,), True
+    for row in range(40):
+        _, quick = feed(fast, row)
+        _, thorough = feed(general, row)
+        assert fast.missing == general.missing == ()
+        assert quick.field_body_nt == thorough.field_body_nt
+
+
 @pytest.mark.parametrize("hypothesis", [h for h in forms() if h.label in REFERENCES], ids=ids)
 def test_a_reference_gets_the_magnitude_that_acts(hypothesis: Hypothesis) -> None:
     """Its vector grows along its own direction by what the model says, to 1 % of the largest growth."""

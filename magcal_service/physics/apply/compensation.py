@@ -212,11 +212,9 @@ class Compensation(Stateful, CompensationMemory):
     def _without(self, measured: Vector, d: Sequence[float], term: ModelTerm) -> Vector:
         """B - (I + D)^-1 d (3,) [nT]; MisfitError where that is no reading that a sensor could give."""
         b1, b2, b3 = measured
-        d1, d2, d3 = d
-        r1, r2, r3 = self._rows
-        x = b1 - (r1[0] * d1 + r1[1] * d2 + r1[2] * d3)
-        y = b2 - (r2[0] * d1 + r2[1] * d2 + r2[2] * d3)
-        z = b3 - (r3[0] * d1 + r3[1] * d2 + r3[2] * d3)
+        with np.errstate(all="ignore"):
+            o1, o2, o3 = (self._inverse @ d).tolist()
+        x, y, z = b1 - o1, b2 - o2, b3 - o3
         limit = MAX_SAMPLE_FIELD_NT
         if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):
             raise MisfitError(f"{term.effect}: without it the sample would be {(x, y, z)}")
@@ -247,10 +245,9 @@ class Compensation(Stateful, CompensationMemory):
         return self._scene([self._last, row] if self._last is not None and in_order else [row], clock)
 
     @cached_property
-    def _rows(self) -> list[list[float]]:
-        """(I + D)^-1 by rows."""
-        rows: list[list[float]] = np.linalg.inv(np.eye(3) + d_matrix(self.model.x)).tolist()
-        return rows
+    def _inverse(self) -> Array:
+        """(I + D)^-1."""
+        return np.asarray(np.linalg.inv(np.eye(3) + d_matrix(self.model.x)))
 
     # How it is applied
 
