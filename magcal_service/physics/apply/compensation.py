@@ -52,6 +52,9 @@ _POSITION_S: Final = 120.0
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
 
+_ABSURD_NT: Final = 1e100
+"""No disturbance reaches it; its products still fit a double."""
+
 _MOST_GROWTH: Final = 0.5
 """Share of the magnitude by which a reference may be wrong."""
 
@@ -212,10 +215,12 @@ class Compensation(Stateful, CompensationMemory):
     def _without(self, measured: Vector, d: Sequence[float], term: ModelTerm) -> Vector:
         """B - (I + D)^-1 d (3,) [nT]; MisfitError where that is no reading that a sensor could give."""
         b1, b2, b3 = measured
-        with np.errstate(all="ignore"):
-            o1, o2, o3 = (self._inverse @ d).tolist()
-        x, y, z = b1 - o1, b2 - o2, b3 - o3
         limit = MAX_SAMPLE_FIELD_NT
+        if sum(map(abs, d)) < _ABSURD_NT:  # beyond it, or not a number, the product would overflow
+            o1, o2, o3 = (self._inverse @ d).tolist()
+            x, y, z = b1 - o1, b2 - o2, b3 - o3
+        else:
+            x, y, z = d
         if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):
             raise MisfitError(f"{term.effect}: without it the sample would be {(x, y, z)}")
         return x, y, z
