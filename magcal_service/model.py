@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
+Number = Any
+"""A float, or an array of runs or samples: the same arithmetic, element by element."""
 
 STATE_SIZE: Final = 9  # three of the bias and six of the symmetric D
 BIAS: Final = slice(0, 3)  # bx, by, bz [nT]
@@ -65,6 +67,37 @@ def calibrate(x: Array, field_nt: Array) -> Array:
     return field_nt + field_nt @ d_matrix(x) - x[BIAS]
 
 
+def calibrated_components(x: Any, field_nt: Any) -> tuple[tuple[Number, ...], tuple[Number, Number, Number]]:
+    """I + D and w = (I + D) B - b, equation (5), component by component: what every filter's hot path calls.
+
+    Parameters
+    ----------
+    x: the nine numbers or arrays of a state, first axis first.
+    field_nt: the three of B [nT], each a number or an array that broadcasts with those of ``x``.
+
+    Returns
+    -------
+    (m11, m22, m33, m12, m13, m23) of I + D, and (w1, w2, w3) [nT].
+    """
+    b1, b2, b3, d11, d22, d33, m12, m13, m23 = x
+    B1, B2, B3 = field_nt
+    m11, m22, m33 = 1.0 + d11, 1.0 + d22, 1.0 + d33
+    w1 = m11 * B1 + m12 * B2 + m13 * B3 - b1
+    w2 = m12 * B1 + m22 * B2 + m23 * B3 - b2
+    w3 = m13 * B1 + m23 * B2 + m33 * B3 - b3
+    return (m11, m22, m33, m12, m13, m23), (w1, w2, w3)
+
+
+def adjugate_product(matrix: tuple[Number, ...], w: Any) -> tuple[tuple[Number, Number, Number], Number]:
+    """adj(I + D) w and det(I + D), whose quotient is (I + D)^-1 w; as ``calibrated_components`` has them."""
+    m11, m22, m33, m12, m13, m23 = matrix
+    c11, c12, c13 = m22 * m33 - m23 * m23, m13 * m23 - m12 * m33, m12 * m23 - m13 * m22
+    c22, c23, c33 = m11 * m33 - m13 * m13, m12 * m13 - m11 * m23, m11 * m22 - m12 * m12
+    w1, w2, w3 = w
+    product = (c11 * w1 + c12 * w2 + c13 * w3, c12 * w1 + c22 * w2 + c23 * w3, c13 * w1 + c23 * w2 + c33 * w3)
+    return product, m11 * c11 + m12 * c12 + m13 * c13
+
+
 def measure(x: Array, field_body_nt: Array) -> Array:
     """B = (I + D)^-1 (A H + b + eps), equation (1); ``field_body_nt`` (..., 3) is A H + eps [nT]."""
     solution: Array = np.linalg.solve(np.eye(3) + d_matrix(x), (field_body_nt + x[BIAS]).reshape(-1, 3).T)
@@ -99,7 +132,17 @@ def scalar_residual(x: Array, field_nt: Array, reference_magnitude_nt: Array) ->
     return residual
 
 
-def mean_of_v(noise_variance: Array | float) -> Array | float:
+def scalar_innovation_value(
+    residual_nt: Number, length_nt: Number, magnitude_nt: Number, noise_variance: Number
+) -> Number:
+    """Innovation h(x) + mean(v) - z of equations (2)-(4) [nT^2], as mean(v) - (|w| - |H|)(|w| + |H|).
+
+    ``residual_nt`` is |w| - |H|; the difference of squares is taken as a product, which keeps its digits.
+    """
+    return mean_of_v(noise_variance) - residual_nt * (length_nt + magnitude_nt)
+
+
+def mean_of_v(noise_variance: Number) -> Number:
     """Mean of v in z = h(x) + v, equation (3), for isotropic noise Sigma = s^2 I: tr(Sigma) = 3 s^2 [nT^2].
 
     From |(I + D) B - b|^2 = |H|^2 + 2 (AH)'eps + |eps|^2.  ``noise_variance`` is s^2 [nT^2], a number or any shape.
@@ -107,7 +150,7 @@ def mean_of_v(noise_variance: Array | float) -> Array | float:
     return 3.0 * noise_variance
 
 
-def variance_of_v(reference_magnitude_nt: Array | float, noise_variance: Array | float) -> Array | float:
+def variance_of_v(reference_magnitude_nt: Number, noise_variance: Number) -> Number:
     """Variance of v as in ``mean_of_v``: 4 H'Sigma H + 2 tr(Sigma^2) = 4 |H|^2 s^2 + 6 s^4 [nT^4].
 
     |H| [nT] and s^2 [nT^2] are numbers or arrays that broadcast.

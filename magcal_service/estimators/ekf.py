@@ -20,7 +20,14 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
-from magcal_service.model import STATE_SIZE, Array, calibrate, field_jacobian
+from magcal_service.model import (
+    STATE_SIZE,
+    Array,
+    calibrate,
+    field_jacobian,
+    scalar_innovation_value,
+    variance_of_v,
+)
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
@@ -99,15 +106,16 @@ class Ekf(Stateful, EkfMemory):
     def _update(self, field_nt: Array, magnitude_nt: float) -> tuple[float, float]:
         """One sample; its scalar residual before the update [nT] and its normalised innovation squared."""
         w = calibrate(self._x, field_nt)
-        square = float(w @ w)
+        length = float(np.linalg.norm(w))
+        residual = length - magnitude_nt
         variance = self._noise.total_nt**2
         jacobian = -2.0 * w @ field_jacobian(field_nt)  # H
         cross = self._covariance @ jacobian  # P H'
-        innovation = square - magnitude_nt**2 - 3.0 * variance  # z - h(x) - mean(v)
-        spread = float(jacobian @ cross) + 4.0 * variance * square + 6.0 * variance**2
+        innovation = -scalar_innovation_value(residual, length, magnitude_nt, variance)  # z - h(x) - mean(v)
+        spread = float(jacobian @ cross) + variance_of_v(length, variance)
         self._x = self._x + cross * (innovation / spread)
         self._covariance = self._covariance - np.outer(cross, cross) / spread
-        return square**0.5 - magnitude_nt, innovation**2 / spread
+        return residual, innovation**2 / spread
 
 
 METHOD = Method("ekf", "nine-state EKF with the scalar measurement alone, from the prior, as published", Ekf)

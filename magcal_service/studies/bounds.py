@@ -28,11 +28,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from magcal_service.estimators.parts.spin_window import LEO_FIELD_RATE_RAD_S, across_axis, harmonic_weights
+from magcal_service.estimators.parts.spin_window import (
+    LEO_FIELD_RATE_RAD_S,
+    across_axis,
+    harmonic_leak_nt,
+    harmonic_weights,
+)
 from magcal_service.model import STATE_SIZE, Array, field_jacobian, measure
-
-_SECOND_ORDER_LEAK = 3.0
-"""As ``spin_window``: what the harmonic fit leaves of a turning field, in units of |H| (field rate / spin rate)^2."""
 
 
 class InformationSet(StrEnum):
@@ -187,7 +189,7 @@ def _window_information(flight: Flight, jacobian: Array, counts: Sequence[int]) 
             continue
         rows = np.einsum("ci,k,kij,kjs->cs", across, weights, tangential[part], jacobian[part])
         noise = flight.noise_nt**2 * np.einsum("ci,k,kij,dj->cd", across, weights**2, tangential[part], across)
-        leak_nt = _SECOND_ORDER_LEAK * float(magnitude[part].mean()) * (LEO_FIELD_RATE_RAD_S / rate) ** 2
+        leak_nt = harmonic_leak_nt(magnitude[part], LEO_FIELD_RATE_RAD_S / rate)
         gain = rows.T @ np.linalg.solve(noise + leak_nt**2 * np.eye(2), rows)
         information[np.array(counts) >= last] += gain
     return information

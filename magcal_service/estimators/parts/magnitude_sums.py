@@ -24,7 +24,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
+from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian, mean_of_v
 
 SCALE_NT: Final = 30_000.0
 """Unit of every sum: numbers near 1 keep ten monomials of fourth order apart in double precision."""
@@ -138,7 +138,7 @@ class MagnitudeSums:
         variance = (noise_nt / SCALE_NT) ** 2
         bias = prior[BIAS]
         tie = np.concatenate([2.0 * _TWICE * prior[3:], 2.0 * bias, [bias @ bias]]) ** -2.0 * variance
-        moments = self.target + 3.0 * variance * self.normal[9]
+        moments = self.target + mean_of_v(variance) * self.normal[9]
         solution: Array = np.linalg.solve(
             self.normal + np.diag(tie), moments + tie * coefficients(np.zeros(STATE_SIZE))
         )
@@ -151,8 +151,8 @@ class MagnitudeSums:
         """
         variance = (noise_nt / SCALE_NT) ** 2
         q, jacobian = coefficients(y), coefficient_jacobian(y)
-        share = 5.0 if corrected else 3.0
-        gradient: Array = jacobian.T @ (self.normal @ q - self.target - share * variance * self.normal[9])
+        noise = (mean_of_v(1.0) + (2.0 if corrected else 0.0)) * variance
+        gradient: Array = jacobian.T @ (self.normal @ q - self.target - noise * self.normal[9])
         if corrected:
             gradient[3:] -= 4.0 * variance * self._turned(y)
         return gradient

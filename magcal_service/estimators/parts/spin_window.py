@@ -81,6 +81,17 @@ def _design(times_s: Array, rate_rad_s: float) -> Array:
     return design
 
 
+def harmonic_leak_nt(magnitude_nt: Array, turn_ratio: float) -> float:
+    """1 sigma [nT] of what is left of A H in a window's harmonic mean, per component.
+
+    Parameters
+    ----------
+    magnitude_nt: |H| of the window's samples (k,) [nT].
+    turn_ratio: rate at which H turns over the spin rate [-].
+    """
+    return _SECOND_ORDER_LEAK * float(magnitude_nt.mean()) * turn_ratio**2
+
+
 def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
     """Weights (k,) of the constant in a fit of {1, cos, sin, t cos, t sin} at the spin rate; None where undefined."""
     design = _design(times_s, rate_rad_s)
@@ -218,8 +229,7 @@ class SpinWindows(Stateful, SpinWindowsMemory):
         weights = harmonic_weights(times, self._rate_rad_s)
         if weights is None:
             return None
-        ratio = self._field_rate_rad_s() / self._rate_rad_s
-        leak_nt = _SECOND_ORDER_LEAK * float(magnitudes.mean()) * ratio**2
+        leak_nt = harmonic_leak_nt(magnitudes, self._field_rate_rad_s() / self._rate_rad_s)
         return Window(weights, fields, magnitudes, self._across, leak_nt, 1.0)
 
     def _mean(self) -> Window | None:

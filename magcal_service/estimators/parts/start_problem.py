@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.estimators.parts.spin_window import Window
-from magcal_service.model import BIAS, D_ALL, Array, d_matrix, state_of
+from magcal_service.model import (
+    BIAS,
+    D_ALL,
+    Array,
+    adjugate_product,
+    calibrated_components,
+    d_matrix,
+    mean_of_v,
+    state_of,
+)
 
 SETTLED: Final = 1e-6
 """Squared length of a step, in sigmas, below which the iteration ends."""
@@ -132,7 +141,7 @@ class BatchProblem:
 
     def residuals(self, x: Array) -> Array:
         """e = |w| - |H| (..., n) [nT] at states x (..., 9), its mean not taken off."""
-        w1, w2, w3 = _calibrated(x, self.field_nt)
+        _, (w1, w2, w3) = _calibrated(x, self.field_nt)
         residual: Array = np.sqrt(w1 * w1 + w2 * w2 + w3 * w3) - self.magnitude_nt
         return residual
 
@@ -165,7 +174,7 @@ class BatchProblem:
 
     def _directions(self, x: Array) -> Array:
         """Unit vectors of w (3, n) at a state (9,)."""
-        w = np.stack(_calibrated(x, self.field_nt))
+        w = np.stack(_calibrated(x, self.field_nt)[1])
         directions: Array = w / np.linalg.norm(w, axis=0)
         return directions
 
@@ -174,18 +183,14 @@ class BatchProblem:
 
         The rows are u'J(B_hat) with ``model.without_radial_noise``, of which this is the arithmetic.
         """
-        m11, m22, m33, m12, m13, m23 = _matrix(x)
-        w1, w2, w3 = _calibrated(x, self.field_nt)
+        matrix, (w1, w2, w3) = _calibrated(x, self.field_nt)
         length = np.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
         residual = length - self.magnitude_nt
         u1, u2, u3 = w1 / length, w2 / length, w3 / length
-        c11, c12, c13 = m22 * m33 - m23 * m23, m13 * m23 - m12 * m33, m12 * m23 - m13 * m22
-        c22, c23, c33 = m11 * m33 - m13 * m13, m12 * m13 - m11 * m23, m11 * m22 - m12 * m12
-        radial = residual * ((self.noise_nt / self.sigma_nt) ** 2 / (m11 * c11 + m12 * c12 + m13 * c13))
+        (p1, p2, p3), determinant = adjugate_product(matrix, (u1, u2, u3))
+        radial = residual * ((self.noise_nt / self.sigma_nt) ** 2 / determinant)
         b1, b2, b3 = np.moveaxis(self.field_nt, -1, 0)
-        b1 = b1 - radial * (c11 * u1 + c12 * u2 + c13 * u3)
-        b2 = b2 - radial * (c12 * u1 + c22 * u2 + c23 * u3)
-        b3 = b3 - radial * (c13 * u1 + c23 * u2 + c33 * u3)
+        b1, b2, b3 = b1 - radial * p1, b2 - radial * p2, b3 - radial * p3
         rows = np.empty((*x.shape, residual.shape[-1]))
         rows[..., 0, :], rows[..., 1, :], rows[..., 2, :] = -u1, -u2, -u3
         rows[..., 3, :], rows[..., 4, :], rows[..., 5, :] = u1 * b1, u2 * b2, u3 * b3
@@ -195,22 +200,9 @@ class BatchProblem:
         return rows, residual - self.noise_nt**2 / self.magnitude_nt
 
 
-def _matrix(x: Array) -> tuple[Array, ...]:
-    """The six elements of I + D, each (..., 1)."""
-    _, _, _, d11, d22, d33, m12, m13, m23 = np.moveaxis(x, -1, 0)[..., None]
-    return 1.0 + d11, 1.0 + d22, 1.0 + d33, m12, m13, m23
-
-
-def _calibrated(x: Array, field_nt: Array) -> tuple[Array, Array, Array]:
-    """w, equation (5), component by component (..., n)."""
-    m11, m22, m33, m12, m13, m23 = _matrix(x)
-    bias1, bias2, bias3 = np.moveaxis(x[..., BIAS], -1, 0)[..., None]
-    b1, b2, b3 = np.moveaxis(field_nt, -1, 0)
-    return (
-        m11 * b1 + m12 * b2 + m13 * b3 - bias1,
-        m12 * b1 + m22 * b2 + m23 * b3 - bias2,
-        m13 * b1 + m23 * b2 + m33 * b3 - bias3,
-    )
+def _calibrated(x: Array, field_nt: Array) -> tuple[tuple[Array, ...], tuple[Array, Array, Array]]:
+    """I + D by components (..., 1), and w by components (..., n) [nT]; states x (..., 9), B (..., n, 3)."""
+    return calibrated_components(np.moveaxis(x, -1, 0)[..., None], np.moveaxis(field_nt, -1, 0))
 
 
 def linear_states(problem: BatchProblem) -> tuple[Array, NDArray[np.bool_]]:
@@ -227,7 +219,7 @@ def linear_states(problem: BatchProblem) -> tuple[Array, NDArray[np.bool_]]:
     rows[..., :count, 6:9] = 2.0 * b
     rows[..., :count, 9] = -1.0
     square = (field_nt * field_nt).sum(axis=-1)
-    rows[..., :count, 10] = (square - magnitude_nt**2 - 3.0 * problem.noise_nt**2) / scale**2
+    rows[..., :count, 10] = (square - magnitude_nt**2 - mean_of_v(problem.noise_nt**2)) / scale**2
     rows[..., :count, :] *= per_row[:, None]
     tie = np.concatenate([2.0 * prior[D_ALL], prior[BIAS] / scale, [np.sum(prior[BIAS] ** 2) / scale**2]])
     rows[..., count:, :10] = np.diag(1.0 / tie)

@@ -15,7 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.model import STATE_SIZE, Array, vector_jacobian
+from magcal_service.model import (
+    STATE_SIZE,
+    Array,
+    adjugate_product,
+    calibrated_components,
+    scalar_innovation_value,
+    variance_of_v,
+    vector_jacobian,
+)
 
 _IDENTITY: Final = np.eye(STATE_SIZE)
 
@@ -108,32 +116,23 @@ def scalar_innovation(
     noise_variance: s^2 of the isotropic noise that the residual is weighted with [nT^2].
     white_variance: its part that is sensor noise; the same unless physics was left out [nT^2].
     """
-    b1, b2, b3, d11, d22, d33, m12, m13, m23 = x.tolist()
     B1, B2, B3 = field_nt.tolist()
-    m11, m22, m33 = 1.0 + d11, 1.0 + d22, 1.0 + d33
-    w1 = m11 * B1 + m12 * B2 + m13 * B3 - b1
-    w2 = m12 * B1 + m22 * B2 + m23 * B3 - b2
-    w3 = m13 * B1 + m23 * B2 + m33 * B3 - b3
+    matrix, (w1, w2, w3) = calibrated_components(x.tolist(), (B1, B2, B3))
     length = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
     residual = length - magnitude_nt
     share = white_variance / noise_variance * residual / length if length > 0.0 else 0.0
     r1, r2, r3 = share * w1, share * w2, share * w3  # the radial part, taken off w and, through (I + D)^-1, off B
-    c11, c12, c13 = m22 * m33 - m23 * m23, m13 * m23 - m12 * m33, m12 * m23 - m13 * m22
-    c22, c23, c33 = m11 * m33 - m13 * m13, m12 * m13 - m11 * m23, m11 * m22 - m12 * m12
-    determinant = m11 * c11 + m12 * c12 + m13 * c13
-    B1 -= (c11 * r1 + c12 * r2 + c13 * r3) / determinant
-    B2 -= (c12 * r1 + c22 * r2 + c23 * r3) / determinant
-    B3 -= (c13 * r1 + c23 * r2 + c33 * r3) / determinant
+    (p1, p2, p3), determinant = adjugate_product(matrix, (r1, r2, r3))
+    B1, B2, B3 = B1 - p1 / determinant, B2 - p2 / determinant, B3 - p3 / determinant
     moved = (vector_jacobian(B1, B2, B3) @ root) * weights.spread  # U (3, 9)
     linear = np.array((2.0 * (w1 - r1), 2.0 * (w2 - r2), 2.0 * (w3 - r3))) @ moved  # a (9,)
     quadratic = (moved * moved).sum(axis=0)  # q (9,)
     shift = 2.0 * weights.pair * float(quadratic.sum())  # mean of |w|^2 over the points, less its value at the centre
     quadratic -= shift
     spread = 2.0 * weights.pair * float(linear @ linear + quadratic @ quadratic) + weights.covariance_0 * shift * shift
-    noise = 4.0 * noise_variance * magnitude_nt * magnitude_nt + 6.0 * noise_variance * noise_variance
-    value = 3.0 * white_variance - residual * (length + magnitude_nt) - shift
+    value = scalar_innovation_value(residual, length, magnitude_nt, white_variance) - shift
     cross = (root @ linear) * (2.0 * weights.pair * weights.spread)
-    return ScalarInnovation(residual, value, spread + noise, cross)
+    return ScalarInnovation(residual, value, spread + variance_of_v(magnitude_nt, noise_variance), cross)
 
 
 def sigma_points(x: Array, root: Array, weights: UnscentedWeights) -> Array:

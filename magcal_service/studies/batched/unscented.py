@@ -14,7 +14,14 @@ import numpy as np
 
 from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.unscented import UnscentedWeights, cholesky
-from magcal_service.model import STATE_SIZE, Array, mean_of_v, variance_of_v
+from magcal_service.model import (
+    STATE_SIZE,
+    Array,
+    adjugate_product,
+    calibrated_components,
+    scalar_innovation_value,
+    variance_of_v,
+)
 
 
 def roots(covariance: Array, out: Array) -> Array:
@@ -50,26 +57,15 @@ class Vectors:
     @classmethod
     def of(cls, x: Array, field_nt: Array) -> Vectors:
         """w of states (9, r) and measured vectors (3, ..., r) [nT]."""
-        b1, b2, b3, d11, d22, d33, m12, m13, m23 = x
-        B1, B2, B3 = field_nt
-        m11, m22, m33 = 1.0 + d11, 1.0 + d22, 1.0 + d33
-        w1 = m11 * B1 + m12 * B2 + m13 * B3 - b1
-        w2 = m12 * B1 + m22 * B2 + m23 * B3 - b2
-        w3 = m13 * B1 + m23 * B2 + m33 * B3 - b3
-        return cls((m11, m22, m33, m12, m13, m23), (w1, w2, w3), np.sqrt(w1 * w1 + w2 * w2 + w3 * w3))
+        matrix, w = calibrated_components(x, field_nt)
+        w1, w2, w3 = w
+        return cls(matrix, w, np.sqrt(w1 * w1 + w2 * w2 + w3 * w3))
 
     def measured(self, w: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """(I + D)^-1 w."""
-        m11, m22, m33, m12, m13, m23 = self.matrix
-        c11, c12, c13 = m22 * m33 - m23 * m23, m13 * m23 - m12 * m33, m12 * m23 - m13 * m22
-        c22, c23, c33 = m11 * m33 - m13 * m13, m12 * m13 - m11 * m23, m11 * m22 - m12 * m12
-        inverse = 1.0 / (m11 * c11 + m12 * c12 + m13 * c13)
-        w1, w2, w3 = w
-        return (
-            (c11 * w1 + c12 * w2 + c13 * w3) * inverse,
-            (c12 * w1 + c22 * w2 + c23 * w3) * inverse,
-            (c13 * w1 + c23 * w2 + c33 * w3) * inverse,
-        )
+        (p1, p2, p3), determinant = adjugate_product(self.matrix, w)
+        inverse = 1.0 / determinant
+        return p1 * inverse, p2 * inverse, p3 * inverse
 
 
 def moved(field: tuple[Array, ...], root: Array, spread: float) -> tuple[Array, Array, Array]:
@@ -115,7 +111,7 @@ def scalar_innovations(
     square = (linear * linear).sum(axis=0) + (quadratic * quadratic).sum(axis=0)
     noise = variance_of_v(magnitude_nt, noise_variance)
     variance = 2.0 * weights.pair * square + weights.covariance_0 * shift * shift + noise
-    value = mean_of_v(noise_variance) - residual * (vectors.length + magnitude_nt) - shift
+    value = scalar_innovation_value(residual, vectors.length, magnitude_nt, noise_variance) - shift
     cross = np.einsum("ijr,jr->ir", root, linear) * (2.0 * weights.pair * weights.spread)
     return ScalarInnovations(value, variance, cross)
 
