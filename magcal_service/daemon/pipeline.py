@@ -33,6 +33,7 @@ from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import parse_model
 from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
@@ -82,7 +83,7 @@ class PipelineMemory:
     last_time_ns: int
     _clock: Clock
     first_time_ns: int
-    _fault: str
+    _fault: Rejection | None
     _fault_left: int
     _learned_s: float | None
     _thawed: bool
@@ -115,7 +116,7 @@ class Pipeline(Stateful, PipelineMemory):
         self._state: StateEstimate = self.estimator.estimate()
         self.first_time_ns = self.last_time_ns = 0
         self._clock = Clock.ELAPSED
-        self._fault = ""  # what the newest refused sample says of the sensor
+        self._fault = None  # the fault of the sensor that the newest rejected sample shows
         self._fault_left = 0  # accepted samples until that is over
         self._learned_s = None  # elapsed time of the newest sample learned from
         self._walk = _walk_of(config.filter)
@@ -175,7 +176,7 @@ class Pipeline(Stateful, PipelineMemory):
         """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
         self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
         self.watch = to.watch
-        self._thawed, self._fault = True, ""
+        self._thawed, self._fault = True, None
         self._learned_s, self._walk = to._learned_s, to._walk
         self._take_over()
 
@@ -253,9 +254,9 @@ class Pipeline(Stateful, PipelineMemory):
         return [self._tick(tick) for tick in self.ticks.flush()]
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
-        refused = self.ticks.refuse(sample)
-        if refused:
-            return self._refused(sample, refused)
+        rejection = self.ticks.rejection(sample)
+        if rejection is not None:
+            return self._rejected(sample, rejection)
         measured, sample = sample, self._corrected(sample)
         self.ticks.take(measured, sample)
         self._recover()
@@ -273,14 +274,14 @@ class Pipeline(Stateful, PipelineMemory):
         self.monitor.observe_driver(bool(missing))
         return corrected
 
-    def _refused(self, sample: MagnetometerSample, reason: str) -> list[Message]:
+    def _rejected(self, sample: MagnetometerSample, rejection: Rejection) -> list[Message]:
         """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
-        if reason not in SENSOR_FAULTS:
+        if rejection not in SENSOR_FAULTS:
             return []
-        fault, self._fault_left = SENSOR_FAULTS[reason]
-        if reason == self._fault:
+        fault, self._fault_left = SENSOR_FAULTS[rejection]
+        if rejection is self._fault:
             return []
-        self._fault = reason
+        self._fault = rejection
         self.monitor.observe_fault(fault)
         self.trust = self.monitor.judge(self._state)
         self.note("sensor_fault", f"{fault}: {self.trust.verdict}")
@@ -288,11 +289,11 @@ class Pipeline(Stateful, PipelineMemory):
 
     def _recover(self) -> None:
         """A sample was accepted: a fault ends with it, or after some more; without learning, an estimate grows old."""
-        if self._fault:
+        if self._fault is not None:
             self._fault_left -= 1
             if self._fault_left <= 0:
-                self.note("sensor_recovered", self._fault)
-                self._fault = ""
+                self.note("sensor_recovered", self._fault.value)
+                self._fault = None
                 self.monitor.observe_fault(None)
         if self._state.phase is Phase.RUNNING and self.monitor.observe_unchecked(self._age_s()):
             self.trust = self.monitor.judge(self._state)
@@ -364,7 +365,7 @@ class Pipeline(Stateful, PipelineMemory):
         self.monitor.reset()
         self.watch.reset()
         self._state, self.trust = self.estimator.estimate(), NOT_STARTED
-        self._fault, self._learned_s = "", None
+        self._fault, self._learned_s = None, None
 
     def _count(self, rejected: int, window: bool, window_rejected: bool) -> None:
         self.counters["rejected"] += rejected

@@ -5,21 +5,22 @@ has arrived and the reference covers it, or without, ``hold_s`` after it and aft
 While each stream is in order and the reference no later than that, a tick's contents don't depend on how the two were
 interleaved, which is why a replay equals the live run bit for bit.
 
-What happens to a sample that is not simply next (each outcome is counted under its name):
+What happens to a sample that is not simply next (each outcome is counted under its name; ``Rejection`` has those that
+reject it):
 
 =================  ===================================================================================================
 ``out_of_order``   older than its predecessor, its tick still open: accepted, sorted in.
-``late``           its tick is closed: refused.
-``doubled``        the time of a sample already taken: refused.
-``stuck``          the same vector for ``stuck_samples`` samples: refused from then on, until it changes.
-``time_behind``    more than ``late_s`` behind: refused; the third in a row that agree is a ``clock_step`` backwards.
-``time_ahead``     more than ``step_confirm_s`` ahead: refused; the third in a row that agree is believed.
+``late``           its tick is closed: rejected.
+``doubled``        the time of a sample already taken: rejected.
+``stuck``          the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
+``time_behind``    more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step`` backwards.
+``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is believed.
 ``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
-``clock_changed``  other clock (UTC or elapsed) than the samples before: refused; the third is a ``clock_step``.
-``saturated``      a component reaches ``range_nt``: refused.
-``axis_stuck``     one component stands still while noise or the others should move it: refused until it changes.
-``zero``           all three components are 0, as of a sensor that has not measured yet: refused.
-``crowded``        its second holds ``_MOST_IN_TICK`` samples already: refused.
+``clock_changed``  other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
+``saturated``      a component reaches ``range_nt``: rejected.
+``axis_stuck``     one component stands still while noise or the others should move it: rejected until it changes.
+``zero``           all three components are 0, as of a sensor that has not measured yet: rejected.
+``crowded``        its second holds ``_MOST_IN_TICK`` samples already: rejected.
 ``no_reference``   no reference at its time when its tick closes: it was answered, but takes no part in the estimate.
 =================  ===================================================================================================
 
@@ -42,23 +43,11 @@ from magcal_service.snapshot import Stateful
 from magcal_service.ticks.axis_watch import AxisWatch
 from magcal_service.ticks.rate_track import RateTrack
 from magcal_service.ticks.reference_track import ReferenceTrack
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample, Vector
 
 SECOND_NS: Final = 1_000_000_000
-
-REFUSALS: Final = (
-    "late",
-    "doubled",
-    "stuck",
-    "axis_stuck",
-    "saturated",
-    "time_behind",
-    "time_ahead",
-    "clock_changed",
-    "zero",
-    "crowded",
-)
-"""The outcomes above that refuse a sample."""
+"""Nanoseconds in a second: wire times are whole nanoseconds, a tick is one second."""
 
 _AGREEING: Final = 3
 """Samples in a row that have to agree on a new time before it is believed."""
@@ -114,7 +103,7 @@ class TickAssemblerMemory:
     _last_ns: int | None
     _broken: bool
     _recent: dict[int, Vector]
-    _votes: list[tuple[str, int]]
+    _votes: list[tuple[Rejection, int]]
     _same: int
     _last_field: Vector | None
     _axes: AxisWatch
@@ -178,22 +167,22 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         """Take a telemetry sample if it is the craft's angular rate; whether it was."""
         return self.rates.add(sample)
 
-    def add(self, sample: MagnetometerSample) -> str:
-        """Take a magnetometer sample; the (counted) reason where it is refused, empty where it is accepted."""
-        reason = self.refuse(sample)
-        if not reason:
+    def add(self, sample: MagnetometerSample) -> Rejection | None:
+        """Take a magnetometer sample; why it is rejected (and counted), None where it is accepted."""
+        rejection = self.rejection(sample)
+        if rejection is None:
             self.take(sample, sample)
-        return reason
+        return rejection
 
-    def refuse(self, sample: MagnetometerSample) -> str:
-        """The (counted) reason why a sample is not to be taken, empty where it is; then ``take`` has to follow."""
-        reason = self._refusal(sample)
-        if reason:
-            self.counters[reason] += 1
-        return reason
+    def rejection(self, sample: MagnetometerSample) -> Rejection | None:
+        """Why a sample is rejected (and counted); None where it is acceptable: then ``take`` has to follow."""
+        rejection = self._rejection(sample)
+        if rejection is not None:
+            self.counters[rejection.value] += 1
+        return rejection
 
     def take(self, sample: MagnetometerSample, corrected: MagnetometerSample) -> None:
-        """Take a sample that was not refused; what was measured is remembered, ``corrected`` goes into the tick."""
+        """Take a sample that was not rejected; what was measured is remembered, ``corrected`` goes into the tick."""
         self._votes.clear()
         elapsed_ns = sample.time_ns - self._base_ns
         if elapsed_ns < self._newest_ns:
@@ -207,31 +196,31 @@ class TickAssembler(Stateful, TickAssemblerMemory):
             del self._recent[next(iter(self._recent))]
         self.counters["accepted"] += 1
 
-    def _refusal(self, sample: MagnetometerSample) -> str:
+    def _rejection(self, sample: MagnetometerSample) -> Rejection | None:
         if not any(sample.field_body_nt):
-            return "zero"
+            return Rejection.ZERO
         if self._clock is None:
             self._anchor(sample, 0)
         elapsed_ns = sample.time_ns - self._base_ns
         if self._recent.get(sample.time_ns) == sample.field_body_nt and sample.clock is self._clock:
-            return "doubled"  # however far behind: a node's history after a restart, no step of its clock
+            return Rejection.DOUBLED  # however far behind: a node's history after a restart, no step of its clock
         if sample.clock is not self._clock:
-            return self._vote(sample, "clock_changed")
+            return self._vote(sample, Rejection.CLOCK_CHANGED)
         if elapsed_ns > self._newest_ns + self._jump_ns:
-            return self._vote(sample, "time_ahead")
+            return self._vote(sample, Rejection.TIME_AHEAD)
         if elapsed_ns < self._newest_ns - self._late_ns:
-            return self._vote(sample, "time_behind")
+            return self._vote(sample, Rejection.TIME_BEHIND)
         if sample.time_ns in self._recent:
-            return "doubled"
+            return Rejection.DOUBLED
         if elapsed_ns < self._closed_ns:
-            return "late"
+            return Rejection.LATE
         if self._is_crowded(elapsed_ns):
-            return "crowded"
+            return Rejection.CROWDED
         if self._is_stuck(sample):
-            return "stuck"
+            return Rejection.STUCK
         if self.sensor.range_nt is not None and max(map(abs, sample.field_body_nt)) >= self.sensor.range_nt:
-            return "saturated"
-        return "axis_stuck" if self._axes.stands_still(elapsed_ns, sample.field_body_nt) else ""
+            return Rejection.SATURATED
+        return Rejection.AXIS_STUCK if self._axes.stands_still(elapsed_ns, sample.field_body_nt) else None
 
     def _is_crowded(self, elapsed_ns: int) -> bool:
         begin = bisect_left(self._open, _edge_after(elapsed_ns) - SECOND_NS, key=_elapsed)
@@ -242,22 +231,22 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self._last_field = sample.field_body_nt
         return self._same >= self.sensor.stuck_samples
 
-    def _vote(self, sample: MagnetometerSample, reason: str) -> str:
-        """A sample whose time does not fit is refused; the third of a rising series moves the clock and is accepted."""
+    def _vote(self, sample: MagnetometerSample, reason: Rejection) -> Rejection | None:
+        """Reject a sample whose time does not fit; the third of a rising series moves the clock and is accepted."""
         if self._votes:
             before, time_ns = self._votes[-1]
-            if before != reason or not 0 < sample.time_ns - time_ns <= self._gap_ns:
+            if before is not reason or not 0 < sample.time_ns - time_ns <= self._gap_ns:
                 self._votes.clear()
         self._votes.append((reason, sample.time_ns))
         if len(self._votes) < _AGREEING:
             return reason
-        if reason != "time_ahead":  # elapsed time goes on over the step
+        if reason is not Rejection.TIME_AHEAD:  # elapsed time goes on over the step
             self.counters["clock_step"] += 1
             self._close_all()
             self._anchor(sample, self._newest_ns + SECOND_NS)
             self._last_ns, self._broken = None, True
             self._recent.clear()
-        return ""
+        return None
 
     def _anchor(self, sample: MagnetometerSample, elapsed_ns: int) -> None:
         self._clock = sample.clock

@@ -80,8 +80,8 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
     def add(self, sample: ReferenceSample) -> None:
         """Take a sample.
 
-        ``reference`` accepted, ``reference_doubled`` refused, ``reference_zero`` refused because there is nothing to
-        calibrate against, ``reference_jump`` refused because its time did not fit and the next ones did not agree with
+        ``reference`` accepted, ``reference_doubled`` rejected, ``reference_zero`` rejected because there is nothing to
+        calibrate against, ``reference_jump`` rejected because its time did not fit and the next ones did not agree with
         it, ``reference_step`` the track started anew.
         """
         found = _reference_of(sample)

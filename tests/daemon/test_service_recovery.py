@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from magcal_service.daemon.estimate_csv import COLUMNS
-from magcal_service.ticks.assembler import REFUSALS
+from magcal_service.ticks.rejection import Rejection
 from tests.daemon.service_processes import CutCable, Node, daemon, free_port, kill, stream, wait_for, write_config
 
 ROUTER = Path(__file__).resolve().parents[2] / "deploy" / "router.py"
 
 
 def refused(counters: dict[str, int]) -> int:
-    return sum(counters.get(kind, 0) for kind in REFUSALS)
+    return sum(counters.get(kind, 0) for kind in Rejection)
 
 
 def test_samples_sent_while_the_daemon_is_dead_are_kept_for_it(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import SensorConfig, TickConfig
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample
 from tests.ticks.tick_streams import Spoiling, assembler, counted, good, in_order, ns, play, reference, sample, shifted
 
@@ -131,7 +132,7 @@ def test_a_sample_just_before_the_first_one_is_still_in_its_tick() -> None:
 def test_a_stuck_sensor_is_believed_again_when_it_changes() -> None:
     target = assembler(sensor=SensorConfig(stuck_samples=3))
     frozen = [MagnetometerSample(**_fields(sample(second)) | {"field_body_nt": (1.0, 2.0, 3.0)}) for second in range(6)]
-    assert [target.add(message) for message in [*frozen, sample(6)]] == ["", "", "stuck", "stuck", "stuck", "stuck", ""]
+    assert [target.add(message) for message in [*frozen, sample(6)]] == [None] * 2 + [Rejection.STUCK] * 4 + [None]
 
 
 def _fields(message: MagnetometerSample) -> dict[str, object]:
@@ -153,10 +154,10 @@ def test_reasons_of_different_kinds_do_not_confirm_each_other() -> None:
     ahead = [sample(1000), sample(1001)]
     other = MagnetometerSample(**_fields(sample(1002)) | {"clock": "elapsed", "field_body_nt": (1.0, 2.0, 3.0)})
     assert [target.add(message) for message in [sample(0), *ahead, other]] == [
-        "",
-        "time_ahead",
-        "time_ahead",
-        "clock_changed",
+        None,
+        Rejection.TIME_AHEAD,
+        Rejection.TIME_AHEAD,
+        Rejection.CLOCK_CHANGED,
     ]
 
 
@@ -177,7 +178,7 @@ def test_after_a_babbling_second_the_next_one_is_taken() -> None:
     target = assembler()
     for step in range(1001):
         target.add(sample(step * 1e-6))
-    assert target.add(sample(1.0)) == ""
+    assert target.add(sample(1.0)) is None
 
 
 def test_a_gap_is_seen_by_the_first_tick_that_has_a_reference_after_it() -> None:

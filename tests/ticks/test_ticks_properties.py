@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magcal_service.config.settings import SensorConfig, TickConfig
-from magcal_service.ticks.assembler import REFUSALS, SECOND_NS
+from magcal_service.ticks.assembler import SECOND_NS
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample
 from tests.ticks.tick_streams import (
     Sample,
@@ -102,7 +103,7 @@ def test_every_sample_is_refused_for_one_reason_or_ends_in_one_tick(
     counters = target.counters
     paired = sum(len(tick.times_s) for tick in ticks)
     assert answers == {name: counters[name] for name in answers}
-    assert set(answers) <= {"accepted", *REFUSALS}
+    assert set(answers) <= {"accepted", *Rejection}
     assert counters["accepted"] == paired + counters["no_reference"]
     assert counters["ticks"] == sum(len(tick.times_s) > 0 for tick in ticks)
     assert counters["ticks"] + counters["ticks_skipped"] == len(ticks) == target.closed

@@ -9,6 +9,7 @@ from enum import Enum
 
 from magcal_service.config.settings import SensorConfig, TickConfig
 from magcal_service.ticks.assembler import SECOND_NS, Tick, TickAssembler
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.wire.messages import Clock, Frame, MagnetometerSample, ReferenceSample
 
 START_NS = 1_750_000_000 * SECOND_NS
@@ -66,11 +67,11 @@ def assembler(ticks: TickConfig | None = None, sensor: SensorConfig | None = Non
     return TickAssembler(ticks or TickConfig(), sensor or SensorConfig())
 
 
-def offer(target: TickAssembler, message: Sample) -> str:
-    """Hand one message in; why it was refused, if it was."""
+def offer(target: TickAssembler, message: Sample) -> Rejection | None:
+    """Hand one message in; why it was rejected, if it was."""
     if isinstance(message, ReferenceSample):
         target.add_reference(message)
-        return ""
+        return None
     return target.add(message)
 
 

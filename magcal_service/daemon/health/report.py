@@ -11,7 +11,7 @@ from magcal_service.daemon.health.figures import BOUNDS_S, Flow, Process, TickLa
 from magcal_service.daemon.health.metrics import Labels, Metrics
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.base import Link
-from magcal_service.ticks.assembler import REFUSALS
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.version import __version__
 from magcal_service.wire.messages import Verdict
 
@@ -104,7 +104,7 @@ class Health:
         rows = [
             ({"craft": craft.config.name, "outcome": name}, craft.ticks.counters[name])
             for craft in crafts
-            for name in ("accepted", *REFUSALS)
+            for name in ("accepted", *(each.value for each in Rejection))
         ]
         metrics.add("samples_total", "counter", "Magnetometer samples by what became of them.", rows)
         rows = [

@@ -10,7 +10,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links import Role, open_link
-from magcal_service.ticks.assembler import REFUSALS
+from magcal_service.ticks.rejection import Rejection
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/health.md").read_text(encoding="utf-8")
 PLAIN = {"magcal_build_info", "magcal_uptime_seconds"}
@@ -27,4 +27,4 @@ def test_every_metric_is_listed_and_no_other() -> None:
 
 
 def test_every_refusal_of_a_sample_is_listed() -> None:
-    assert [name for name in REFUSALS if f"`{name}`" not in TEXT] == []
+    assert [name for name in Rejection if f"`{name}`" not in TEXT] == []
