@@ -38,15 +38,20 @@ from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 REJECTED_MEMORY: Final = 60
+"""Samples over which the rejected share is averaged.
+
+Choice: 42 rejected in a row reach the limit. Fewer would start anew for one burst of spikes, more would leave the
+filter wrong for longer after a step.
+"""
+
 REJECTED_LIMIT: Final = 0.5
-"""Samples over which the rejected share is averaged, and the share at which the filter is wrong and not the samples."""
+"""Rejected share at which the filter is wrong and not the samples: most of them contradict it."""
 
 INNOVATION_MEMORY: Final = 100
-INNOVATION_LIMIT: Final = 2.5
-"""Accepted samples over which their squared innovation is averaged, and the mean that says that the errors changed.
+"""Accepted samples over which their squared innovation is averaged: its expectation is 1, with a scatter of 0.14."""
 
-Its expectation is 1, and the mean of 100 scatters by 0.14; outliers don't raise it, because the gate stops them.
-"""
+INNOVATION_LIMIT: Final = 2.5
+"""Mean that says that the errors changed: ten of its scatter; outliers don't raise it, the gate stops them."""
 
 _NOISE_MEMORY: Final = 600
 """Samples over which an unknown noise level is averaged."""
@@ -58,11 +63,14 @@ RUNAWAY_SHARE: Final = 0.3
 """A learnt noise level of this share of |H| is no noise: the filter has lost its way."""
 
 SPIN_WINDOWS: Final = 16
-SPIN_LIMIT: Final = 3.0
-"""Spin windows over which their squared innovation is averaged, and the multiple of its expectation that is too much.
+"""Spin windows over which their squared innovation is averaged.
 
-The mean of 16 windows exceeds 3 times its expectation by chance less than once in 10^9.
+Choice: four minutes of the paper's flight; fewer would need a higher limit, more would keep a wrong axis or rate in use
+for longer.
 """
+
+SPIN_LIMIT: Final = 3.0
+"""The multiple of its expectation that is too much: the mean of 16 windows exceeds it 3 times in 10^8 by chance."""
 
 
 _SCALAR_FITS: Final = 0.1

@@ -47,8 +47,14 @@ _YOUNGEST_TICKS: Final = 2 * EVERY_TICKS
 """Least age of a candidate that is tested."""
 
 JUMP_NT: Final = 2000.0
+"""1 sigma of a jump of each bias in its prior [nT]; what jumps much further is stopped by the gate, and it starts anew.
+
+Choice: along what the samples do not show, the covariance after a jump grows to it, so a wider one takes longer to
+settle; a narrower one shrinks what is found of a large jump.
+"""
+
 JUMP_D: Final = 0.03
-"""1 sigma of a jump in its prior; what jumps much further is stopped by the filter's gate, and it starts anew."""
+"""The same of each element of D [-]: 0.03 of 50 uT is 1500 nT, as much as the bias is allowed."""
 
 _PRIOR: Final = np.diag(np.concatenate([np.full(3, JUMP_NT), np.full(6, JUMP_D)]) ** -2.0)  # L
 

@@ -30,16 +30,23 @@ _SECOND_ORDER_LEAK: Final = 3.0
 """rms of the harmonic constant for a field turning at W under a spin w is below this times |H| (W/w)^2."""
 
 _UNSOUND: Final = 6.5
-_UNSOUND_BY_MEDIAN: Final = 8.0
-_MOST_UNSOUND: Final = 0.25
-"""A vector's residual to the fit, in noise sigmas or medians, that noise does not have, and the share that may have it.
+"""Residual of a vector to the fit, in noise sigmas, that noise does not have: 4 of 10^9 exceed it."""
 
-The length of three components of noise exceeds 6.5 sigma once in 10^9, the median is 1.5 sigma.
+_UNSOUND_BY_MEDIAN: Final = 8.0
+"""The same in medians of the residuals, where the noise is not given: 12 sigmas, since the median is 1.54 of them.
+
+Choice: the median of the dozen vectors of a short window is itself uncertain by a sixth; at 6.5 sigmas, four medians,
+it would cost sound ones.
 """
 
+_MOST_UNSOUND: Final = 0.25
+"""Share of a window that may be left out: where more would have to go, the model is wrong and not the vectors."""
+
 _FEWEST_JUDGED: Final = 8
+"""Vectors from which on a fit with six columns leaves two to judge them by; below, all are taken."""
+
 _FEWEST_FOR_SQUARE: Final = 40
-"""Samples from which on six columns, and nine, leave enough of them to be judged."""
+"""Vectors beyond which the fit has nine columns; choice: more than four for each column that they determine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,8 +32,10 @@ from magcal_service.ticks.assembler import Tick
 Entry = TypeVar("Entry")
 
 SMALLEST_EIGENVALUE: Final = 0.4
+"""Least accepted eigenvalue of I + D: the half-collapsed minimum has one near 0.25, real sensors stay above 0.7."""
+
 LARGEST_EIGENVALUE: Final = 2.5
-"""Accepted eigenvalues of I + D.  The half-collapsed minimum has one near 0.25; real sensors stay within 0.7 to 1.4."""
+"""Largest accepted eigenvalue of I + D, the inverse of the smallest; real sensors stay below 1.4."""
 
 HANDOVER_SHARE: Final = (0.005, 0.03)
 """The filter may take over when a calibrated vector is known to this share of |H| (1 sigma), by the residual's level.
@@ -50,11 +52,22 @@ _AMBIGUOUS: Final = 25.0
 """Advantage below which two distinct minima can't be told apart (odds of e^12)."""
 
 _OUTLIER: Final = 6.0
+"""Sigmas beyond which a sample is left out of the start: Gaussian noise exceeds them twice in 10^9."""
+
 _OUTLIER_PASSES: Final = 4
+"""Passes of leaving samples out.
+
+Choice: each costs a solution; the last counts even where one more would change what is left out.
+"""
+
 _FEWEST_KEPT: Final = 0.6
-"""Sigmas beyond which a sample is left out of the start, passes of it, and the least share that has to be left."""
+"""Least share of the samples that has to be left; choice: below it the fit is bad, whichever samples are blamed."""
 
 _NOISE_PASSES: Final = 4
+"""Passes of weighting by the residual that is left, until its level changes by less than 5 %.
+
+Choice: most end after one or two; one that would go on is accepted as it is, and more passes would only cost solutions.
+"""
 
 _MAX_SAMPLES: Final = 4096
 """Samples kept for the start; beyond that every second one is dropped, again and again."""

@@ -19,9 +19,24 @@ from magcal_service.estimators.steady_spin.state import ATTITUDE, ERRORS, RATE, 
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix
 
 _ITERATIONS: Final = 25
+"""Most steps; None after that.
+
+Choice: of some 1170 fits in the tests of the spin nine in ten settle within 6 steps, 10 do not in 25 and are given up;
+the next attempt has more samples.
+"""
+
 _LARGEST_TURN_RAD: Final = 0.3
+"""How far a step may turn the attitude of any sample: what linearising leaves out, half its square, is 4.5 % of |H|.
+
+Choice: longer steps can land on the neighbouring rate, a whole turn off over the span; shorter ones take more of them.
+"""
+
 _LARGEST_D: Final = 2.0
+"""Largest element of D on the way: as ``LARGEST_D`` of the batch start, a gain of three."""
+
 _CONVERGED: Final = 1e-6
+"""Squared length of a step, in sigmas, below which the fit is accepted: a thousandth of a sigma."""
+
 _PIECE: Final = 4096
 """Samples worked through at a time: some forty arrays of 32 kB."""
 

@@ -45,6 +45,12 @@ RATE_WALKS: Final = (0.0, 1e-8, 1e-7, 1e-6, 1e-5)
 """Random walk of the body rate [rad/s/sqrt(s)], from free of torque to a despin that doubles the noise in minutes."""
 
 _SHORTEST_S: Final = 120.0
+"""Sample time before the first attempt.
+
+Choice: 15 turns of the paper's spin, and H has turned by 7 to 15 degrees; shorter, more attempts are for nothing;
+longer, it starts later.
+"""
+
 _FIRST_S: Final = 240.0
 """The first fit takes the newest so many seconds: H turns by 15 to 30 degrees meanwhile, which attitude rests on."""
 
@@ -58,17 +64,32 @@ _CHANGING: Final = 4.0
 """A spin that was not steady throughout has to be for so many times longer than one that was."""
 
 _TURNS: Final = 2.0
+"""Turns of a configured slow spin in the first fit: ``find_axis`` needs one.
+
+Choice: the second is for a configured rate that is too high, and so too short a turn; more turns delay the start.
+"""
+
 _RETRY: Final = 1.15
 """Each attempt or fit waits until there is this much more sample time than at the one before."""
 
 _PAUSE_S: Final = 30.0
+"""Least sample time between two attempts; below 200 s it exceeds 15 %. Choice: an attempt costs milliseconds."""
 
 _MEDIAN_TO_SIGMA: Final = 1.4826
+"""Sigma of a normal distribution over the median of its absolute values."""
 
 _SLOWEST_RAD_S: Final = 0.3 * 2.0 * math.pi / 60.0
+"""Slowest rate that is searched, 0.3 rpm: 1.2 turns in the first fit's 240 s; what is slower shows no whole turn."""
+
 _FASTEST_RAD_S: Final = 35.0 * 2.0 * math.pi / 60.0
+"""Fastest rate that is searched, 35 rpm.
+
+Choice: the grid over 240 s has 873 rates either way, and the search's time grows in proportion; a faster craft has to
+be configured.
+"""
+
 _AROUND: Final = (0.8, 1.25)
-"""Search limits: as a rate where none is configured, and as factors on the configured one."""
+"""Factors on a configured rate between which it is searched first: a quarter off either way."""
 
 _AXIS_LIMIT: Final = 11.8
 """Squared norm (expectation 2) beyond which the configured axis is not believed: 1 in 370 by chance."""
@@ -89,7 +110,17 @@ _SAME_TURN_RAD: Final = 0.05
 """Two fits whose rates differ by less than this over their span are the same fit."""
 
 _GROWTH: Final = 2.0
+"""Factor by which a fit's span grows.
+
+Choice: a fit tells the rate well enough to carry its phase over twice its span; a smaller factor takes more fits, a
+larger one steps over the place where the spin stops being steady more often.
+"""
+
 _SMALLEST_GROWTH: Final = 1.1
+"""Growth below which the longest steady stretch is found; 2, 1.41 and 1.19 are tried.
+
+Choice: the end of the steady stretch is then known to a fifth of its length; finer, more fits.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,10 @@ _MIRROR_MARGIN: Final = 0.5
 """A reflection that leaves less than this share of what a rotation leaves means a mirrored calibration."""
 
 _FINE_RATES: Final = 21
+"""Rates of the second grid, one step of the first to either side: a tenth of a radian over the span apart.
+
+The fit that follows starts within 0.05 rad of the best of them, a sixth of the turn it may make in a step.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,8 @@ from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
 from magcal_service.snapshot import Stateful
 
 SPIN_STATE_SIZE: Final = 15
+"""The nine errors, three of the attitude, three of the rate: the slices below."""
+
 ERRORS: Final = slice(0, STATE_SIZE)  # b [nT], D [-]
 ATTITUDE: Final = slice(9, 12)  # theta [rad]
 RATE: Final = slice(12, 15)  # dw [rad/s]

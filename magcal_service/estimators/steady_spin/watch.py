@@ -5,7 +5,8 @@ the residual holds *across* the field is compared with what it holds *along* it.
 (a torque) leaves a residual that stays put in space: so its means over blocks, taken in inertial axes, are compared
 with what noise leaves.  Neither question needs the noise level to be known.
 
-Limits are set so that good data fail once in 10^6 blocks or more; what passes costs an attitude error of some 1e-3 rad.
+Limits are set so that good data fail in less than one of 10^5 blocks; what passes costs an attitude error of some
+1e-3 rad.
 """
 
 from __future__ import annotations
@@ -26,9 +27,20 @@ MEMORY: Final = 300
 """Samples over which the running ratio of across to along is averaged: 1 +- 0.1."""
 
 RATIO_LIMIT: Final = 1.6
+"""Running ratio of across to along beyond which the spin is lost: six times its scatter above 1."""
+
 _FIT_RATIO: Final = 1.2
+"""Ratio across to along that a batch fit may have besides what chance explains.
+
+Choice: a fifth more across the field at 300 nT is an attitude error of 130 nT, 3e-3 rad of 50 uT; a stricter limit
+would fail long fits, which chance no longer widens, for less than that.
+"""
+
 _FIT_DRIFT: Final = 1.5
+"""The same of the block means: half more than noise leaves in them. Choice, as above: 20 nT in a block at 300 nT."""
+
 _SIGMAS: Final = 5.0
+"""Scatter of ratio and drift by chance that a fit is allowed on top: 5 sigma, 3 in 10^7 to one side."""
 
 BLOCK: Final = 128
 """Samples in a block mean."""
@@ -37,6 +49,8 @@ BLOCKS: Final = 8
 """Blocks over which their squares are averaged: 1 +- 0.29."""
 
 DRIFT_LIMIT: Final = 2.8
+"""Mean of the blocks' squares beyond which the spin is lost: 24 degrees of freedom exceed it 6 times in 10^6."""
+
 BLOCK_LIMIT: Final = 10.0
 """The same for one block alone, a third of chi-squared with 3 degrees: 1 in 10^6."""
 
