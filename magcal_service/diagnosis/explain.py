@@ -26,9 +26,12 @@ MOST_EFFECTS: Final = 3
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
 
-_CANCELLING: Final = (
-    3.0  # times an effect's largest size, what its field may be where parts of it cancel in the residual
-)
+_CANCELLING: Final = 3.0
+"""Times its largest size that an effect's field may have where parts of it cancel in the residual.
+
+Choice: cancelling parts are known badly, so their sum needs room; a much larger factor lets them run away unseen.
+"""
+
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of columns made anew; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters

@@ -21,8 +21,17 @@ SIGNIFICANT_NATS: Final = 6.0
 """Evidence for a family, after their number, from which on it is no noise: about a dozen are looked at."""
 
 _MOST_TERMS: Final = 5
+"""Terms of a family that are named; choice: enough for a product on three axes and two others, few enough to read."""
+
 _TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
+"""Widths of a stretch that is tried [s]: a manoeuvre, a heater, a pass over a station.
+
+Choice: factors of about three, since a stretch half or twice as long as the cause still finds most of it; more widths
+cost evidence by their number.
+"""
+
 _MOST_TRANSIENTS: Final = 40
+"""Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

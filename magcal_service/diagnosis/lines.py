@@ -11,10 +11,20 @@ from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 
 _SLOWEST_PERIODS: Final = 8.0
+"""Periods that a tone has to have in the recording; choice: fewer cannot be told from a drift or a step."""
+
 _SLOWEST_S: Final = 900.0
+"""Longest period of a tone [s]: a sixth of a low orbit; what is slower belongs to orbit, light and warmth."""
+
 _APART_BINS: Final = 4
+"""Bins to either side that belong to a line: its main lobe, two to four of them at a padding of two to four times."""
+
 _PEAK: Final = 2.0
+"""How far a peak has to stand above the mean of what lies below it to be an oscillation; choice: a factor of two."""
+
 _MOST_SLOTS: Final = 1 << 18
+"""Places of an even grid beyond which pauses are cut: three days at 1 Hz, a transform of 2^19 points."""
+
 _ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
 
 

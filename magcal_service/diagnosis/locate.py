@@ -16,6 +16,7 @@ from magcal_service.diagnosis.problem import Fit
 from magcal_service.physics.interface import along_axes, oscillation
 
 _LINES: Final = 4
+"""Strongest lines that are listed; choice: the spin, its double, an orbit's side line, and one that is none of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

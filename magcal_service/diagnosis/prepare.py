@@ -28,7 +28,16 @@ MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
 
 _SPIKE: Final = 8.0
+"""Robust sigmas by which a single sample stands out of its neighbourhood and of the whole: noise does once in 10^15.
+
+Choice: lower, and steep but real courses of a disturbance lose samples; a spike below it is diluted by the fit.
+"""
+
 _CONSTANT_SPREAD: Final = 0.005
+"""Spread of |H| over its mean below which a recorded attitude is needed, and the vector form is used.
+
+As ``magnitude_spread`` of the trust monitor: the scalar form is degenerate on a sphere.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,14 +24,23 @@ from magcal_service.physics.interface import Columns, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 PRIOR_BIAS_NT: Final = 2e5
+"""1 sigma of each bias [nT]: four times a strong field; only what the recording says nothing of is held by it."""
+
 PRIOR_D: Final = 0.5
-"""1 sigma of the nine errors: only keeps what the recording says nothing of from running away."""
+"""1 sigma of each element of D [-], as weak."""
 
 HELD: Final = ("instant", "held")
 """Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
 
 _ITERATIONS: Final = 12
+"""Most steps; the fit is taken as it is then.
+
+Choice: a step that lowers the cost is always kept, so more would only polish; the search solves one for each candidate
+that it tries.
+"""
+
 _CONVERGED: Final = 1e-4
+"""Squared length of a step, in sigmas, below which it is not taken any more: a hundredth of a sigma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,10 @@ from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding, Value, Values, value_of
 
 _LEAST_PROBABILITY: Final = 1e-4
+"""Probability below which a rival is not listed, but for the best: what has less changes no decision."""
+
 _MOST_RIVALS: Final = 4
+"""Rivals listed for an effect; choice: beyond the class itself they are for orientation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,8 +17,15 @@ from magcal_service.model import Array
 from magcal_service.physics.interface import Columns, along_axes
 
 _BINS: Final = 10
+"""Ranges of a channel; choice: a tenth of the samples each, and a course that a line or a step does not fit still
+shows.
+"""
+
 _SHORTEST_S: Final = 240.0
+"""Stretch of time in which a line may have an amplitude of its own [s]; choice: as the longest transient."""
+
 _MOST_COURSES: Final = 48
+"""Such stretches at the most: six columns each, so that a family stays under 300."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,10 @@ from magcal_service.diagnosis.words import chance, odds, percent, reason_in_word
 from magcal_service.model import BIAS, Array
 
 _MOST_EFFECTS: Final = 3
+"""Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
+
 _WIDTH: Final = 118
+"""Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
 
 
 def summary(

@@ -11,7 +11,10 @@ from magcal_service.diagnosis.result import Entry
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
+"""Odds are not stated beyond 10^12: no model of the noise holds so far out."""
+
 _MOST_LISTED: Final = 3
+"""Names in one sentence; choice: more are a list, and it is elsewhere."""
 
 REASONS: Final[Mapping[str, str]] = {
     "collapsed": "the nine errors ended at values that no sensor has",

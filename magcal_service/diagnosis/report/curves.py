@@ -16,7 +16,10 @@ from magcal_service.physics.scene.scene import Scene
 from magcal_service.units import CHANNEL_UNITS
 
 _BINS: Final = 20
+"""Ranges of a driver; choice: enough to see a bend, each still with a twentieth of the samples."""
+
 _MOST_TERMS: Final = 3
+"""Effects with a figure of their own: as many as a search keeps (``MOST_EFFECTS``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

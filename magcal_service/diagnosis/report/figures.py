@@ -23,7 +23,11 @@ FLOOR: Final = "#52525b"
 _INK: Final = "#27272a"
 
 _POINTS: Final = 4000
+"""Points drawn of a long curve; choice: several for each pixel of the figure's width, and the page stays small."""
+
 _SIZE: Final = (5.4, 3.3)
+"""Width and height of a figure [inch]: 540 by 330 pixels on the page, at 100 to an inch."""
+
 _STYLE: Final[dict[Any, Any]] = {
     "font.size": 9.5,
     "axes.titlesize": 10,

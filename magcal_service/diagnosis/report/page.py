@@ -32,6 +32,8 @@ from magcal_service.physics.interface import in_words as number_in_words
 from magcal_service.version import __version__
 
 _MOST_PLACES: Final = 8
+"""Rows of the table of places; choice: the rest is in ``diagnosis.json``."""
+
 _TEMPLATE: Final = "page.html"
 
 
