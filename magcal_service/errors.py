@@ -20,6 +20,7 @@ __all__ = [
     "MagcalError",
     "RecordingError",
     "how_to_install",
+    "printable",
     "unwritable",
 ]
 
@@ -31,6 +32,11 @@ class MagcalError(Exception):
 
 
 _LONGEST_VALUE = 500  # characters of a value in a message: some lines on a terminal, whatever the file holds
+
+
+def printable(text: str) -> str:
+    """A text with everything that a terminal might obey, control characters and the like, shown as an escape."""
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
 
 
 def _shown(value: object) -> str:
@@ -60,7 +66,7 @@ class Fault:
         self.where, self.value, self.accepted = where, value, accepted
 
     def __str__(self) -> str:
-        return f"{self.where}: {_shown(self.value)} is refused; {self.accepted}"
+        return printable(f"{self.where}: {_shown(self.value)} is refused; {self.accepted}")
 
     def __repr__(self) -> str:
         return f"Fault({str(self)!r})"

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from magcal_service.cli.calibrate import add_calibrate
 from magcal_service.cli.common import DONE
 from magcal_service.cli.diagnose import add_diagnose
+from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.record import add_record
 from magcal_service.cli.replay import add_replay
 from magcal_service.cli.run import add_run
@@ -51,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
     add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
+    add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
     add_study(commands.add_parser("study", help="Monte-Carlo studies of the estimators"))
     add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))

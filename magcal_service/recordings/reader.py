@@ -80,6 +80,7 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
         position=position,
         channels=channels,
         report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries)),
+        lines=table.lines,
     ).select(log.kept)
     _check_usable(recording)
     return recording
@@ -87,7 +88,8 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
 
 def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
     """Every column the descriptor names, by the key that names it."""
-    named = {"time.column": (descriptor.time.column,), "magnetometer.columns": descriptor.magnetometer.columns}
+    named: dict[str, tuple[str, ...]] = {"time.column": (descriptor.time.column,)} if descriptor.time.column else {}
+    named["magnetometer.columns"] = descriptor.magnetometer.columns
     if isinstance(descriptor.reference, VectorReference):
         named["reference.columns"] = descriptor.reference.columns
     if isinstance(descriptor.reference, MagnitudeReference):

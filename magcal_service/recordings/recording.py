@@ -67,6 +67,7 @@ class Recording:
     craft: the configuration a session was recorded under; None where the log does not say.
     stream: what a session's service received, in order; None where the log is rows and no session.
     state: what a session's service began with, for ``Pipeline.restore_state``; None where that was nothing.
+    lines: (n,) line of the file of each row, from 1; None where the log has none.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Recording:
     craft: CraftConfig | None = None
     stream: tuple[Message, ...] | None = None
     state: dict[str, Any] | None = None
+    lines: IntArray | None = None
 
     @classmethod
     def from_arrays(
@@ -176,6 +178,7 @@ class Recording:
             channels={name: Channel(c.spec, c.values[rows]) for name, c in self.channels.items()},
             stream=None,
             state=None,
+            lines=None if self.lines is None else self.lines[rows],
         )
 
     def sorted_unique(self) -> Recording:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import reduce
+from collections.abc import Callable
+from functools import partial, reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ from magcal_service.recordings.specs import (
     VectorReference,
 )
 from magcal_service.recordings.table import CODE, FAULTS, Codes, FloatArray, IntArray, TextTable, why
-from magcal_service.recordings.timestamps import MAX_TIME_NS, iso8601_to_ns, seconds_to_ns
+from magcal_service.recordings.timestamps import MAX_TIME_NS, decimal_to_ns, iso8601_to_ns
 from magcal_service.units import FIELD_NT, LENGTH_KM
 from magcal_service.wire.messages import Frame
 
@@ -66,8 +67,10 @@ class RowArrays:
 
     def times(self, spec: TimeSpec) -> IntArray:
         """The time of every row [ns]; rows without one are refused."""
+        if spec.rate_hz is not None:
+            return self._even_times(spec.start_ns or 0, spec.rate_hz)
         cells = self._table.column(spec.column)
-        parse = iso8601_to_ns if spec.format is TimeFormat.ISO8601 else seconds_to_ns
+        parse = _parser(spec.format)
         start_ns = spec.start_ns or 0
         codes = np.zeros(len(cells), dtype=np.uint8)
         time_ns = np.zeros(len(cells), dtype=np.int64)
@@ -81,6 +84,12 @@ class RowArrays:
                 time_ns[row] = value + start_ns
         self._count("time", codes, kept=False)
         return time_ns
+
+    def _even_times(self, start_ns: int, rate_hz: float) -> IntArray:
+        """One row after the other, those that were refused for their cells counted too."""
+        lines = self._table.lines
+        since_first = (lines - lines[0]) / rate_hz if len(lines) else np.zeros(0)
+        return start_ns + np.rint(since_first * 1e9).astype(np.int64)
 
     def field(self, descriptor: Descriptor) -> FloatArray:
         """The magnetometer vector of every row [nT]; rows without one, or with one beyond 1 mT, are refused."""
@@ -164,6 +173,11 @@ class RowArrays:
         first = codes[np.argmax(codes > 0, axis=0), np.arange(codes.shape[1])]
         self._count(f"channels.{spec.name}", _or_absurd(first, np.any(absurd, axis=1)), kept=True)
         return Channel(spec, values)
+
+
+def _parser(form: TimeFormat) -> Callable[[str], int | None]:
+    """What makes nanoseconds of a time cell."""
+    return iso8601_to_ns if form is TimeFormat.ISO8601 else partial(decimal_to_ns, decimals=form.decimals)
 
 
 def _length(vectors: FloatArray) -> FloatArray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
+from magcal_service.recordings.defects import Code
 from magcal_service.recordings.position_spec import CartesianPosition, GeodeticPosition, PositionSpec, read_position
 from magcal_service.recordings.reference_spec import (
     MAX_FIELD_NT,
@@ -20,12 +21,12 @@ from magcal_service.recordings.reference_spec import (
     VectorReference,
     read_reference,
 )
-from magcal_service.recordings.timestamps import iso8601_to_ns
+from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
 from magcal_service.typed_toml.keys import choice, number, section, special, text, texts
 from magcal_service.typed_toml.record import Reading
 from magcal_service.units import FieldUnit
 from magcal_service.wire.fields import NAME
-from magcal_service.wire.messages import Clock, Vector
+from magcal_service.wire.messages import Vector
 
 __all__ = [
     "MAX_FIELD_NT",
@@ -54,39 +55,12 @@ _SUFFIXES = (".csv", ".csv.gz")
 _DELIMITERS = (",", ";", "\t")
 
 
-class TimeFormat(StrEnum):
-    """How a time cell is written."""
-
-    ISO8601 = "iso8601"
-    UNIX_S = "unix_s"
-    ELAPSED_S = "elapsed_s"
-
-
 class Axis(StrEnum):
     """Body axes by letter."""
 
     X = "x"
     Y = "y"
     Z = "z"
-
-
-def _start(reading: Reading, name: str) -> int | None:
-    """A string or TOML's own date-time, which is UTC where it names no zone."""
-    if not reading.table.has(name):
-        return None
-    value = reading.table.content[name]
-    written = value.isoformat() if isinstance(value, datetime.datetime) else value
-    start_ns = iso8601_to_ns(written) if isinstance(written, str) else None
-    if start_ns is None:
-        accepted = 'an ISO 8601 instant such as "2025-06-01T00:00:00Z" is accepted'
-        reading.table.refuse(name, str(value), accepted)
-    return start_ns
-
-
-def _check_start(reading: Reading, name: str, start_ns: int | None) -> None:
-    if start_ns is not None and reading.values["format"] is not TimeFormat.ELAPSED_S:
-        accepted = 'it goes with format = "elapsed_s" only; remove it'
-        reading.table.refuse(name, reading.table.content[name], accepted)
 
 
 def _check_file(reading: Reading, name: str, file: str) -> None:
@@ -127,20 +101,6 @@ class SamplesSpec:
     file: str = text(accepted="the name of a .csv, .csv.gz or .mcap file", check=_check_file)
     delimiter: str = special(_delimiter, ",")
     craft: str | None = special(_craft, None)
-
-
-@dataclass(frozen=True, slots=True)
-class TimeSpec:
-    """Column and format of the time; ``start_ns`` is the UTC instant [ns] of elapsed 0, where known."""
-
-    column: str = text(accepted="the name of the time column")
-    format: TimeFormat = choice(TimeFormat)
-    start_ns: int | None = special(_start, None, name="start", check=_check_start)
-
-    @property
-    def clock(self) -> Clock:
-        """UTC unless only the elapsed time is known."""
-        return Clock.ELAPSED if self.format is TimeFormat.ELAPSED_S and self.start_ns is None else Clock.UTC
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +158,7 @@ class Descriptor:
     samples: the log it describes, found beside the descriptor.
     delimiter: what separates the cells of a row.
     craft: which craft of a recorded session, where the descriptor names it.
+    accepted: likely defects that whoever wrote the descriptor has looked at and found to be none.
     """
 
     path: Path
@@ -210,6 +171,7 @@ class Descriptor:
     spin: SpinSpec | None = section(SpinSpec, None, file_only=True)
     channels: tuple[ChannelSpec, ...] = special(read_channels)
     craft: str | None = None
+    accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
 
     @property
     def session(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,7 +71,8 @@ def read_table(path: Path, delimiter: str = ",") -> TextTable:
     as ``truncated_file``.
     """
     raw, truncated = _read_bytes(path)
-    lines = raw.decode("utf-8-sig", errors="replace").split("\n")
+    text = raw.decode("utf-8-sig", errors="replace")
+    lines = _lines(text)
     if truncated:
         lines = lines[:-1] or [""]  # the last line is cut somewhere within
     header = tuple(name.strip() for name in _split(lines[0].rstrip("\r"), delimiter) or ())
@@ -85,6 +87,13 @@ def read_table(path: Path, delimiter: str = ",") -> TextTable:
         splitter.seen += 1
         splitter.note(RowFault.TRUNCATED_FILE, len(lines) + 1)
     return splitter.table(header)
+
+
+def _lines(text: str) -> list[str]:
+    """The lines of a file; a CR within a line that LF ends is left where it stands."""
+    if text.count("\r") <= 2 * text.count("\n"):
+        return text.split("\n")
+    return re.split("\r*\n|\r", text)
 
 
 def _read_bytes(path: Path) -> tuple[bytes, bool]:

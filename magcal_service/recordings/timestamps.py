@@ -30,20 +30,25 @@ def seconds_to_ns(text: str) -> int | None:
     ----------
     text: such as ``"1692888249.25"`` or ``"1.5e3"``; surrounding blanks are allowed.
     """
+    return decimal_to_ns(text, 9)
+
+
+def decimal_to_ns(text: str, decimals: int) -> int | None:
+    """A decimal number of a unit that is 10**``decimals`` ns, to the nearest nanosecond; None where it is none."""
     text = text.strip()
     match = _DECIMAL.fullmatch(text)
-    if match is None:
-        return _any_decimal_to_ns(text)
+    if match is None or len(match.group(3) or "") > decimals:
+        return _any_decimal_to_ns(text, decimals)
     sign, whole, fraction = match.groups()
-    value = int(whole) * NS_PER_S + (int(fraction.ljust(9, "0")) if fraction else 0)
+    value: int = int(whole) * 10**decimals + (int(fraction.ljust(decimals, "0")) if fraction else 0)
     return -value if sign == "-" else value
 
 
-def _any_decimal_to_ns(text: str) -> int | None:
+def _any_decimal_to_ns(text: str, decimals: int) -> int | None:
     """The rare forms: exponents, and more digits than nanoseconds (rounded half to even)."""
     if len(text) > _MAX_CHARACTERS or not _ANY_DECIMAL.fullmatch(text):
         return None
-    return int(Decimal(text).scaleb(9, _EXACT).to_integral_value(context=_EXACT))
+    return int(Decimal(text).scaleb(decimals, _EXACT).to_integral_value(context=_EXACT))
 
 
 def iso8601_to_ns(text: str) -> int | None:

@@ -7,11 +7,15 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from magcal_service.errors import Fault
 
 E = TypeVar("E", bound=StrEnum)
+
+
+_MOST_NAMES: Final = 60
+_LONGEST_NAME: Final = 60
 
 
 def nearest(value: str, known: Iterable[str]) -> str:
@@ -19,8 +23,15 @@ def nearest(value: str, known: Iterable[str]) -> str:
     names = sorted(known)
     by_lower = {name.lower(): name for name in names}
     close = difflib.get_close_matches(value.lower(), by_lower, n=1)
-    listing = ", ".join(names) if names else "none"
+    listing = _listed(names)
     return f"did you mean {by_lower[close[0]]!r}? known: {listing}" if close else f"known: {listing}"
+
+
+def _listed(names: list[str]) -> str:
+    """The first of them, however many and however long they are: some lines on a terminal."""
+    shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names[:_MOST_NAMES]]
+    more = [f"and {len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
+    return ", ".join(shown + more) or "none"
 
 
 def _is_number(value: object) -> bool:

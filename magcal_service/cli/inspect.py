@@ -1,0 +1,36 @@
+"""``magcal inspect``: defects of a recording, before any physics."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED
+
+
+def add_inspect(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal inspect``."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings here")
+    parser.set_defaults(command=_inspect)
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    import json
+
+    from magcal_service.errors import unwritable
+    from magcal_service.recordings.inspect.inspection import inspect
+    from magcal_service.recordings.reader import read_recording
+
+    recording = read_recording(options.recording, options.craft)
+    inspection = inspect(recording)
+    content = inspection.to_dict()
+    print("\n".join([*recording.report.lines(), *inspection.lines()]))
+    print(inspection.summary())
+    if options.json is not None:
+        try:
+            options.json.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        except OSError as exc:
+            raise unwritable(options.json, exc) from None
+    return NOT_TRUSTED if inspection.findings else DONE

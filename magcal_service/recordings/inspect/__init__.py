@@ -1,0 +1,1 @@
+"""What is wrong with a recording itself, before any physics: defects as findings, with what to write to mend them."""

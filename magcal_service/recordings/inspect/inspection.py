@@ -1,0 +1,158 @@
+"""``inspect``: every check in turn, each on the rows that those before it left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.errors import printable
+from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
+from magcal_service.recordings.inspect.log import Log
+from magcal_service.recordings.inspect.orbits import heights_and_times, longitude_sign
+from magcal_service.recordings.inspect.places import position_jump, position_still, position_zero
+from magcal_service.recordings.inspect.readings import held_readings, sentinels, zero_rows
+from magcal_service.recordings.inspect.times import shared_times, time_epoch, time_order, time_unit
+from magcal_service.recordings.recording import Recording, Reference
+from magcal_service.recordings.specs import ModelReference
+from magcal_service.recordings.usable import FEWEST_SAMPLES
+
+Check = Callable[[Log], Iterator[Seen]]
+
+CHECKS: Final[tuple[Check, ...]] = (
+    zero_rows,
+    sentinels,
+    time_epoch,
+    time_order,
+    time_unit,
+    shared_times,
+    position_zero,
+    position_jump,
+    position_still,
+    heights_and_times,
+    longitude_sign,
+    held_readings,
+)
+"""In this order: what a later one looks at has no rows that an earlier one is certain of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What was found on a recording.
+
+    Parameters
+    ----------
+    recording: as it was read.
+    findings: every defect, in the order of the checks.
+    left_out: (n,) rows that are not used.
+    no_place, no_reference: (n,) rows whose place or reference is not used.
+    clipped: (n,) rows that a diagnosis names the cause of, left out of every other fit.
+    """
+
+    recording: Recording
+    findings: tuple[Finding, ...]
+    left_out: NDArray[np.bool_]
+    no_place: NDArray[np.bool_]
+    no_reference: NDArray[np.bool_]
+    clipped: NDArray[np.bool_]
+
+    @cached_property
+    def open(self) -> tuple[Finding, ...]:
+        """What is only likely, and was not accepted in the descriptor: it has to be answered first."""
+        accepted = self.recording.descriptor.accepted
+        return tuple(one for one in self.findings if not one.certain and one.code not in accepted)
+
+    @cached_property
+    def usable(self) -> Recording:
+        """The recording without what is certainly none; the same object where that is nothing."""
+        return self._without(self.left_out | self.clipped)
+
+    @cached_property
+    def to_diagnose(self) -> Recording:
+        """As ``usable``, with the rows whose cause a diagnosis names itself."""
+        return self._without(self.left_out)
+
+    def _without(self, rows: NDArray[np.bool_]) -> Recording:
+        recording = self.recording
+        if self.no_reference.any():
+            recording = replace(recording, reference=_forget(recording.reference, self.no_reference))
+        if self.no_place.any():
+            if _is_modelled(recording) or np.count_nonzero(self.no_place) < 0.5 * len(recording):
+                rows = rows | self.no_place
+            else:
+                recording = replace(recording, position=None)
+        return recording.select(~rows) if rows.any() else recording
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``inspect --json`` writes."""
+        used = len(self.usable.sorted_unique())
+        return {
+            "usable": used >= FEWEST_SAMPLES and not self.open,
+            "rows": self.recording.report.rows,
+            "used": used,
+            "findings": [one.to_dict() for one in self.findings],
+        }
+
+    def lines(self) -> list[str]:
+        """The findings in words, one or two lines each; nothing where there are none."""
+        return [f"found: {one}" for one in self.findings]
+
+    def summary(self) -> str:
+        """One line: what there is, and what has to be answered."""
+        content = self.to_dict()
+        text = f"{content['used']} of {content['rows']} rows can be used"
+        if not self.findings:
+            return f"no defect found; {text}"
+        questions = f"; answer first: {', '.join(one.code for one in self.open)}" if self.open else ""
+        return f"{len(self.findings)} {'defect' if len(self.findings) == 1 else 'defects'} found; {text}{questions}"
+
+
+def _is_modelled(recording: Recording) -> bool:
+    return isinstance(recording.descriptor.reference, ModelReference)
+
+
+def _forget(reference: Reference, rows: NDArray[np.bool_]) -> Reference:
+    """The reference without that of some rows (n,)."""
+    magnitude_nt = np.where(rows, np.nan, reference.magnitude_nt)
+    vector_nt = None if reference.vector_nt is None else np.where(rows[:, None], np.nan, reference.vector_nt)
+    return Reference(magnitude_nt, vector_nt, reference.frame)
+
+
+def inspect(recording: Recording) -> Inspection:
+    """Look at a recording's rows before any physics; nothing is repaired, and nothing but numpy is needed."""
+    count = len(recording)
+    spoiled = {part: np.zeros(count, dtype=np.bool_) for part in Spoils}
+    good = np.ones(count, dtype=np.bool_)
+    findings: list[Finding] = []
+    for check in CHECKS:
+        log = Log(recording, np.flatnonzero(good))
+        for seen in check(log) if len(log) else ():
+            if not seen.certain and any(one.code is seen.code and not one.certain for one in findings):
+                continue  # asked already
+            findings.append(_finding(recording, seen))
+            if seen.certain:
+                spoiled[seen.spoils][seen.rows] = True
+        good = ~(spoiled[Spoils.ROW] | spoiled[Spoils.SAMPLES])
+        if _is_modelled(recording):
+            good &= ~spoiled[Spoils.PLACE]
+    return Inspection(
+        recording,
+        tuple(findings),
+        left_out=spoiled[Spoils.ROW],
+        no_place=spoiled[Spoils.PLACE],
+        no_reference=spoiled[Spoils.REFERENCE],
+        clipped=spoiled[Spoils.SAMPLES],
+    )
+
+
+def _finding(recording: Recording, seen: Seen) -> Finding:
+    entry = seen.refused
+    if entry is not None:
+        return Finding(seen.code, seen.certain, entry.count, entry.first_line, seen.says, seen.remedy)
+    first = int(np.min(seen.rows)) if len(seen.rows) else 0
+    line = first + 1 if recording.lines is None else int(recording.lines[first])
+    return Finding(seen.code, seen.certain, len(seen.rows), line, printable(seen.says), printable(seen.remedy))

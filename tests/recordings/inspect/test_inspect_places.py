@@ -1,0 +1,104 @@
+"""Places that are none are left out; heights, times and longitudes that go with no orbit are asked about."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.recordings.inspect.finding import Code
+from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
+
+PLACE = "lat lon alt"
+
+
+def igrf(**changes: object) -> CleanLog:
+    return clean_log(Kind(reference="igrf", channels=False, **changes))  # type: ignore[arg-type]
+
+
+def without_fix(log: CleanLog, rows: np.ndarray, value: float, columns: str = PLACE) -> CleanLog:
+    def spoil(column: np.ndarray) -> np.ndarray:
+        column[rows] = value
+        return column
+
+    return log.spoiled(columns, spoil)
+
+
+@pytest.mark.parametrize("rows", [np.arange(120), np.arange(700, 760), np.array([5, 90, 91, 1500])])
+@pytest.mark.parametrize("columns", [PLACE, "lat lon"])
+def test_the_place_of_no_fix_is_left_out(rows: np.ndarray, columns: str, tmp_path: Path) -> None:
+    inspection = without_fix(igrf(), rows, 0.0, columns).inspected(tmp_path)
+    finding = {one.code: one for one in inspection.findings}[Code.POSITION_ZERO]
+    assert (finding.certain, finding.rows, finding.first) == (True, len(rows), rows[0] + 2)
+    assert len(inspection.findings) == (1 if columns == PLACE else len(inspection.findings))
+    assert len(inspection.usable) == 1800 - len(rows)
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(48.1, 11.6), (-33.4, -70.6)])
+def test_a_place_that_no_orbit_reaches_is_left_out(latitude: float, longitude: float, tmp_path: Path) -> None:
+    rows = np.arange(300, 360)
+    log = without_fix(without_fix(igrf(), rows, latitude, "lat"), rows, longitude, "lon")
+    inspection = without_fix(log, rows, 0.2, "alt").inspected(tmp_path)
+    finding = {one.code: one for one in inspection.findings}[Code.POSITION_JUMP]
+    assert (finding.certain, finding.rows, finding.first) == (True, 60, 302)
+    assert len(inspection.usable) == 1740
+
+
+def test_a_place_that_is_held_while_the_craft_flies_is_left_out(tmp_path: Path) -> None:
+    def hold(column: np.ndarray) -> np.ndarray:
+        column[500:620] = column[500]
+        return column
+
+    inspection = igrf().spoiled(PLACE, hold).inspected(tmp_path)
+    finding = {one.code: one for one in inspection.findings}[Code.POSITION_STILL]
+    assert (finding.certain, finding.rows, finding.first) == (True, 119, 503)
+    assert len(inspection.usable) == 1681
+
+
+def test_places_that_come_at_a_slower_rate_than_rows_are_none(tmp_path: Path) -> None:
+    log = clean_log(Kind(step_s=0.25))
+    held = np.arange(1800) // 20 * 20
+    assert log.spoiled(PLACE, lambda column: column[held]).found(tmp_path) == {}
+
+
+def test_one_place_for_a_craft_in_orbit_is_asked_about(tmp_path: Path) -> None:
+    finding = clean_log().spoiled(PLACE, lambda column: column[:1].repeat(1800)).found(tmp_path)[Code.POSITION_STILL]
+    assert not finding.certain
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit", "right"),
+    [(1.0, "m", "km"), (1e3, "km", "m")],
+)
+def test_a_height_in_another_unit_is_asked_about(factor: float, unit: str, right: str, tmp_path: Path) -> None:
+    log = clean_log().spoiled("alt", lambda column: column * factor)
+    position = f'[position]\ncolumns = ["lat", "lon"]\naltitude = {{ column = "alt", unit = "{unit}" }}'
+    finding = log.described(position=position).found(tmp_path)[Code.ALTITUDE_UNIT]
+    assert not finding.certain
+    assert f'unit = "{right}" }}' in finding.remedy
+
+
+def test_the_distance_from_the_earths_centre_is_no_height(tmp_path: Path) -> None:
+    finding = clean_log().spoiled("alt", lambda column: column + 6371.0).found(tmp_path)[Code.ALTITUDE_UNIT]
+    assert "Earth's centre" in finding.remedy
+
+
+def test_an_aircraft_has_no_orbit(tmp_path: Path) -> None:
+    time_s = np.arange(1800.0)
+    log = clean_log().changed(lat=48.0 + 0.002 * time_s, lon=11.0 + 0.001 * time_s, alt=10.0 + 0.0 * time_s)
+    assert log.found(tmp_path) == {}
+    metres = log.changed(alt=10_000.0 + 0.0 * time_s)
+    assert metres.found(tmp_path / "m")[Code.ALTITUDE_UNIT].certain is False
+
+
+@pytest.mark.parametrize("inclination_deg", [51.6, 97.4])
+def test_a_longitude_of_the_other_sign_is_asked_about(inclination_deg: float, tmp_path: Path) -> None:
+    log = clean_log(Kind(inclination_deg=inclination_deg)).spoiled("lon", lambda column: -column)
+    (finding,) = log.inspected(tmp_path).findings
+    assert (finding.code, finding.certain) == (Code.LONGITUDE_SIGN, False)
+
+
+def test_what_was_accepted_is_said_and_open_no_more(tmp_path: Path) -> None:
+    log = clean_log().spoiled("lon", lambda column: -column)
+    assert [one.code for one in log.inspected(tmp_path / "a").open] == [Code.LONGITUDE_SIGN]
+    inspection = log.described(inspect='[inspect]\naccept = ["longitude_sign"]').inspected(tmp_path / "b")
+    assert (len(inspection.findings), inspection.open) == (1, ())
