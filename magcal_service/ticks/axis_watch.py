@@ -64,7 +64,7 @@ class AxisWatch(Stateful, AxisWatchMemory):
 
     def _stands_still(self, axis: int, elapsed_ns: int, field_nt: Vector, least_nt: float) -> bool:
         low, high = self._low[axis], self._high[axis]
-        if field_nt[axis] != self._last[axis]:
+        if field_nt[axis] != self._last[axis] or not self._count[axis]:
             self._learn_resolution(axis, field_nt[axis])
             self._last[axis], self._count[axis], self._since_ns[axis] = field_nt[axis], 1, elapsed_ns
             low[:], high[:] = field_nt, field_nt

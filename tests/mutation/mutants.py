@@ -80,14 +80,24 @@ def _places(file: Path) -> Iterator[tuple[Path, str, int]]:
 
 
 def _silent_lines(source: str) -> set[int]:
-    """Lines that decide nothing: imports, ``__all__``, blocks for type checkers, and the words of a refusal."""
+    """Lines that decide nothing: imports, ``__all__``, blocks for type checkers, and the words of a refusal.
+
+    So do the arguments of ``@dataclass``: ``frozen`` and ``slots`` keep authors from mistakes and save memory, and no
+    result depends on them.
+    """
     silent: set[int] = set()
     for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ClassDef):
+            silent |= {line for decorator in node.decorator_list for line in _lines(decorator)}
         named = isinstance(node, ast.Assign) and any(ast.unparse(target) == "__all__" for target in node.targets)
         typing_only = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
         if named or typing_only or isinstance(node, ast.Import | ast.ImportFrom | ast.Raise):
-            silent |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+            silent |= set(_lines(node))
     return silent
+
+
+def _lines(node: ast.stmt | ast.expr) -> range:
+    return range(node.lineno, (node.end_lineno or node.lineno) + 1)
 
 
 def _mutant(file: Path, operator: str, occurrence: int) -> Mutant | None:
@@ -112,6 +122,8 @@ def _meaning(source: str) -> str:
             node.annotation = None
         elif isinstance(node, ast.FunctionDef):
             node.returns = None
+        elif isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(None)
     return ast.dump(tree)
 
 
