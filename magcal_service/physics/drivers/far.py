@@ -18,10 +18,20 @@ from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonline
 from magcal_service.physics.scene.scene import Scene
 
 STEP_S: Final = 60.0
+"""Between shifts that the field is worked out for [s]: 3.8 degrees of a low orbit; cubic curves follow |H| so far."""
+
 _KNOT_S: Final = 30.0  # between rows that the field is worked out for; taken as linear between them it is 10 nT off
 FARTHEST_S: Final = 1200.0
+"""Largest shift that is tried [s].
+
+Choice: more than twice what the station's places were behind (401 to 500 s, docs/recordings.md); further, a part of the
+orbit looks like another and the table grows.
+"""
+
 GROWTHS_S_PER_H: Final = np.array([-6.0, -3.0, 0.0, 3.0, 6.0])
 LARGEST_NT: Final = 30000.0
+"""rms that a whole shift may have [nT]: the difference between any two places of a low orbit."""
+
 SHORTEST_S: Final = 3000.0
 """Half an orbit, below which a shift along it is a slope and a curve, no shape of its own."""
 

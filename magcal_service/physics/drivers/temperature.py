@@ -19,8 +19,10 @@ SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
 """What is heated first: nothing between, a panel, a structure."""
 
 _AGAINST_GUESSING: Final = 5.0
+"""Nats against guessing a temperature where one was recorded: odds of 150 to 1 for the record."""
 
 _LEAST_SWING_K: Final = 0.05
+"""Spread below which a recorded temperature is constant: a step of a coarse sensor; it drives nothing that shows."""
 
 Act = Callable[[Array], Columns]
 """From a signal (n,) to its columns."""

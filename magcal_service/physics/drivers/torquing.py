@@ -33,15 +33,34 @@ LARGEST_NT: Final = 5000.0
 """rms of a pattern that is only inferred: what is larger would have been recorded, or is something else."""
 
 _SHARES: Final = np.array([0.3, 0.5, 0.75])
+"""Shares of a cycle for which coils are on; choice: a share between is met with about nine tenths of its field."""
+
 _PHASES: Final = 8
+"""Places in a cycle where firing may begin; choice: the nearest is a sixteenth of a cycle off at most."""
+
 _PARTS: Final = 24
+"""Stretches of a recording in which detumbling may be on or off; choice: begin and end are known to 4 %."""
+
 _SHORTEST_PART: Final = 7
+"""Least consecutive stretches that count: 29 % of the recording; shorter ones, besides these 171, fit chance."""
+
 _SLOTS: Final = 24
+"""Places in an interval of dumping: 10 to 67 s each. Choice: twice as many, twice the trials."""
+
 _ON_SLOTS: Final = (3, 5, 7, 10)
+"""Lengths of a dump that are tried, in slots: 12 to 42 % of it, each about half longer than the last."""
+
 _SEGMENT_S: Final = 8.0
+"""Length of the sums that intervals are folded from [s]; choice: below a slot, few in a long recording."""
+
 _MOST: Final = 6
+"""Best patterns of the sums that are worked out by columns; choice: the sums rank well, and each costs a fit."""
+
 _LONGEST_PERIOD_S: Final = 20.0
+"""Sample period beyond which no pattern is looked for [s]: most of ``CYCLES_S`` would be sampled less than once."""
+
 _LEAST_SAMPLES: Final = 200
+"""Samples from which on a pattern is looked for: its nine amplitudes and six numbers need several each."""
 
 
 DETUMBLING: Final = "inferred:detumbling"

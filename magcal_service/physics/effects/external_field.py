@@ -13,7 +13,10 @@ from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 INDUCED: Final = 0.27
+"""Induced over inducing field at the Earth's surface for the ring current: Q1 of Olsen et al. 2006 (CHAOS)."""
+
 _EARTH_KM: Final = 6371.2
+"""Reference radius of the field's spherical harmonics (IGRF) [km]."""
 
 
 def ring_current(scene: Scene) -> Array | None:

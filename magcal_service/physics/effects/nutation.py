@@ -17,9 +17,19 @@ from magcal_service.physics.scene.view import View
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 _LEAST_NATS: Final = 40.0
+"""Height of a line over its neighbourhood from which it is a nutation.
+
+Choice: higher than for named physics (12), because any disturbance that turns with the body gives lines here too.
+"""
+
 _LEAST_SIGMAS: Final = 0.1
+"""Motion of the field, in noise sigmas, below which it does not matter: one percent of the variance."""
+
 _STEEPEST: Final = 0.999
+"""Largest sine of twice the angle: beyond 44 degrees both sides of 45 look alike, and the derivative has a pole."""
+
 _SLOWEST_HZ: Final = 2e-3
+"""Distance from the spin's lines within which nothing is nutation [Hz]: eleven times the orbit's frequency."""
 
 
 def _find(view: View) -> Finding | None:

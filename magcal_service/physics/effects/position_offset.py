@@ -14,6 +14,8 @@ from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _STEP_KM = 10.0
+"""Step of the differences [km]: |H| bends over thousands of km, and rounding of the model is far below."""
+
 _LARGEST_NT = 3000.0  # of a place that is wrong by about 100 km
 
 

@@ -13,9 +13,13 @@ from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _ON_LATTICE: Final = 0.04
+"""Distance from whole multiples of the step, in steps, that 95 % of the values keep; by chance they have 0.475."""
+
 _LEAST_SIGMAS: Final = 0.3
+"""Step in noise sigmas from which on it counts: at 0.3 it adds 0.75 % to the variance."""
+
 _LEAST_DETECTABILITY: Final = 10.0
-"""A step counts from 0.3 sigma on, and where its noise stands out of the recording: sqrt(n) (q / sqrt 12) / sigma."""
+"""How far its noise has to stand out of the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
 
 
 def step_of(values: Array) -> float:

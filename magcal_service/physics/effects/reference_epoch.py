@@ -12,7 +12,10 @@ from magcal_service.physics.scene.scene import Scene
 
 _YEAR_NS: Final = round(365.25 * 86400 * 1e9)
 _BASE_YEARS: Final = 5.0
+"""Years over which the yearly change is taken: IGRF is linear between epochs, five years apart."""
+
 DEGREES: Final[tuple[int, ...]] = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
+"""Degrees at which a series may have been cut: all below the 13 of IGRF."""
 
 
 def yearly_change(scene: Scene) -> Array:

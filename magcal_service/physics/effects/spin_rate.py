@@ -13,10 +13,19 @@ from magcal_service.physics.interface import Effect, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _LEAST_NATS: Final = 15.0
+"""Evidence from which on a rate changes: odds of 3 million, after the number of samples."""
+
 _LEAST_BEND_RAD: Final = math.radians(3.0)
+"""Least bend of the phase over the recording; choice: less moves no vector by more than 5 % of the field across."""
+
 _LEAST_SHARE: Final = 0.001
+"""Least difference from the stated rate that is one; choice: a rate is stated to three digits at best."""
+
 _SIGMAS: Final = 5.0
+"""Sigmas of the rate that a difference has to have: by chance once in 2 million."""
+
 TO_RPM: Final = 30.0 / math.pi
+"""rad/s to turns a minute."""
 
 
 def _tolerance(nominal_rad_s: float) -> float:

@@ -18,6 +18,7 @@ _COARSE_SHORTEST: Final = 400
 """The same where an axis moves in steps larger than the noise, and stays on one for a while when the field turns."""
 
 _MOTION_SIGMAS: Final = 20.0
+"""Noise sigmas by which another axis has to move meanwhile; choice: a tenth of the field at 300 nT of noise."""
 
 
 def _find(view: View) -> Finding | None:

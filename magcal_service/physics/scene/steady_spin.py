@@ -24,6 +24,8 @@ ORBITAL_RATE_RAD_S: Final = 1.1e-3
 """Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
 
 _KNOT_TURNS: Final = 12.0
+"""Turns between knots of the smoothed phase; choice: more stiffen a changing rate, fewer let noise in."""
+
 _LEAST_ACROSS: Final = 0.1  # of |H|
 
 

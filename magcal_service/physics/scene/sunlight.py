@@ -13,9 +13,16 @@ from magcal_service.geomagnetic import WGS84_A_KM
 from magcal_service.model import Array
 
 _DAY_S = 86400.0
+"""Seconds in a day."""
+
 _J2000_S = 946_728_000.0
+"""2000-01-01T12:00 UTC, in seconds since 1970: where the elements of the Sun are counted from."""
+
 _POLAR_SHRINK = 1.0 / (1.0 - 1.0 / 298.257)
+"""Equatorial over polar radius of the Earth (WGS 84)."""
+
 _PENUMBRA_RAD = 0.00465
+"""The Sun's radius as seen from the Earth [rad]: 16 arc minutes."""
 
 
 def sun_eci(utc_s: Array) -> Array:
