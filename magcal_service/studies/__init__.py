@@ -20,7 +20,10 @@ from magcal_service.studies.study import Request, Study
 from magcal_service.typed_toml import nearest
 
 MOST_RUNS = 1_000_000
+"""Runs of one study: a mean is known to a thousandth of a sigma then, after a week of a core with `spin`."""
+
 SHORTEST_S, LONGEST_S = 300, 1_000_000
+"""Flights [s]: a start takes minutes; eleven days are beyond what the orbits without drag are true for."""
 
 
 @cache

@@ -25,19 +25,37 @@ from magcal_service.studies.study import Request, Study
 from magcal_service.wire.messages import Estimate, Frame, MagnetometerSample, Message, ReferenceSample, Vector, Verdict
 
 LARGEST_BIAS_NT: Final = 60_000.0
+"""Largest length of the bias [nT]: as much as the strongest field at the ground."""
+
 LARGEST_D: Final = 0.3
+"""Largest eigenvalue of D, either way: beyond data sheets, and within the gates of the start (0.4 to 2.5)."""
+
 ORBITS: Final = 1.5
+"""Length of a flight in orbits: one shows all directions that will come, half of one more is for settling."""
+
 WRONG_SIGMAS: Final = 5.0
+"""Trusted and wrong is what is off by more than so many own sigmas, by chance once in 2 million."""
+
 WRONG_BIAS_NT: Final = 50.0
+"""And by more than this, a bias [nT].
+
+Choice: a thousandth of the field; a filter in little noise is many of its sigmas off by less, which does no harm.
+"""
+
 WRONG_D: Final = 1e-3
-"""Trusted and wrong: off by more than 5 own sigmas and by more than this; 1e-3 of the field is 50 nT, too."""
+"""Or an element of D by more than this: 1e-3 of the field is 50 nT, too."""
 
 OWN_BOUND_NT: Final = 50.0
 """Runs whose own bound, 1 sigma after one and a half orbits, is below this on every axis should be trusted by then."""
 
 _YEAR_NS: Final = 365 * 86_400 * 10**9
+"""A year [ns], within which a flight may start: every angle of the Earth to the orbit."""
+
 _SLOWEST_RPM, _FASTEST_RPM = 0.5, 25.0
+"""Spins that are drawn, evenly by their logarithm: to just below where 1 Hz aliases (28 rpm, docs/studies.md)."""
+
 _QUIETEST_NT, _NOISIEST_NT = 20.0, 500.0
+"""Noise that is drawn, evenly by its logarithm: around the paper's 300 nT; the study `noise` goes further."""
 
 
 @dataclass(frozen=True, slots=True)

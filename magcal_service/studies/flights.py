@@ -29,6 +29,8 @@ TABLE_1: Final[Nine] = (5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.
 """True errors of the paper's experiment [nT, -]."""
 
 EARTH_GM_KM3_S2: Final = 398600.4418
+"""Gravitational parameter of the Earth [km^3/s^2] (WGS 84)."""
+
 START_UTC_NS: Final = 1_748_786_400 * 10**9  # 2025-06-01T14:00:00Z
 NODE_DEG: Final = 40.0
 """The paper gives neither date nor node, and the bounds depend on them: for (1, 1, 1) the scalar bound of bz, 3 sigma,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 _COLOURS: Final = ("#1f5fa8", "#b3261e", "#2e7d32", "#8e5bb5", "#c77700", "#00838f", "#6b6b6b", "#ad1457")
 _LIMIT_COLOUR: Final = "#333333"
 _COLUMNS: Final = 3
+"""Panels side by side; choice: 14 inches wide, still legible on a page."""
 
 
 def plot(panels: Sequence[Panel], title: str, path: Path) -> None:

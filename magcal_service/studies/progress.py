@@ -12,6 +12,7 @@ Advance = Callable[[int], None]
 """To be called with the number of runs that have just ended."""
 
 _LINE_EVERY_S: Final = 30.0
+"""Between two lines where there is no bar [s]; choice: a log of an hour stays below 120 lines."""
 
 
 @contextmanager

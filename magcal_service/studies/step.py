@@ -18,17 +18,28 @@ from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study
 
 STEP_NT: Final = 200.0
+"""How far the bias jumps [nT]: twice the noise of a sample, so that no sample alone shows it."""
+
 SHARE_BEFORE: Final = 0.5
+"""Share of the flight before the jump: the filter has settled, and as much is left to follow in."""
+
 NOISE_NT: Final = 100.0
+"""Noise per axis [nT]: a third of the paper's; choice: a jump of 200 nT is worth following at that level."""
+
 WALKS_NT: Final = (0.3, 1.0, 3.0)
 """Process noise of each bias axis [nT/sqrt(s)]: 1 nT/sqrt(s) grows to 60 nT in an hour."""
 
 WALK_D: Final = 1e-9
+"""Process noise of each element of D [1/sqrt(s)]: none to speak of, 6e-8 in an hour; only the bias jumps."""
+
 CLOSE_NT: Final = 50.0
+"""Back: within this of the truth [nT], a quarter of the jump; or within three own sigmas."""
+
 HOLD_S: Final = 300.0
 """Back: inside the limit from then on for this long."""
 
 _EVERY_S: Final = 20.0
+"""Between two estimates that are looked at [s]: the resolution of the times to be back."""
 
 
 @dataclass(frozen=True, slots=True)

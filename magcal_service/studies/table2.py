@@ -35,6 +35,7 @@ RUNS_ALONE: Final = 50
 """Runs of a method that goes one run at a time, unless the method is asked for by name."""
 
 _TIMES: Final = 14
+"""Moments of the curves, evenly by their logarithm: a factor of 1.37 apart from a sixtieth of the flight to its end."""
 
 
 @dataclass(frozen=True, slots=True)

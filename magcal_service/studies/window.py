@@ -13,8 +13,13 @@ from magcal_service.studies.study import Request, Study
 from magcal_service.studies.variants import COLUMNS, Measured, Variant, measure_all
 
 RATES_RPM: Final = (7.5, 1.0)
+"""The paper's spin, and one so slow that the field turns by 8 degrees in a turn."""
+
 MEAN_TURNS: Final = (1, 2, 4)
+"""Turns of the paper's mean: one is the paper's eight samples; longer ones let the field turn meanwhile."""
+
 HARMONIC_TURNS: Final = (1, 2, 4, 8)
+"""Turns of a harmonic fit: up to four times the default of two."""
 
 
 def run(request: Request) -> Findings:

@@ -27,8 +27,8 @@ DRIVING: Final = ("temperature", "current", "magnetic moment", "sun")
 
 _WARMTH_S: Final = 1200.0  # of electronics in a small craft: 300 to 3600
 _LIGHT_S: Final = 10.0  # between two looks at the shadow
-_MOST_CHANNELS: Final = 8
-_MOST_DRIVERS: Final = 16
+_MOST_CHANNELS: Final = 8  # kept: more than drive anything in a craft; each costs memory and a look
+_MOST_DRIVERS: Final = 16  # tried at once: each has three or six columns in every sum, and each is a test more
 _KEPT: Final = 64  # values of a channel: more than come while a tick waits to be closed
 
 

@@ -38,27 +38,37 @@ from magcal_service.watch.evidence import (
 )
 
 CHUNK: Final = 64
+"""Ticks of a chunk, whose spectrum is taken: a minute at 1 Hz, lines a sixtieth of a Hz apart.
+
+Choice: longer chunks tell lines better and are spoilt by a few outliers more often.
+"""
+
 BLOCK: Final = 320
+"""Ticks of a block, after which there is a look: five chunks; looks twice as often would need 0.7 nats more each."""
+
 TICKS: Final = 5120
-"""Ticks of a chunk, whose spectrum is taken; of a block, after which there is a look; of a window (85 min at 1 Hz)."""
+"""Ticks of a window: 85 min at 1 Hz, nearly a low orbit with its eclipse."""
 
 FIRST_LOOK: Final = 3 * BLOCK
+"""Ticks before the first look: two blocks always lie on a line, so that no drift differs from a step."""
 
 _YEAR_S: Final = 31_557_600.0
+"""Seconds in a year of 365.25 days."""
+
 _TESTS: Final = 150
 """Tests in one look at the most: 16 drivers and their channels, courses, 58 steps, 31 lines, 13 memories."""
 
 ALARM_NATS: Final = math.log(_YEAR_S / BLOCK * _TESTS / FALSE_PER_YEAR)
 """Significance from which an explanation is told: -ln of a false alarm's probability in one test."""
 
-_BINS: Final = CHUNK // 2 + 1
+_BINS: Final = CHUNK // 2 + 1  # of the two-sided spectrum of a chunk that are different for real values
 _BIN_WEIGHT: Final = np.r_[0.5, np.ones(_BINS - 2), 0.5]  # the first and the last bin have one number, the others two
 _NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of are not taken out of it
 _OWN: Final = 7  # columns without a driver: cubes of the reading 3, what is beyond its largest 3, slope of |H| 1
-_FAR_NT: Final = 5e4
+_FAR_NT: Final = 5e4  # [nT] unit of the readings in their cubes: a strong field, so that columns have sizes near one
 _MOST_ALONE: Final = 2  # samples far off by themselves in a chunk that is still used
 _WIDER: Final = 2.0  # than the filter's gate: samples in a row that jump out of that count as if there
-_UNKNOWN_SHARE: Final = 1.25
+_UNKNOWN_SHARE: Final = 1.25  # of the best name's evidence that the unknown has to have: the name then leaves a fifth
 _FLAT: Final = 10  # times that an axis has to repeat its largest reading for a flat top
 
 
