@@ -1,0 +1,308 @@
+"""What a search costs, what it believes, and what it takes: small made-up hypotheses on the clean craft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.explain import Search
+from magcal_service.diagnosis.linear import BLOCKS, Workspace
+from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
+from magcal_service.diagnosis.result import _close
+from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.model import Array, measure
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.scene.scene import Scene
+from tests.physics.scenes import COUNT, NOISE_NT, X, scene, spoiled
+
+FLOOR_NT = 0.3 * NOISE_NT
+TIME_S = scene().time_s
+SLOW, QUICK, OTHER = np.sin(TIME_S / 700.0), np.sin(TIME_S / 260.0), np.cos(TIME_S / 410.0)
+
+
+def flown(disturbance_nt: Array, grown_nt: Array | float = 0.0) -> Scene:
+    """The clean craft at its usual noise with a body field (n, 3) and a growth of the magnitude (n,)."""
+    noise = np.random.default_rng(21).normal(0.0, NOISE_NT, (COUNT, 3))
+    clean = scene()
+    noisy = spoiled(measure(X, clean.calibrated_nt + disturbance_nt + noise), clean)
+    return replace(noisy, channels={}, magnitude_nt=clean.magnitude_nt - grown_nt)
+
+
+def along(axis: int, signal: Array) -> Array:
+    """A signal (n,) along one axis of the body (n, 3)."""
+    return np.outer(signal, np.eye(3)[axis])
+
+
+def body_form(effect: str, variant: str, *fields: Array, **changes: object) -> Hypothesis:
+    """A form whose every amplitude adds one of the fields (n, 3)."""
+    columns = Columns(body=np.stack(fields))
+    return Hypothesis(
+        effect,
+        "none",
+        lambda _: columns,
+        (Block("nt", "nT", (len(fields),)),),
+        variant,
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def grown_form(*signals: Array, **changes: object) -> Hypothesis:
+    """A form whose every amplitude adds one of the signals (n,) to the magnitude."""
+    columns = Columns(magnitude=np.stack(signals))
+    return Hypothesis("grown", "none", lambda _: columns, (Block("nt", "nT", (len(signals),)),), **changes)  # type: ignore[arg-type]
+
+
+def made_up(name: str, *forms: Hypothesis) -> Effect:
+    """An effect with these forms, whatever the scene."""
+    return replace(effect_named("bias_drift"), name=name, hypotheses=lambda _: forms, find=None)
+
+
+def searching(of: Scene, *forms: Hypothesis, largest_nt: float = math.inf) -> tuple[Search, Fit]:
+    """A search among forms, and the nine errors' fit."""
+    problem = Problem(of, NOISE_NT, largest_nt={form.effect: largest_nt for form in forms})
+    names = dict.fromkeys(form.effect for form in forms)
+    effects = [made_up(name, *(form for form in forms if form.effect == name)) for name in names]
+    return Search(problem, hypotheses_of(effects, problem), effects), solve(problem, X)
+
+
+def screened(search: Search, fit: Fit) -> list[Candidate]:
+    """Every hypothesis at its best, at the noise as it is."""
+    return search.screen(search.workspace(fit), fit, NOISE_NT)
+
+
+# What is looked at costs
+
+
+def test_the_best_of_several_forms_pays_for_their_number_and_for_its_odds() -> None:
+    """Evidence less ln(forms of the effect) less the form's odds; forms of other effects cost nothing."""
+    forms = [
+        body_form("one", "a", along(0, SLOW), odds=2.0),
+        body_form("one", "b", along(1, SLOW)),
+        body_form("one", "c", along(2, SLOW), odds=0.5),
+        body_form("other", "", along(2, QUICK)),
+    ]
+    search, fit = searching(flown(along(0, 100.0 * SLOW)), *forms)
+    found = {candidate.hypothesis.label: candidate for candidate in screened(search, fit)}
+    space = Workspace(fit.residual, fit.columns)
+    for form, cost in zip(forms, (math.log(3.0) + 2.0, math.log(3.0), math.log(3.0) + 0.5, 0.0), strict=True):
+        gain = space.gain(form.columns(np.zeros(0)).along(fit.unit), NOISE_NT)
+        assert found[form.label].nats == pytest.approx(gain.nats - cost, abs=1e-9)
+
+
+def numbered(role: str, grid: Array, make: Callable[[float], Array]) -> Hypothesis:
+    """A form with one nonlinear number that a field along x depends on."""
+    number = Nonlinear("number", "s", grid, role)
+    return Hypothesis(
+        "one", "none", lambda theta: along_axes(make(float(theta[0]))), (Block("nt", "nT"),), nonlinear=(number,)
+    )
+
+
+@pytest.mark.parametrize(
+    ("form", "places"),
+    [
+        (numbered("", np.array([500.0, 900.0, 2000.0]), lambda tau: np.exp(-TIME_S / tau)), 3),
+        (numbered("held", np.array([500.0, 900.0]), lambda tau: np.exp(-TIME_S / tau)), 2),
+        (numbered("instant", TIME_S[100:1900:100], lambda at: (at <= TIME_S).astype(float)), COUNT),
+    ],
+    ids=["grid", "held", "instant"],
+)
+def test_a_number_that_was_searched_costs_the_places_that_were_looked_at(form: Hypothesis, places: int) -> None:
+    """ln of the grid's values, or of the samples where every one of them may be the instant."""
+    search, fit = searching(flown(along(0, 40.0 * (TIME_S > 4000.0))), form)
+    (candidate,) = screened(search, fit)
+    assert candidate.nats == pytest.approx(candidate.gain.nats - math.log(places), abs=1e-9)
+
+
+def test_a_lines_frequency_costs_one_place_a_sample() -> None:
+    tone = effect_named("tone")
+    problem = Problem(flown(along(0, 150.0 * np.sin(2.0 * np.pi * 0.0213 * TIME_S))), NOISE_NT)
+    search, fit = Search(problem, hypotheses_of([tone], problem), [tone]), solve(problem, X)
+    (candidate,) = screened(search, fit)
+    assert candidate.nats == pytest.approx(candidate.gain.nats - math.log(COUNT), abs=1e-9)
+    assert float(candidate.theta[0]) == pytest.approx(0.0213, abs=0.1 / float(TIME_S[-1]))
+
+
+def test_what_a_term_is_worth_pays_for_its_forms_and_its_numbers_too() -> None:
+    """Against its absence, with the others there: the drop of a fit without it."""
+    grid = np.array([500.0, 900.0, 2000.0, 4000.0])
+    form = numbered("", grid, lambda tau: np.exp(-TIME_S / tau))
+    beside = body_form("one", "beside", along(1, QUICK))
+    search, fit = searching(flown(along(0, 300.0 * np.exp(-TIME_S / 900.0))), form, beside)
+    with_it = solve(search.problem, fit.x, [Term(form, np.array([900.0]), np.zeros(3))])
+    space = search.workspace(with_it, 0)
+    rows = form.columns(with_it.terms[0].theta).along(with_it.unit)
+    expected = space.gain(rows, NOISE_NT).nats - math.log(4.0) - math.log(2.0)
+    assert search._worth(with_it, 0, NOISE_NT) == pytest.approx(expected, abs=1e-9)
+
+
+# What is believed
+
+
+def shares_of(form: Hypothesis, fit: Fit) -> float:
+    """How much of a form's only column the nine errors leave, by least squares."""
+    column = form.columns(np.zeros(0)).along(fit.unit)[:, 0]
+    left = column - fit.columns @ np.linalg.lstsq(fit.columns, column, rcond=None)[0]
+    return float(np.linalg.norm(left) / np.linalg.norm(column))
+
+
+@pytest.mark.parametrize(("share", "believed"), [(0.025, False), (0.036, True)])
+def test_what_the_nine_errors_all_but_absorb_is_no_evidence(share: float, believed: bool) -> None:
+    """A bias with a ripple: believed from 3 % of its own size on, however many nats its ripple brings."""
+    plain = body_form("one", "", along(0, QUICK))
+    _, quiet = searching(flown(along(0, 0.0 * QUICK)), plain)
+    ripple = share / shares_of(plain, quiet)  # of QUICK against a constant of the same rms along x
+    field = along(0, math.sqrt(0.5) + ripple * QUICK)
+    form = body_form("one", "", field)
+    search, fit = searching(flown(600.0 / ripple * field), form)
+    assert shares_of(form, fit) == pytest.approx(share, rel=0.05)
+    candidates = screened(search, fit)
+    assert bool(candidates) is believed
+    assert all(candidate.nats > 20.0 for candidate in candidates)
+
+
+@pytest.mark.parametrize(("largest_nt", "believed"), [(190.0, False), (240.0, True)])
+def test_what_is_larger_than_its_physics_is_not_believed(largest_nt: float, believed: bool) -> None:
+    """A growth of the magnitude of 300 nT times a sine: 212 nT rms."""
+    form = grown_form(QUICK)
+    search, fit = searching(flown(np.zeros((COUNT, 3)), 300.0 * QUICK), form, largest_nt=largest_nt)
+    assert bool(screened(search, fit)) is believed
+    within = replace(form, largest_nt=largest_nt)
+    search, fit = searching(flown(np.zeros((COUNT, 3)), 300.0 * QUICK), within)
+    assert bool(screened(search, fit)) is believed
+
+
+@pytest.mark.parametrize(("amplitude", "believed"), [(0.45, False), (0.56, True), (1.44, True), (1.55, False)])
+def test_a_first_look_takes_a_shift_for_whole_to_a_half(amplitude: float, believed: bool) -> None:
+    form = grown_form(900.0 * QUICK, is_whole=True)
+    search, fit = searching(flown(np.zeros((COUNT, 3)), amplitude * 900.0 * QUICK), form)
+    assert bool(screened(search, fit)) is believed
+
+
+def test_what_is_no_evidence_anyway_is_not_asked_whether_it_is_believable() -> None:
+    """Below half of what counts a hypothesis stays in the list, to be compared."""
+    form = grown_form(900.0 * QUICK, is_whole=True)
+    search, fit = searching(flown(np.zeros((COUNT, 3))), form)
+    (candidate,) = screened(search, fit)
+    assert candidate.nats < 6.0
+
+
+def sized(form: Hypothesis, amplitude: float, largest_nt: float = math.inf) -> bool:
+    """Whether a term of this amplitude is no larger than its physics."""
+    search, fit = searching(flown(np.zeros((COUNT, 3))), form, largest_nt=largest_nt)
+    term = Term(search.hypotheses[0], np.zeros(0), np.array([amplitude]))
+    return search._is_sized(replace(fit, terms=(term,)))
+
+
+@pytest.mark.parametrize(("amplitude", "fits"), [(0.74, False), (0.76, True), (1.0, True), (1.24, True), (1.26, False)])
+def test_a_fitted_shift_is_whole_to_a_quarter(amplitude: float, fits: bool) -> None:
+    assert sized(grown_form(900.0 * QUICK, is_whole=True), amplitude) is fits
+
+
+@pytest.mark.parametrize(("across", "fits"), [(2.7, True), (2.95, False)])
+def test_parts_that_cancel_may_be_three_times_what_shows(across: float, fits: bool) -> None:
+    """100 nT along the field show; with parts across it that do not, the whole may have 300 nT."""
+    unit = scene().unit
+    sideways = np.cross(unit, [0.0, 0.0, 1.0])
+    sideways /= np.linalg.norm(sideways, axis=1)[:, None]
+    form = body_form("one", "", unit + across * sideways)
+    assert sized(form, 99.0, 100.0) is fits
+    assert not sized(form, 101.0, 100.0)
+
+
+@pytest.mark.parametrize(("growth_nt", "fits"), [(99.0, True), (101.0, False)])
+def test_a_growth_of_the_reference_has_its_largest_size(growth_nt: float, fits: bool) -> None:
+    assert sized(grown_form(np.sign(QUICK)), growth_nt, 100.0) is fits
+
+
+# What held-out blocks say
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "agrees"), [(100.0, 29.0, False), (100.0, 31.0, True), (0.0, 5.0, False), (-1.0, 5.0, False)]
+)
+def test_held_out_blocks_have_to_gain_a_third_of_what_the_fit_gains(
+    inside: float, outside: float, agrees: bool
+) -> None:
+    def standing_for(squares: float, held_out: float) -> Fit:
+        return SimpleNamespace(residual=np.sqrt([squares]), held_out_residual=np.sqrt([held_out]))
+
+    search, _ = searching(flown(np.zeros((COUNT, 3))))
+    assert search._agrees(standing_for(1000.0, 1100.0), standing_for(1000.0 - inside, 1100.0 - outside)) is agrees
+
+
+def test_a_form_that_foretells_no_block_from_the_others_is_not_taken() -> None:
+    """25 offsets, each for two blocks that are off by numbers of their own: hundreds of nats inside, none outside."""
+    block = np.arange(COUNT) * BLOCKS // COUNT
+    offsets = np.random.default_rng(5).normal(0.0, 300.0, BLOCKS)
+    form = grown_form(*(block // 2 == number for number in range(BLOCKS // 2)))
+    search, fit = searching(flown(np.zeros((COUNT, 3)), offsets[block]), form)
+    assert screened(search, fit)[0].nats > 100.0
+    assert search.run(fit, FLOOR_NT).fit.terms == ()
+
+
+# What the search takes
+
+
+def labels(terms: Sequence[Term]) -> list[str]:
+    return sorted(term.hypothesis.label for term in terms)
+
+
+def test_a_form_that_came_first_gives_way_to_the_right_one_once_the_rest_is_there() -> None:
+    """A mixture of both causes explains most alone; beside the second cause its sibling, the first, does better."""
+    first, second = along(0, SLOW), along(1, QUICK)
+    forms = (
+        body_form("one", "mixed", first + second + 0.5 * along(2, OTHER)),
+        body_form("one", "pure", first),
+        body_form("other", "", second),
+    )
+    search, fit = searching(flown(400.0 * (first + second)), *forms)
+    assert screened(search, fit)[0].hypothesis.variant == "mixed"
+    found = search.run(fit, FLOOR_NT)
+    assert labels(found.fit.terms) == ["one[pure]", "other"]
+    for term in found.fit.terms:
+        assert float(term.amplitudes[0]) == pytest.approx(400.0, abs=25.0)
+
+
+def test_two_causes_are_taken_one_after_the_other_and_nothing_that_is_not_there() -> None:
+    forms = (
+        body_form("one", "", along(0, SLOW)),
+        body_form("other", "", along(1, QUICK)),
+        body_form("idle", "", along(2, OTHER)),
+    )
+    search, fit = searching(flown(along(0, 300.0 * SLOW) - along(1, 150.0 * QUICK)), *forms)
+    found = search.run(fit, FLOOR_NT)
+    assert [term.hypothesis.effect for term in found.fit.terms] == ["one", "other"]
+    assert float(found.fit.terms[0].amplitudes[0]) == pytest.approx(300.0, abs=20.0)
+    assert float(found.fit.terms[1].amplitudes[0]) == pytest.approx(-150.0, abs=20.0)
+    assert [next(rival.hypothesis.effect for rival in of_term) for of_term in found.rivals] == ["one", "other"]
+    assert found.nats == pytest.approx([found.rivals[0][0].nats, found.rivals[1][0].nats], abs=1e-6)
+
+
+def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
+    """The mixture beside both of its parts is worth nothing and goes; both parts stay."""
+    first, second = along(0, SLOW), along(1, QUICK)
+    forms = (body_form("mixed", "", first + second), body_form("one", "", first), body_form("other", "", second))
+    search, fit = searching(flown(400.0 * first + 150.0 * second), *forms)
+    terms = [Term(form, np.zeros(0), np.array([100.0])) for form in search.hypotheses]
+    full = solve(search.problem, fit.x, [*terms[1:], replace(terms[0], hypothesis=forms[0])])
+    kept = search._pruned(full, FLOOR_NT)
+    assert len(kept.terms) == 2
+    assert kept.rms_nt == pytest.approx(full.rms_nt, rel=1e-3)
+
+
+# Classes
+
+
+def candidate(effect: str, nats: float) -> Candidate:
+    return Candidate(body_form(effect, "", along(0, SLOW)), np.zeros(0), SimpleNamespace(), nats)  # type: ignore[arg-type]
+
+
+def test_rivals_within_odds_of_twenty_to_one_are_one_class() -> None:
+    ranked = [candidate("a", 50.0), candidate("b", 47.1), candidate("c", 46.9), candidate("d", 20.0)]
+    assert [close.hypothesis.effect for close in _close(ranked, 50.0)] == ["a", "b"]
