@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from magcal_service.units import CHANNEL_UNITS
+from magcal_service.units import CHANNEL_UNITS, FIELD_NT, LENGTH_KM, FieldUnit, LengthUnit
 
 ONE_IN_BASE = {
     "degC": 1.0, "K": -272.15, "degF": -17.22222222222222, "A": 1.0, "mA": 0.001, "uA": 0.000001,
@@ -30,3 +30,39 @@ def test_every_unit_is_looked_up() -> None:
 def test_water_boils_at_100_degc() -> None:
     assert float(CHANNEL_UNITS["degF"].to_base([212.0])[0]) == pytest.approx(100.0)
     assert float(CHANNEL_UNITS["K"].to_base([373.15])[0]) == pytest.approx(100.0)
+
+
+def test_units_of_the_field_and_of_lengths() -> None:
+    """1 T = 1e4 G, and 1e9 nT; whoever writes a descriptor has one of these names."""
+    nanotesla = {"nT": 1.0, "uT": 1e3, "mT": 1e6, "T": 1e9, "mG": 100.0, "G": 100_000.0}
+    assert {unit.value: FIELD_NT[unit] for unit in FieldUnit} == nanotesla
+    assert {unit.value: LENGTH_KM[unit] for unit in LengthUnit} == {"km": 1.0, "m": 0.001}
+
+
+QUANTITIES = {
+    "temperature": ("degC", {"degC", "K", "degF"}),
+    "current": ("A", {"A", "mA", "uA"}),
+    "magnetic moment": ("A m2", {"A m2", "mA m2"}),
+    "angular rate": ("rad/s", {"rad/s", "mrad/s", "deg/s", "rpm"}),
+    "angle": ("rad", {"rad", "deg"}),
+    "voltage": ("V", {"V", "mV"}),
+    "power": ("W", {"W", "mW"}),
+    "irradiance": ("W/m2", {"W/m2"}),
+    "fraction": ("1", {"%"}),
+    "dimensionless": ("1", {"", "1"}),
+    "counts": ("counts", {"counts"}),
+    "pressure": ("Pa", {"Pa", "hPa", "kPa", "mbar", "bar"}),
+    "field": ("nT", {"nT", "uT", "mT", "T", "mG", "G"}),
+    "length": ("km", {"km", "m"}),
+    "speed": ("km/s", {"km/s", "m/s"}),
+    "acceleration": ("m/s2", {"m/s2", "g"}),
+    "time": ("s", {"s", "ms", "min", "h"}),
+    "frequency": ("Hz", {"Hz"}),
+    "torque": ("N m", {"N m", "mN m"}),
+}
+
+
+def test_what_each_unit_measures_and_what_it_is_converted_to() -> None:
+    found = {name: (unit.quantity, unit.base) for name, unit in CHANNEL_UNITS.items()}
+    expected = {unit: (quantity, base) for quantity, (base, units) in QUANTITIES.items() for unit in units}
+    assert found == expected
