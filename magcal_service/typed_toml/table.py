@@ -15,7 +15,10 @@ E = TypeVar("E", bound=StrEnum)
 
 
 _MOST_NAMES: Final = 60
+"""Known names listed in a fault; choice: some lines of a terminal."""
+
 _LONGEST_NAME: Final = 60
+"""Characters of a name that are shown; choice: half a line."""
 
 
 def nearest(value: str, known: Iterable[str]) -> str:

@@ -13,7 +13,10 @@ EARTH_KM: Final = 6371.0
 """Mean radius of the Earth."""
 
 _EQUATOR_KM: Final = 6378.137
+"""Equatorial radius of the Earth (WGS84)."""
+
 _POLE_KM: Final = 6356.752
+"""Polar radius of the Earth (WGS84)."""
 
 MU_KM3_S2: Final = 398_600.4418
 """Gravitational parameter of the Earth (WGS84)."""
@@ -25,6 +28,7 @@ LOWEST_KM: Final = 120.0
 """No craft completes an orbit below this height."""
 
 _STRIDE_S: Final = 60.0
+"""Steps over which the rate is taken [s]: 4 degrees of a low orbit, against which rounded places are exact."""
 
 
 def kepler_rad_s(radius_km: float) -> float:

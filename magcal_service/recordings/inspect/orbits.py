@@ -25,21 +25,35 @@ from magcal_service.units import LengthUnit
 from magcal_service.wire.messages import Frame
 
 _MOST_PLACES: Final = 400
+"""Places looked at; choice: the plane and the rate of an orbit need no more."""
+
 _FEWEST_PLACES: Final = 5
+"""Places from which on there is a motion to speak of; choice: fewer, and one false place decides."""
 
 _ORBITS_KM: Final = (LOWEST_KM, 60_000.0)
 _AGREES: Final = (0.5, 1.5)
 """Of the rate over that of a circular orbit at this height, for eccentric ones too."""
 
 _CLOSE: Final = (0.75, 1.3)
+"""The same for a unit that is only guessed: a wrong guess should not fit by chance."""
+
 _ORBITAL_RAD_S: Final = 3e-4
 """2 km/s at the ground: nothing that flies in air."""
 
 _BALLOON_KM: Final = 60.0
+"""Height below which a slow craft is no satellite: balloons stay under it."""
 
 _ARC_RAD: Final = 0.35
+"""Least arc that is asked for its plane [rad], 20 degrees; choice: a shorter one lies in some plane whatever it is."""
+
 _PLANAR: Final = 3e-3
+"""Distance from its plane (rms) that an orbit keeps, as a share of the radius: 20 km.
+
+Choice: places rounded to 0.1 degrees (1.7e-3) keep it; a larger one lets a wrong sign over a short arc pass.
+"""
+
 _WORSE: Final = 8.0
+"""Times that the plane has to be better with the other sign; choice: noise alone makes no such difference."""
 
 
 def _track(log: Log) -> tuple[FloatArray, FloatArray] | None:

@@ -16,13 +16,22 @@ from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import Frame
 
 _EQUATOR_KM: Final = 6378.137
+"""Equatorial radius of the Earth (WGS84)."""
+
 _SHORTEST_JUMP_KM: Final = 30.0
 """A place this far off is a thousandth of the field off; what is nearer may be the receiver's noise."""
 
 _FASTER: Final = 1.2
+"""Factor on the speed that leaves the Earth: what is faster is no orbit, with room for coarse times."""
+
 _MOVING_KM_S: Final = 1.0
+"""Speed from which a craft is in flight: an eighth of an orbit's, beyond what flies in air."""
+
 _LONGEST_HOLD: Final = 3.0
+"""Times the usual renewal that a place may be held: two fixes may be missed."""
+
 _HOLD_S: Final = 5.0
+"""Hold that is no fault however fast places come: 40 km of a low orbit, a thousandth of the field."""
 
 
 def _known(log: Log) -> tuple[Rows, FloatArray] | None:
@@ -141,6 +150,7 @@ def position_still(log: Log) -> Iterator[Seen]:
 
 
 _SYNCHRONOUS_KM: Final = (40_000.0, 44_000.0)
+"""Radii at which a craft may stand still over the Earth: geostationary is 42 164 km."""
 
 
 def _never_moves(log: Log, radius_km: float) -> Iterator[Seen]:

@@ -14,17 +14,23 @@ from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import FloatArray
 
 _NINES: Final = (999.0, 9999.0, 99999.0, 999999.0, 999.9, 9999.9, 99999.9, 999.99, 9999.99, 99999.99)
+"""What programs and archives write for no value, by the width of the column."""
+
 _WORDS: Final = tuple(float(2**bits - one) for bits in (15, 16, 23, 31) for one in (0, 1))
 _KNOWN: Final = np.array([*_NINES, *_WORDS, 4096.0])
 """Magnitudes that drivers and archives write for "no value"; 4096 is a common magnetometer's overflow."""
 
 _FEWEST_ALIKE: Final = 3
+"""Repeats of an extreme value from which it stands for a failure; choice: two alike are met by chance."""
+
 _ROUNDS: Final = 4
 """Kinds of sentinel that are looked for one after the other: two ends, and some known values."""
 
 _NO_VALUE: Final = (RowFault.NOT_A_NUMBER, RowFault.INFINITE, RowFault.ABSURD, RowFault.UNPARSABLE)
 
 _FEWEST_HELD: Final = 10
+"""Repeats from which readings are held; choice: fewer are some odd rows, and change no result."""
+
 _OFTENER_HELD: Final = 5.0
 """Times oftener than chance lets three axes of this resolution repeat their values together."""
 

@@ -14,6 +14,8 @@ from magcal_service.recordings.timestamps import ns_to_iso8601
 from magcal_service.wire.messages import Clock
 
 _FEWEST_SHARED: Final = 10
+"""Rows with the time of another from which it is said; choice: fewer are doubled rows, which the reader counts."""
+
 _COARSE_S: Final = 2.0
 """Of shared stamps this far apart nobody knows where within them a row belongs: the reference moves on meanwhile."""
 
@@ -34,8 +36,13 @@ _YEARS: Final = (2006, 2036)
 """UTC that small satellites fly in; GPS week counters rolled over in 1999 and 2019."""
 
 _YEAR_S: Final = 31_556_952
+"""Mean length of a year of the calendar, 365.2425 days [s]."""
+
 _NS: Final = 1_000_000_000
+"""Nanoseconds in a second."""
+
 _NEVER_SET_S: Final = 30 * 86_400
+"""Jump at the beginning that means a clock was set; choice: a month, longer than a safe mode is usually off."""
 
 
 def shared_times(log: Log) -> Iterator[Seen]:
