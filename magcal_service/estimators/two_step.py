@@ -32,7 +32,14 @@ from magcal_service.estimators.parts.magnitude_sums import (
     unscaled_covariance,
 )
 from magcal_service.estimators.parts.noise_level import NoiseLevel, is_sound, squared_innovations
-from magcal_service.estimators.parts.start import HANDOVER_SHARE, LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma
+from magcal_service.estimators.parts.start import prior_sigma
+from magcal_service.estimators.parts.start_gates import (
+    HANDOVER_SHARE,
+    LARGEST_EIGENVALUE,
+    SMALLEST_EIGENVALUE,
+    Proposal,
+    stopped_by,
+)
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
@@ -329,14 +336,17 @@ class TwoStep(Stateful, TwoStepMemory):
             self._phase = Phase.RUNNING
 
     def _gate_of(self, solution: Solution) -> StartGate | None:
-        given = self.config.sensor.noise_nt
-        if given is not None and solution.residual_nt > _BAD_FIT * given:
-            return StartGate.BAD_FIT
-        sums = self._sums()
+        given, sums = self.config.sensor.noise_nt, self._sums()
         magnitude_nt = SCALE_NT * float(sums.square / max(sums.normal[9, 9], 1e-300)) ** 0.25
-        if sums.vector_sigma_nt(solution.covariance) > HANDOVER_SHARE[1] * magnitude_nt:
-            return StartGate.POOR_COVERAGE
-        return None
+        return stopped_by(
+            Proposal(
+                solution.x,
+                solution.covariance,
+                residual_rms_nt=solution.residual_nt,
+                largest_rms_nt=np.inf if given is None else _BAD_FIT * given,
+                is_unsure=lambda: sums.vector_sigma_nt(solution.covariance) > HANDOVER_SHARE[1] * magnitude_nt,
+            )
+        )
 
     def _solve(self, start: Array | None) -> Solution | StartGate:
         """Solve the batch; an unknown noise level is taken from what the solution leaves."""

@@ -25,18 +25,19 @@ from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
 
-_GATES: Final = {
+_REASON_OF_GATE: Final = {
     StartGate.POOR_COVERAGE: Reason.POOR_COVERAGE,
     StartGate.NOT_POSITIVE: Reason.NO_SOLUTION,
     StartGate.COLLAPSED: Reason.NO_SOLUTION,
     StartGate.NO_CONVERGENCE: Reason.NO_SOLUTION,
     StartGate.BAD_FIT: Reason.INCONSISTENT,
 }
+"""What each start gate (``estimators.parts.start_gates``) means for the verdict."""
 
 
 def reason_of(gate: StartGate) -> Reason:
     """What it means for the verdict that a start was stopped by this gate."""
-    return _GATES[gate]
+    return _REASON_OF_GATE[gate]
 
 
 class _Levels:
@@ -271,7 +272,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _before_start(self, estimate: StateEstimate) -> Trust:
         reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
         if estimate.waiting_for:
-            reasons.append(_GATES[estimate.waiting_for])
+            reasons.append(reason_of(estimate.waiting_for))
         reasons += [*self._silence(), Reason.COLLECTING]
         return Trust(Verdict.NOT_STARTED, tuple(reasons), REMEDIES[reasons[0]])
 

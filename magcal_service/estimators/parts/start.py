@@ -23,30 +23,14 @@ from numpy.typing import NDArray
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.spin_window import Window
+from magcal_service.estimators.parts.start_gates import BAD_FIT, Proposal, handover_sigma, stopped_by, vector_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix, field_jacobian
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 Entry = TypeVar("Entry")
-
-SMALLEST_EIGENVALUE: Final = 0.4
-"""Least accepted eigenvalue of I + D: the half-collapsed minimum has one near 0.25, real sensors stay above 0.7."""
-
-LARGEST_EIGENVALUE: Final = 2.5
-"""Largest accepted eigenvalue of I + D, the inverse of the smallest; real sensors stay below 1.4."""
-
-HANDOVER_SHARE: Final = (0.005, 0.03)
-"""The filter may take over when a calibrated vector is known to this share of |H| (1 sigma), by the residual's level.
-
-What the filter leaves out is of second order, |H| share^2.  It has to be small against the residual: half a percent of
-its sigma, within these bounds.  At a share of 0.03 it is 30 nT, more than the noise of a spin window's mean, and the
-filter was sure of the wrong place (5 to 17 sigma off in 3 of 60 random flights; none of them at 0.005).
-"""
-
-BAD_FIT: Final = 1.5
-"""Residual rms over the given noise beyond which a solution is not believed; 120 samples give 1 +- 0.065."""
 
 _AMBIGUOUS: Final = 25.0
 """Advantage below which two distinct minima can't be told apart (odds of e^12)."""
@@ -133,19 +117,20 @@ def gated(
     solution: BatchSolution, field_nt: Array, magnitude_nt: Array, noise_nt: float | None, thinned: int
 ) -> BatchSolution | StartGate:
     """The solution with the covariance of all samples, or the gate that stops it; parameters as ``batch_start``."""
-    if not (np.isfinite(solution.x).all() and np.isfinite(solution.covariance).all()):
-        return StartGate.NO_CONVERGENCE
     solution = replace(solution, covariance=solution.covariance / thinned)
-    eigenvalues = np.linalg.eigvalsh(np.eye(3) + d_matrix(solution.x))
-    if eigenvalues[0] < SMALLEST_EIGENVALUE or eigenvalues[-1] > LARGEST_EIGENVALUE:
-        return StartGate.COLLAPSED
-    if noise_nt is not None and solution.residual_rms_nt > BAD_FIT * noise_nt:
-        return StartGate.BAD_FIT
-    scale = float(magnitude_nt.mean())
-    share = float(np.clip((0.005 * solution.sigma_nt / scale) ** 0.5, *HANDOVER_SHARE))
-    if vector_sigma(solution.covariance, field_nt) > share * scale:
-        return StartGate.POOR_COVERAGE
-    return solution
+    gate = stopped_by(
+        Proposal(
+            solution.x,
+            solution.covariance,
+            residual_rms_nt=solution.residual_rms_nt,
+            largest_rms_nt=np.inf if noise_nt is None else BAD_FIT * noise_nt,
+            is_unsure=lambda: (
+                vector_sigma(solution.covariance, field_nt)
+                > handover_sigma(solution.sigma_nt, float(magnitude_nt.mean()))
+            ),
+        )
+    )
+    return solution if gate is None else gate
 
 
 def _solve_without_outliers(problem: BatchProblem, noise_unknown: bool) -> BatchSolution | StartGate:
@@ -237,14 +222,6 @@ def _solve_with_unknown_noise(problem: BatchProblem) -> BatchSolution | StartGat
             break
         problem = replace(problem, sigma_nt=sigma_nt, noise_nt=min(sigma_nt, white_floor(residual)))
     return solution
-
-
-def vector_sigma(covariance: Array, field_nt: Array) -> float:
-    """Largest 1 sigma of the calibrated vector over the measured ones [nT], from the state's covariance alone."""
-    sample = field_nt[:: max(1, len(field_nt) // 50)]
-    jacobian = field_jacobian(sample)
-    variance = np.einsum("nij,jk,nik->n", jacobian, covariance, jacobian)
-    return float(np.sqrt(variance.max()))
 
 
 @dataclass(init=False, repr=False, eq=False)

@@ -23,7 +23,8 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.estimators.parts.start import LARGEST_EIGENVALUE, SMALLEST_EIGENVALUE, prior_sigma, vector_sigma
+from magcal_service.estimators.parts.start import prior_sigma
+from magcal_service.estimators.parts.start_gates import is_collapsed, vector_sigma
 from magcal_service.estimators.steady_spin.fit import AxisTie, Prior, Samples, SpinFit, contradiction, fit_spin
 from magcal_service.estimators.steady_spin.sample_buffer import SampleBuffer
 from magcal_service.estimators.steady_spin.start import SpinGuess, find_spin
@@ -36,7 +37,7 @@ from magcal_service.estimators.steady_spin.state import (
     walk_variance,
 )
 from magcal_service.estimators.steady_spin.watch import FitQuality, SpinGate, fit_quality
-from magcal_service.model import Array, d_matrix, scalar_residual
+from magcal_service.model import Array, scalar_residual
 from magcal_service.residuals import rms
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
@@ -399,8 +400,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
 
     def _doubt(self, fit: SpinFit, samples: Samples, scalar: StateEstimate) -> SpinGate | None:
         state = fit.state
-        eigenvalues = np.linalg.eigvalsh(np.eye(3) + d_matrix(state.x))
-        if eigenvalues[0] < SMALLEST_EIGENVALUE or eigenvalues[-1] > LARGEST_EIGENVALUE:
+        if is_collapsed(state.x):
             return SpinGate.COLLAPSED
         sigma_nt = vector_sigma(state.covariance[ERRORS, ERRORS], samples.field_nt)
         magnitude_nt = np.linalg.norm(samples.reference_eci_nt, axis=1)
