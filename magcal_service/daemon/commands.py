@@ -52,7 +52,7 @@ class Commander:
         name, refusal = self._named(command)
         if self._checkpoints is None or refusal:
             return refusal
-        refusal = self._checkpoints.roll_back(pipeline, name)
+        refusal = self._checkpoints.restore_estimate(pipeline, name)
         if not refusal:
             pipeline.note("rolled_back", f"to checkpoint {name!r}", command.source)
         return refusal

@@ -152,7 +152,7 @@ class Pipeline(Stateful, PipelineMemory):
             except InputRefusedError as error:
                 raise SnapshotError(f"{where}._physics: {error}") from None
         super().restore_state(saved, where, given)
-        self._take_over()
+        self._refresh_estimate()
         self._check_publishable(where)
 
     def _check_publishable(self, where: str) -> None:
@@ -165,20 +165,21 @@ class Pipeline(Stateful, PipelineMemory):
             raise SnapshotError(f"{where}: what it would publish is refused: {error}") from None
         self._sequence = number
 
-    def _take_over(self) -> None:
+    def _refresh_estimate(self) -> None:
+        """Read the estimate from the estimator, check that its covariance is positive definite, and judge it."""
         self._state = self.estimator.estimate()
         sigma = np.sqrt(np.maximum(np.diagonal(self._state.covariance), 1e-300))
         if np.linalg.eigvalsh(self._state.covariance / np.outer(sigma, sigma))[0] <= 0.0:
             raise SnapshotError("the covariance is not positive definite")
         self.trust = self.monitor.judge(self._state)
 
-    def roll_back(self, to: Pipeline) -> None:
-        """Take over estimate and verdict of another pipeline of this craft; samples, ticks and counters stay."""
-        self.estimator, self.monitor, self._process_noise = to.estimator, to.monitor, to._process_noise
-        self.watch = to.watch
+    def restore_estimate(self, saved: Pipeline) -> None:
+        """Restore estimate and verdict from a checkpoint's pipeline of this craft; samples, ticks and counters stay."""
+        self.estimator, self.monitor, self._process_noise = saved.estimator, saved.monitor, saved._process_noise
+        self.watch = saved.watch
         self._thawed, self._fault = True, None
-        self._learned_s, self._walk = to._learned_s, to._walk
-        self._take_over()
+        self._learned_s, self._walk = saved._learned_s, saved._walk
+        self._refresh_estimate()
 
     def _set_process_noise(self, bias_nt: float, d: float) -> None:
         """An estimator with other process noise, and the state of the one before."""

@@ -3,7 +3,7 @@
 A file is replaced in one step (written beside, flushed, renamed, the folder flushed), so it is there whole or not at
 all; a SHA-256 over its content tells a file that a failing disk has changed.  Its content is one msgpack map, as in
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
-data as ``snapshot`` has them.  It is taken up only where all three marks of the owner agree; nothing is guessed.
+data as ``snapshot`` has them.  It is restored only where all three marks of the owner agree; nothing is guessed.
 
     magcal-state 2\\n   SHA-256 of the rest, 32 bytes   msgpack
 """

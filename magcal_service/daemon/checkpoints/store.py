@@ -1,4 +1,4 @@
-"""The daemon's checkpoints: which one is taken up at the start, when one is written, and what became of it."""
+"""The daemon's checkpoints: which one is restored at the start, when one is written, and the outcome of each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magcal_service.version import __version__
 log = logging.getLogger("magcal")
 
 MISFITS: Final = (SnapshotError, StateError, np.linalg.LinAlgError, ValueError)
-"""What a state that does not fit may raise while it is taken up."""
+"""What a state that does not fit may raise while it is restored."""
 
 
 class Checkpoints:
@@ -56,7 +56,7 @@ class Checkpoints:
             refusal = str(found) if isinstance(found, StateError) else found.refusal(pipeline.config)
             if isinstance(found, Checkpoint) and not refusal:
                 try:
-                    restored = self._taken_up(pipeline.config, found)
+                    restored = self._restored(pipeline.config, found)
                 except MISFITS as error:
                     refusal = str(error)
                 else:
@@ -69,7 +69,7 @@ class Checkpoints:
         return pipeline, events
 
     @staticmethod
-    def _taken_up(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:
+    def _restored(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:
         pipeline = Pipeline(config)
         pipeline.restore_state(checkpoint.state)
         return pipeline
@@ -103,14 +103,14 @@ class Checkpoints:
         self._count()
         return ""
 
-    def roll_back(self, pipeline: Pipeline, name: str) -> str:
-        """Put the estimate and the verdict back to those of a named checkpoint; why that failed, or empty."""
+    def restore_estimate(self, pipeline: Pipeline, name: str) -> str:
+        """Restore estimate and verdict of a named checkpoint; why that failed, empty where it did not."""
         try:
             checkpoint = self._stores[pipeline.config.name].read_named(name)
             refusal = checkpoint.refusal(pipeline.config)
             if refusal:
                 return f"checkpoint {name!r}: {refusal}"
-            pipeline.roll_back(self._taken_up(pipeline.config, checkpoint))
+            pipeline.restore_estimate(self._restored(pipeline.config, checkpoint))
         except MISFITS as error:
             return f"checkpoint {name!r}: {error}"
         return ""

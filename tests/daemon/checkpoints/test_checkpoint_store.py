@@ -185,7 +185,7 @@ def test_a_roll_back_puts_the_estimate_back_and_says_nothing(tmp_path: Path) -> 
     before = repr(pipeline.export_state()["estimator"])
     handle_all(pipeline, flight[20:])
     assert repr(pipeline.export_state()["estimator"]) != before
-    assert store.roll_back(pipeline, "before") == ""
+    assert store.restore_estimate(pipeline, "before") == ""
     assert repr(pipeline.export_state()["estimator"]) == before
 
 
@@ -196,14 +196,14 @@ def test_a_roll_back_to_another_configurations_checkpoint_is_refused_and_changes
     other = replace(ONE, filter=replace(ONE.filter, gate_sigma=5.0))
     pipeline = fed(other, 8)
     state = repr(pipeline.export_state())
-    told = Checkpoints(StateConfig(tmp_path), [other]).roll_back(pipeline, "before")
+    told = Checkpoints(StateConfig(tmp_path), [other]).restore_estimate(pipeline, "before")
     digests = [config_digest(config)[:12] for config in (ONE, other)]
     assert told == f"checkpoint 'before': configuration is {digests[0]}, not {digests[1]}"
     assert repr(pipeline.export_state()) == state
 
 
 def test_a_roll_back_to_what_is_not_there_says_so(store: Checkpoints) -> None:
-    told = store.roll_back(fed(ONE, 1), "before")
+    told = store.restore_estimate(fed(ONE, 1), "before")
     assert told == "checkpoint 'before': no checkpoint 'before'; there are: none"
 
 
