@@ -54,7 +54,7 @@ class AxisWatch(Stateful, AxisWatchMemory):
         self._fine = [False] * 3  # whether the resolution is known to be that fine
         self._seen = [[], [], []]  # the newest values, until it is
         self._last, self._count, self._since_ns = [0.0] * 3, [0] * 3, [0] * 3
-        self._low, self._high = [[0.0] * 3 for _ in range(3)], [[0.0] * 3 for _ in range(3)]
+        self._low, self._high = [[], [], []], [[], [], []]  # of the vectors since each axis took its value
 
     def stands_still(self, elapsed_ns: int, field_nt: Vector) -> bool:
         """Take one vector [nT] with its elapsed time [ns], in order; whether an axis has stood still for too long."""

@@ -133,3 +133,15 @@ def test_the_values_that_are_remembered_are_bounded_and_go_with_the_question() -
     assert list(map(len, watch.export_state()["_seen"])) == [64, 64, 1]
     watch.stands_still(100 * SECOND_NS, (9900.5, 0.0, 0.0))
     assert list(map(len, watch.export_state()["_seen"])) == [0, 64, 1]
+
+
+def test_a_fresh_watch_has_nothing_in_its_memory() -> None:
+    assert AxisWatch(60 * SECOND_NS, 4, 10.0).export_state() == {
+        "_last": [0.0, 0.0, 0.0],
+        "_count": [0, 0, 0],
+        "_since_ns": [0, 0, 0],
+        "_fine": [False, False, False],
+        "_seen": [[], [], []],
+        "_low": [[], [], []],
+        "_high": [[], [], []],
+    }
