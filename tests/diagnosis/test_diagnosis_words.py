@@ -1,0 +1,223 @@
+"""What a diagnosis says in words: sentences, odds, and lines of the summary, to the letter."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.summary import summary
+from magcal_service.diagnosis.words import (
+    REASONS,
+    chance,
+    driver_in_words,
+    odds,
+    percent,
+    reason_in_words,
+    remaining,
+    strength,
+    verdict_sentence,
+)
+
+HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48}
+TITLES = {"a": "heat", "b": "currents", "c": "a step", "d": "a tone"}
+
+
+def diagnosis(verdict: Verdict, *, terms: int = 0, unexplained: float = 0.0, reasons: tuple[str, ...] = ()) -> Any:
+    """As much of a diagnosis as words are made of: a bias that moved by 3, 4 and 12 nT."""
+    before = np.array([10.0, 20.0, 30.0, *[0.0] * 6])
+    return SimpleNamespace(
+        verdict=verdict,
+        unexplained=unexplained,
+        reasons=reasons,
+        effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
+        fit=SimpleNamespace(terms=(None,) * terms, x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6])),
+        prepared=SimpleNamespace(problem=SimpleNamespace(noise_nt=100.04), baseline=SimpleNamespace(x=before)),
+    )
+
+
+def entry(effect: str, *members: str, share: float = 0.5, says: str = "It is hot.") -> Any:
+    return SimpleNamespace(
+        effect=effect,
+        says=says,
+        where={"share_of_mismatch": share},
+        probability=0.9,
+        nats=12.0,
+        members=(effect, *members),
+        separated_by="a heater test",
+    )
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    ("nats", "words"),
+    [
+        (-3.0, "odds of 1 to 1"),
+        (math.log(7.4), "odds of 7 to 1"),
+        (math.log(74.4), "odds of 74 to 1"),
+        (math.log(744.0), "odds of 740 to 1"),
+        (math.log(999_499.0), "odds of 1 000 000 to 1"),
+        (math.log(1e6) + 1e-9, "odds of about 10^6 to 1"),
+        (math.log(3.3e11), "odds of about 10^12 to 1"),
+        (math.log(1e12) - 1e-6, "odds of about 10^12 to 1"),
+        (math.log(1e12) + 1e-6, "odds beyond 10^12 to 1"),
+    ],
+)
+def test_odds_have_two_digits_up_to_a_million_and_powers_of_ten_beyond(nats: float, words: str) -> None:
+    assert odds(nats) == words
+
+
+@pytest.mark.parametrize(
+    ("nats", "word"),
+    [
+        (7.0, "weak"),
+        (7.01, "clear"),
+        (12.0, "clear"),
+        (12.01, "very strong"),
+        (27.6, "very strong"),
+        (27.7, "beyond doubt"),
+    ],
+)
+def test_significance_has_its_word_from_each_limit_on(nats: float, word: str) -> None:
+    assert strength(nats) == word
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.0, "0 %"),
+        (1e-9, "< 0.1 %"),
+        (0.00099, "< 0.1 %"),
+        (0.001, "0.1 %"),
+        (0.12345, "12.3 %"),
+        (0.999, "99.9 %"),
+        (0.9991, "> 99.9 %"),
+        (1.0, "100 %"),
+    ],
+)
+def test_a_share_is_a_percentage_that_never_rounds_to_a_certainty(share: float, words: str) -> None:
+    assert percent(share) == words
+
+
+def test_a_chance_is_never_a_certainty() -> None:
+    assert (chance(1.0), chance(0.5), chance(0.99999)) == ("> 99.9 %", "50 %", "> 99.9 %")
+
+
+# Reasons and drivers
+
+
+def test_every_reason_is_a_clause_and_a_new_one_its_own_name() -> None:
+    assert reason_in_words("poor_coverage") == REASONS["poor_coverage"]
+    assert reason_in_words("brand_new") == "brand new"
+
+
+@pytest.mark.parametrize(
+    ("driver", "words"),
+    [
+        ("channel:temp_2", "the recorded channel temp_2"),
+        ("channel:a:b", "the recorded channel a:b"),
+        ("inferred:array_current", "array current, inferred because it was not recorded"),
+        ("none", ""),
+    ],
+)
+def test_drivers_are_told_in_words(driver: str, words: str) -> None:
+    assert driver_in_words(driver) == words
+
+
+# Sentences
+
+
+def test_a_clean_recording_agrees_to_the_noise() -> None:
+    assert verdict_sentence(diagnosis(Verdict.NONE), [], HELD_OUT) == (
+        "Simulation and recording agree to the noise: 101.5 nT are left on data that took no part in the fit, "
+        "over a noise of 100.0 nT."
+    )
+
+
+@pytest.mark.parametrize(
+    ("named", "listed"),
+    [
+        ("a", "heat"),
+        ("ab", "heat and currents"),
+        ("aab", "heat and currents"),
+        ("abc", "heat, currents and a step"),
+        ("abcd", "heat, currents and 2 more"),
+    ],
+)
+def test_named_effects_are_listed_once_each_and_of_many_the_first_two(named: str, listed: str) -> None:
+    found = [entry(name) for name in named]
+    sentence = verdict_sentence(diagnosis(Verdict.NAMED, terms=1, unexplained=0.08), found, HELD_OUT)
+    assert sentence == f"The simulation leaves out {listed}: 92 % of the mismatch is explained."
+    sentence = verdict_sentence(diagnosis(Verdict.NAMED), found, HELD_OUT)
+    assert sentence == f"The recording shows what the simulation leaves out: {listed}."
+
+
+def test_what_has_no_name_is_said_beside_what_has() -> None:
+    unknown = diagnosis(Verdict.UNKNOWN, unexplained=0.61)
+    tail = "no effect of the catalogue explains it, but where it sits is known."
+    alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
+    assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
+    beside = verdict_sentence(unknown, [entry("unknown"), entry("b")], HELD_OUT)
+    assert beside == f"Something without a name makes 61 % of the mismatch besides currents: {tail}"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "unexplained", "words"),
+    [
+        (Verdict.UNKNOWN, 0.3, "30 % of the mismatch, which no effect of the catalogue explains"),
+        (Verdict.NAMED, 0.05, "5 % of the mismatch, more than noise but little beside what was named"),
+        (Verdict.NAMED, 0.0, "nothing that could not be noise"),
+    ],
+)
+def test_what_remains_is_said_in_one_sentence(verdict: Verdict, unexplained: float, words: str) -> None:
+    assert remaining(diagnosis(verdict, unexplained=unexplained)) == words
+
+
+# The summary
+
+
+def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
+    found = [entry("a", "b", "c", share=0.8), entry("d", share=0.00001)]
+    files = [Path("out/diagnosis.json"), Path("out/report.html")]
+    lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("collapsed",)), found, HELD_OUT, files)
+    assert lines == [
+        "verdict: named",
+        "  The simulation leaves out heat and a tone: 100 % of the mismatch is explained.",
+        "  a: 80 % of the mismatch; probability 90 %, odds of 160 000 to 1 that it is there",
+        "    It is hot.",
+        "    cannot be told from b, c here; what would: a heater test",
+        "  d: < 0.1 % of the mismatch; probability 90 %, odds of 160 000 to 1 that it is there",
+        "    It is hot.",
+        "held-out rms: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise floor 100.0 nT",
+        "bias: a static calibration was off by 13.0 nT unseen, at (10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
+        "left: nothing that could not be noise",
+        "not to be trusted: collapsed (the nine errors ended at values that no sensor has)",
+        "files: out/diagnosis.json, out/report.html",
+    ]
+
+
+def test_a_summary_of_many_effects_shows_three_and_counts_the_rest() -> None:
+    three = summary(diagnosis(Verdict.NAMED, terms=1), [entry(name) for name in "abc"], HELD_OUT, [])
+    five = summary(diagnosis(Verdict.NAMED, terms=1), [entry(name) for name in "abcda"], HELD_OUT, [])
+    assert not [line for line in three if "more, in the files" in line]
+    assert five[8] == "  and 2 more, in the files"
+    assert sum(line.endswith("that it is there") for line in five) == 3
+
+
+def test_without_terms_no_bias_is_said_to_have_moved() -> None:
+    assert not [line for line in summary(diagnosis(Verdict.NONE), [], HELD_OUT, []) if line.startswith("bias")]
+
+
+def test_what_is_long_takes_two_lines_of_118_and_no_more() -> None:
+    lines = summary(diagnosis(Verdict.NAMED, terms=1), [entry("a", says="word " * 100)], HELD_OUT, [])
+    words = [line for line in lines if "word" in line]
+    assert [len(line) for line in words] == [118, 117]
+    assert words[0] == "    " + " ".join(["word"] * 23)
+    assert words[1].endswith(" ...")
