@@ -385,7 +385,7 @@ class Pipeline(Stateful, PipelineMemory):
 
     def _command(self, command: Command) -> CommandReply:
         """Carry out a command of the craft's own; one that nobody knows is refused."""
-        work = OWN_COMMANDS.get(command.name)
+        work = CRAFT_COMMANDS.get(command.name)
         return self.reply(command, unknown(command.name) if work is None else work(self, command))
 
     def _freeze_or_resume(self, command: Command) -> str:
@@ -443,7 +443,7 @@ class Pipeline(Stateful, PipelineMemory):
         return status_message(stamp, uptime_s, self.trust, counted, self.summary())
 
 
-OWN_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
+CRAFT_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
     "status": lambda _pipeline, _command: "",
     "freeze": Pipeline._freeze_or_resume,
     "resume": Pipeline._freeze_or_resume,

@@ -113,7 +113,7 @@ class Service:
         """What has come; how long it was waited for is noted."""
         began_s = time.monotonic()
         messages = self.link.receive(WAIT_S)
-        self.health.lateness.looked(began_s)
+        self.health.lateness.polled(began_s)
         return messages
 
     def _report(self, events: Iterable[Event]) -> None:

@@ -74,7 +74,7 @@ class Plkf(Stateful, PlkfMemory):
         residual = scalar_residual(state.x, tick.field_body_nt, tick.reference_magnitude_nt)
         now_s = float(tick.times_s[-1])
         if self._time_s is not None:
-            state.wander(now_s - self._time_s)
+            state.add_process_noise(now_s - self._time_s)
         self._time_s = now_s
         state.noise.observe(residual, after_gap=tick.after_gap)
         state.samples += len(residual)

@@ -238,7 +238,7 @@ class SpinFilter(Stateful, SpinFilterMemory):
             return
         scalar = self._scalar.estimate()
         known = scalar.phase is Phase.RUNNING
-        self._search.doubt(tracker.time_s)
+        self._search.demand_longer_proof(tracker.time_s)
         self._search.begin(Prior(scalar.x, scalar.covariance) if known else None, why)
 
     def _collect(self, tick: Tick) -> TickOutcome | None:

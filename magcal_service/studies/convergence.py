@@ -45,7 +45,7 @@ Choice: a thousandth of the field; a filter in little noise is many of its sigma
 WRONG_D: Final = 1e-3
 """Or an element of D by more than this: 1e-3 of the field is 50 nT, too."""
 
-OWN_BOUND_NT: Final = 50.0
+LARGEST_BOUND_NT: Final = 50.0
 """Runs whose own bound, 1 sigma after one and a half orbits, is below this on every axis should be trusted by then."""
 
 _YEAR_NS: Final = 365 * 86_400 * 10**9
@@ -256,7 +256,7 @@ def run(request: Request) -> Findings:
 
 
 def _figures(name: str, outcomes: list[Outcome]) -> dict[str, Cell]:
-    able = [outcome for outcome in outcomes if outcome.bound_nt < OWN_BOUND_NT]
+    able = [outcome for outcome in outcomes if outcome.bound_nt < LARGEST_BOUND_NT]
     trusted = [outcome for outcome in outcomes if outcome.verdict is Verdict.TRUSTED]
     times = [outcome.first_trusted_s for outcome in outcomes if not math.isnan(outcome.first_trusted_s)]
     silent = [outcome for outcome in outcomes if outcome.verdict is not Verdict.TRUSTED and not outcome.reasons]
@@ -264,7 +264,7 @@ def _figures(name: str, outcomes: list[Outcome]) -> dict[str, Cell]:
     return {
         f"{name}: runs ever trusted and wrong": sum(outcome.wrong_ticks > 0 for outcome in outcomes),
         f"{name}: trusted at the end": len(trusted),
-        f"{name}: own bound under {OWN_BOUND_NT:g} nT": len(able),
+        f"{name}: own bound under {LARGEST_BOUND_NT:g} nT": len(able),
         f"{name}: of those, trusted at the end": len(good),
         f"{name}: share of those": len(good) / len(able) if able else None,
         f"{name}: not trusted without a reason": len(silent),
@@ -274,12 +274,12 @@ def _figures(name: str, outcomes: list[Outcome]) -> dict[str, Cell]:
 
 
 def _tables(name: str, outcomes: list[Outcome]) -> list[Table]:
-    able = [outcome for outcome in outcomes if outcome.bound_nt < OWN_BOUND_NT]
-    unable = [outcome for outcome in outcomes if outcome.bound_nt >= OWN_BOUND_NT]
+    able = [outcome for outcome in outcomes if outcome.bound_nt < LARGEST_BOUND_NT]
+    unable = [outcome for outcome in outcomes if outcome.bound_nt >= LARGEST_BOUND_NT]
     why = Counter((", ".join(outcome.reasons) or "trusted") for outcome in able)
     why_not = Counter((", ".join(outcome.reasons) or "trusted") for outcome in unable)
     rows = tuple((reason, why[reason], why_not[reason]) for reason, _ in (why + why_not).most_common())
-    columns = ("verdict or reasons at the end", f"own bound under {OWN_BOUND_NT:g} nT", "own bound above")
+    columns = ("verdict or reasons at the end", f"own bound under {LARGEST_BOUND_NT:g} nT", "own bound above")
     doubtful = [each for each in outcomes if each.wrong_ticks or (each in able and each.verdict != Verdict.TRUSTED)]
     listed = tuple(_row(outcome) for outcome in doubtful)
     return [
@@ -311,7 +311,7 @@ def _panel(name: str, outcomes: list[Outcome]) -> Panel:
     """Share of the runs that had been trusted by a time."""
     times = sorted(outcome.first_trusted_s for outcome in outcomes if not math.isnan(outcome.first_trusted_s))
     share = [(i + 1) / len(outcomes) for i in range(len(times))]
-    able = sum(outcome.bound_nt < OWN_BOUND_NT for outcome in outcomes) / len(outcomes)
+    able = sum(outcome.bound_nt < LARGEST_BOUND_NT for outcome in outcomes) / len(outcomes)
     lines = [Line("trusted for the first time", tuple(times), tuple(share))]
     if times:
         lines.append(Line("own bound low enough at the end", (times[0], times[-1]), (able, able), limit=True))

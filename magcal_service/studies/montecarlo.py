@@ -111,7 +111,7 @@ class Statistics:
     ----------
     runs, started: all, and those with an estimate.
     mean, spread: mean estimate (9,) and its empirical 1 sigma over runs (9,).
-    own: the filter's own 1 sigma, root mean square over runs (9,).
+    formal: 1 sigma by the filters' covariances, root mean square over runs (9,).
     mean_error_sigmas: mean error over ``spread`` (9,); it scatters by 1 / sqrt(runs); nan where nothing is estimated.
     nees: mean normalised estimation error squared; 9 where the covariance is honest, +- sqrt(18 / runs).
     """
@@ -120,7 +120,7 @@ class Statistics:
     started: int
     mean: Array
     spread: Array
-    own: Array
+    formal: Array
     mean_error_sigmas: Array
     nees: float
 
@@ -241,7 +241,7 @@ def statistics(ensemble: Ensemble, column: int = -1) -> Statistics:
         started=count,
         mean=x.mean(axis=0),
         spread=spread,
-        own=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)),
+        formal=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)),
         mean_error_sigmas=error.mean(axis=0) / np.where(spread > 0.0, spread, np.nan),
         nees=float(nees(error, covariance).mean()),
     )

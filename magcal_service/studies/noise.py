@@ -53,7 +53,7 @@ def _panels(name: str, measured: list[Measured]) -> tuple[Panel, Panel]:
         "3 sigma [nT]",
         (
             Line("over runs", x, tuple(3.0 * float(each.end.spread[BIAS].max()) for each in good)),
-            Line("own", x, tuple(3.0 * float(each.end.own[BIAS].max()) for each in good)),
+            Line("own", x, tuple(3.0 * float(each.end.formal[BIAS].max()) for each in good)),
             Line("bound", x, tuple(3.0 * float(each.bound[BIAS].max()) for each in good), limit=True),
         ),
         log_x=True,

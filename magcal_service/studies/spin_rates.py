@@ -62,7 +62,7 @@ def _panel(name: str, measured: list[Measured]) -> Panel:
     vector = [bound_sigma(fly(each.variant.plan).for_bounds(), InformationSet.VECTOR_SPIN) for each in good]
     lines = (
         Line("over runs", x, tuple(3.0 * float(each.end.spread[BIAS].max()) for each in good)),
-        Line("own", x, tuple(3.0 * float(each.end.own[BIAS].max()) for each in good)),
+        Line("own", x, tuple(3.0 * float(each.end.formal[BIAS].max()) for each in good)),
         Line(
             "bound, magnitude and windows", x, tuple(3.0 * float(each.bound[BIAS].max()) for each in good), limit=True
         ),

@@ -158,7 +158,7 @@ def _nine(outcome: Outcome) -> Table:
     for i, name in enumerate(STATE_NAMES):
         digits = 2 if i < BIAS.stop else 5
         row: tuple[Cell, ...] = (name, float(truth[i]), f"{end.mean[i]:.{digits}f} ± {3.0 * end.spread[i]:.{digits}f}")
-        row += (3.0 * float(end.own[i]), 3.0 * float(bound[i]), float(end.spread[i] / bound[i]))
+        row += (3.0 * float(end.formal[i]), 3.0 * float(bound[i]), float(end.spread[i] / bound[i]))
         published = f"{paper_mean[i]:g} ± {paper_sigma[i]:g}" if paper_mean and paper_sigma else None
         rows.append((*row, float(end.mean_error_sigmas[i]), published))
     columns = ("parameter", "truth", "mean ± 3 sigma over runs", "own 3 sigma", "bound 3 sigma", "sigma / bound")

@@ -53,7 +53,7 @@ class Measured:
         end, restarts = self.end, int(self.ensemble.restarts.sum())
         if end.started < 2:
             return (*([None] * 8), end.started, restarts)
-        ratio = end.own / end.spread
+        ratio = end.formal / end.spread
         return (
             *(float(value) for value in 3.0 * end.spread[BIAS]),
             float((end.spread / self.bound).max()),

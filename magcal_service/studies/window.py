@@ -60,7 +60,7 @@ def _panel(rate: float, measured: list[Measured]) -> Panel:
     x = tuple(float(i) for i in range(len(good)))
     lines = (
         Line("over runs", x, tuple(3.0 * float(each.end.spread[:2].max()) for each in good)),
-        Line("own", x, tuple(3.0 * float(each.end.own[:2].max()) for each in good)),
+        Line("own", x, tuple(3.0 * float(each.end.formal[:2].max()) for each in good)),
         Line("bound", x, tuple(3.0 * float(each.bound[:2].max()) for each in good), limit=True),
     )
     return Panel(f"{rate:g} rpm: bx, by", "window (rows of the table)", "3 sigma [nT]", lines)

@@ -291,7 +291,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
             (elapsed_ns, sample, self.references.at(sample.time_ns, sample.clock)) for elapsed_ns, sample in members
         ]
         paired = [(elapsed_ns, sample, found) for elapsed_ns, sample, found in pairs if found is not None]
-        self.references.forget_before(members[-1][1].time_ns)
+        self.references.discard_before(members[-1][1].time_ns)
         if self._last_ns is not None and members[0][0] - self._last_ns > self._gap_ns:
             self._broken = True
         elif self._last_ns is not None:

@@ -157,7 +157,7 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
         share = (time_ns - times[after - 1]) / (times[after] - times[after - 1])
         return _between(self._found[after - 1], self._found[after], share)
 
-    def forget_before(self, time_ns: int) -> None:
+    def discard_before(self, time_ns: int) -> None:
         """Drop what no later sample can need, but for the last ones, once there are many."""
         keep = bisect_left(self._times, time_ns) - 1 - REMEMBERED
         if keep > REMEMBERED:

@@ -49,7 +49,7 @@ BLOCK: Final = 320
 TICKS: Final = 5120
 """Ticks of a window: 85 min at 1 Hz, nearly a low orbit with its eclipse."""
 
-FIRST_LOOK: Final = 3 * BLOCK
+FIRST_EVALUATION: Final = 3 * BLOCK
 """Ticks before the first look: two blocks always lie on a line, so that no drift differs from a step."""
 
 _YEAR_S: Final = 31_557_600.0
@@ -283,9 +283,9 @@ class ModelWatch(Stateful, ModelWatchMemory):
         ends = [*range(STATE_SIZE), -1]
         self._blocks.append(block[np.ix_(ends, ends)])
         self._times.append(now_s)
-        if self._samples < FIRST_LOOK:
+        if self._samples < FIRST_EVALUATION:
             return False
-        changed = self._look((now_s - self._began_s) / 60.0, walks=walks)
+        changed = self._evaluate((now_s - self._began_s) / 60.0, walks=walks)
         if self._samples >= TICKS:
             if self._quiet and self.finding is not None:
                 self.finding, changed = None, True
@@ -293,7 +293,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
             self.begin()
         return changed
 
-    def _look(self, minutes: float, *, walks: bool) -> bool:
+    def _evaluate(self, minutes: float, *, walks: bool) -> bool:
         likeliest = likely(self.explanations(walks=walks), self._samples)
         if not likeliest:
             return False

@@ -23,7 +23,7 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.watch.evidence import FALSE_PER_YEAR
-from magcal_service.watch.residual_watch import ALARM_NATS, BLOCK, FIRST_LOOK, TICKS, ModelWatch
+from magcal_service.watch.residual_watch import ALARM_NATS, BLOCK, FIRST_EVALUATION, TICKS, ModelWatch
 from tests.watch.watch_runs import Clean, Known, craft, flight, fly, stream
 
 SPINS_RPM = (0.5, 2.0, 7.5, 15.0)
@@ -73,7 +73,7 @@ def false_alarms(windows: int, seed: int) -> None:
                 if count == TICKS:  # the window would end, and with it what can be asked
                     break
                 told += watch.push(tick, estimate, walks=False)
-                if count % BLOCK or count < FIRST_LOOK:
+                if count % BLOCK or count < FIRST_EVALUATION:
                     continue
                 explanations = watch.explanations(walks=False)
                 tries = [1 if one.driver.startswith(("channel", "inferred")) else one.tries for one in explanations]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from magcal_service.daemon.command_table import COMMANDS
-from magcal_service.daemon.pipeline import OWN_COMMANDS, Pipeline
+from magcal_service.daemon.pipeline import CRAFT_COMMANDS, Pipeline
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
@@ -36,7 +36,7 @@ def ask(pipeline: Pipeline, name: str, **arguments: float | str | bool) -> Comma
     return reply
 
 
-@pytest.mark.parametrize("name", OWN_COMMANDS)
+@pytest.mark.parametrize("name", CRAFT_COMMANDS)
 def test_every_command_is_answered_by_name(pipeline: Pipeline, name: str) -> None:
     reply = ask(pipeline, name, **({"bias_nt": 1.0} if name == "process_noise" else {}))
     assert (reply.name, reply.command_source, reply.command_sequence, reply.accepted) == (name, "ops", 7, True)

@@ -198,7 +198,7 @@ def test_the_turn_is_known_without_a_reference_vector() -> None:
     flown = replace(turned(PHASE), reference_eci_nt=None)
     found = turn_alone(flown, AXIS_BODY, RATE_RAD_S)
     assert found is not None
-    assert found.rate_rad_s == pytest.approx(RATE_RAD_S, abs=found.wander_rad_s)
+    assert found.rate_rad_s == pytest.approx(RATE_RAD_S, abs=found.drift_rad_s)
     assert len(found.phase_rad) == len(flown)
     assert solve_spin(flown, AXIS_BODY, RATE_RAD_S) is None
 

@@ -148,7 +148,7 @@ def test_errors_drawn_from_their_own_covariance_have_nees_nine() -> None:
     covariance = factor @ factor.T
     end = statistics(ensemble_of(rng.standard_normal((2000, 9)) @ factor.T, covariance))
     assert end.nees == pytest.approx(9.0, abs=3.0 * (18.0 / 2000) ** 0.5)
-    assert np.abs(end.own / end.spread - 1.0).max() < 0.06
+    assert np.abs(end.formal / end.spread - 1.0).max() < 0.06
 
 
 def test_a_covariance_half_as_wide_in_sigma_has_four_times_the_nees() -> None:

@@ -125,7 +125,7 @@ def test_forgetting_keeps_the_reference_before_the_time() -> None:
     target = track()
     for second in range(500):
         target.add(reference(second))
-    target.forget_before(START_NS + 450 * SECOND_NS + 1)
+    target.discard_before(START_NS + 450 * SECOND_NS + 1)
     assert (magnitude_at(target, 321.5), magnitude_at(target, 450.5)) == (None, 34_505.0)
 
 

@@ -479,7 +479,7 @@ def test_of_many_used_references_the_last_128_stay(second: int, oldest: int) -> 
     target, _ = track()
     for each in range(400):
         target.add(reference(each))
-    target.forget_before(ns(second))
+    target.discard_before(ns(second))
     assert (target._times[0], len(target._found)) == (ns(oldest), 400 - oldest)
     assert target.at(ns(second - 0.5), Clock.UTC) is not None
 

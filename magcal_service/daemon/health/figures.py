@@ -30,7 +30,7 @@ _PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
 class TickLateness:
     """How long after its last message had come a tick's estimate left, at the most.
 
-    A message that was there when the daemon came to look is taken as there since it last looked, so a queue in front of
+    A message that was there when the daemon polled is taken as there since its last poll, so a queue in front of
     the daemon is in it.
 
     Attributes
@@ -43,13 +43,13 @@ class TickLateness:
         self.counts = [0] * (len(BOUNDS_S) + 1)
         self.total_s = 0.0
         self._recent: deque[float] = deque(maxlen=_RECENT)
-        self._arrived_s = self._looked_s = time.monotonic()
+        self._arrived_s = self._polled_s = time.monotonic()
 
-    def looked(self, began_s: float) -> None:
+    def polled(self, began_s: float) -> None:
         """Messages were fetched; ``began_s`` is the monotonic time at which the daemon asked for them."""
         now_s = time.monotonic()
-        self._arrived_s = self._looked_s if now_s - began_s < 1e-3 else now_s
-        self._looked_s = now_s
+        self._arrived_s = self._polled_s if now_s - began_s < 1e-3 else now_s
+        self._polled_s = now_s
 
     def note(self) -> None:
         """An estimate has left."""
@@ -76,7 +76,7 @@ class Process:
 
     @classmethod
     def now(cls) -> Process:
-        """As the kernel tells it; zeros on one that has no /proc."""
+        """As the kernel reports it; zeros on one that has no /proc."""
         try:
             resident = int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_BYTES
             return cls(resident, len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task")))

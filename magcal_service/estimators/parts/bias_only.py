@@ -54,7 +54,7 @@ class BiasState(Stateful, BiasStateMemory):
         x[BIAS] = self.bias_nt
         return x
 
-    def wander(self, seconds: float) -> None:
+    def add_process_noise(self, seconds: float) -> None:
         """Random walk of the bias over a time [s]."""
         self.covariance = self.covariance + self._walk * seconds
 

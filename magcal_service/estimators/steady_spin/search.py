@@ -211,7 +211,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         """Sample time before which no start is tried [s]."""
         return self._required_s
 
-    def doubt(self, now_s: float) -> None:
+    def demand_longer_proof(self, now_s: float) -> None:
         """The spin was not as steady as the last start assumed: allow more, and ask for a longer proof."""
         self._required_s = min(2.0 * self._required_s, _LONGEST_PROOF_S)
         self._allow_more_walk(now_s - self._began_s)
@@ -283,7 +283,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
     def start_of(self, samples: Samples, scalar: StateEstimate, now_s: float) -> SpinStart | SpinGate:
         """A start from samples up to now and a scalar estimate that is running, or the gate that stops it."""
         ranges = self._rate_ranges(samples.period_s())
-        samples = self._clean(samples, scalar)
+        samples = self._within_gate(samples, scalar)
         gate = SpinGate.NO_AXIS
         for lowest, highest in ranges:
             first = samples.newest(self._first_span_s())
@@ -297,14 +297,14 @@ class SpinSearch(Stateful, SpinSearchMemory):
                 gate = SpinGate.INCONSISTENT if guesses else gate
                 continue
             nearest = min(candidates, key=lambda candidate: candidate.quality.residual_nt)
-            self._remember(nearest, self._noise_nt(scalar), now_s)
+            self._record_spin(nearest, self._noise_nt(scalar), now_s)
             steady = [candidate for candidate in candidates if self._sound(candidate.quality)]
             if steady:
                 return self._choose(samples, [self._grow(samples, one, scalar) for one in steady], scalar)
             gate = SpinGate.INCONSISTENT
         return gate
 
-    def _clean(self, samples: Samples, scalar: StateEstimate) -> Samples:
+    def _within_gate(self, samples: Samples, scalar: StateEstimate) -> Samples:
         """Without those that the scalar filter would have stopped at its gate."""
         magnitude_nt = np.linalg.norm(samples.reference_eci_nt, axis=1)
         residual = np.abs(scalar_residual(scalar.x, samples.field_nt, magnitude_nt))
@@ -373,7 +373,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         fit = fit_spin(samples, longest.fit.state, self._prior, noise_nt)
         if fit is None or not self._sound(fit_quality(fit)):
             return SpinGate.POOR_COVERAGE
-        gate = self._doubt(fit, samples, scalar)
+        gate = self._failed_gate(fit, samples, scalar)
         if gate is not None:
             return gate
         if not steady_throughout:
@@ -398,7 +398,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         tied = fit_spin(samples, fit.state, self._prior, noise_nt, self._axis)
         return tied.state if tied is not None and self._sound(fit_quality(tied)) else fit.state
 
-    def _doubt(self, fit: SpinFit, samples: Samples, scalar: StateEstimate) -> SpinGate | None:
+    def _failed_gate(self, fit: SpinFit, samples: Samples, scalar: StateEstimate) -> SpinGate | None:
         state = fit.state
         if is_collapsed(state.x):
             return SpinGate.COLLAPSED
@@ -417,7 +417,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         given = self.config.sensor.noise_nt
         return quality.steady and (given is None or quality.residual_nt < _BAD_FIT * given)
 
-    def _remember(self, candidate: _Candidate, noise_nt: float, now_s: float) -> None:
+    def _record_spin(self, candidate: _Candidate, noise_nt: float, now_s: float) -> None:
         """What the newest stretch says about the spin, whether or not it is believed."""
         state, level = candidate.fit.state, candidate.quality.residual_nt / noise_nt
         scaled = state.covariance * max(level, 1.0) ** 2

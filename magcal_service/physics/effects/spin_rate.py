@@ -46,19 +46,19 @@ def _find(view: View) -> Finding | None:
     line, curve, cubic = (_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in (1, 2, 3))
     scatter = max(1.0, float(np.mean(curve.left**2)))
     bend = abs(float(curve.values[2])) / 4.0
-    wandered = turn.wander_rad_s * span / 4.0  # what the direction may bend that the phase is counted from
+    drifted = turn.drift_rad_s * span / 4.0  # what the direction may bend that the phase is counted from
     nats = 0.5 * (float(line.left @ line.left) - float(curve.left @ curve.left)) / scatter - math.log(len(scene))
-    drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + wandered
+    drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + drifted
     nominal = view.nominal_rate_rad_s
     steady_sigma = math.sqrt(line.covariance[1, 1] * max(1.0, float(np.mean(line.left**2)))) / span
-    allowed = 0.0 if nominal is None else _tolerance(nominal) + turn.wander_rad_s + _SIGMAS * steady_sigma
+    allowed = 0.0 if nominal is None else _tolerance(nominal) + turn.drift_rad_s + _SIGMAS * steady_sigma
     other = nominal is not None and abs(turn.rate_rad_s - nominal) > allowed
     if not drifting and not other:
         return None
     sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
     # a rate that does not change evenly: what one order more says otherwise, and the direction's own turn
-    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.wander_rad_s * span)
-    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.wander_rad_s * span)
+    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span)
+    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span)
     parameters = {
         "rate_rpm": value_of(float(curve.values[1]) / span * TO_RPM, rate_sigma / span * TO_RPM, "rpm"),
         "rate_rpm_per_s": value_of(

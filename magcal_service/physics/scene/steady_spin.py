@@ -74,7 +74,7 @@ class Turn:
     phase_rad, raw_phase_rad: (n,) angle about +axis, unwrapped, smoothed and from each sample alone.
     rate_rad_s: mean rate about +axis.
     across_nt: (n,) part of the field across the axis.
-    wander_rad_s: how fast the direction that the phase is counted from may turn itself.
+    drift_rad_s: how fast the direction that the phase is counted from may turn itself.
     """
 
     axis_body: Array
@@ -82,7 +82,7 @@ class Turn:
     raw_phase_rad: Array
     rate_rad_s: float
     across_nt: Array
-    wander_rad_s: float = 0.0
+    drift_rad_s: float = 0.0
 
 
 def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None) -> Turn | None:

@@ -167,7 +167,7 @@ class BatchedSpin:
         found = self._states.innovations(count, field_nt.T[:, runs], reference_eci_nt, self._noise_nt**2)
         used = found.squared_norm() <= self._limit
         self._states.apply(found, used.astype(np.float64))
-        lost = self._watch.look(found, self._states.body_from_eci[:, :, :count], used)
+        lost = self._watch.check(found, self._states.body_from_eci[:, :, :count], used)
         self.left[runs[lost]] = True
         self._history.leave_out(runs[~used])
 
@@ -308,7 +308,7 @@ class _Watches:
         for rows in (self.in_block, self.blocks, self.drift, self.rejected):
             rows[..., pair] = rows[..., crossed]
 
-    def look(self, found: SpinInnovations, body_from_eci: Array, used: Flags) -> Flags:
+    def check(self, found: SpinInnovations, body_from_eci: Array, used: Flags) -> Flags:
         """``SpinWatch.accepted`` or ``rejected`` for the first runs; which have lost their spin (r,)."""
         count = len(used)
         self.rejected[:count] = np.where(used, 0.0, self.rejected[:count] + 1.0)

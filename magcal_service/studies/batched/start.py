@@ -2,7 +2,7 @@
 
 What differs between runs is the measured field alone, so all attempts fall into the same ticks, and Gauss-Newton goes
 on for all runs together until each has settled.  Only the plain case is here: a run in which a sample or a spin window
-would be left out, or that no solution fits, is said to be odd and has to be flown alone.
+would be left out, or that no solution fits, is reported as irregular and has to be flown alone.
 
 Source: as ``start``.
 """
@@ -48,10 +48,10 @@ _ELEMENTS: Final = 16_384
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """What an attempt gave: solutions by run, and the runs that are odd."""
+    """What an attempt gave: solutions by run, and the irregular runs."""
 
     solutions: dict[int, BatchSolution]
-    odd: list[int]
+    irregular: list[int]
 
 
 class BatchedStart:
@@ -94,7 +94,7 @@ class BatchedStart:
                 if isinstance(found, BatchSolution):
                     result.solutions[run] = found
                 elif found is StartGate.BAD_FIT:
-                    result.odd.append(run)
+                    result.irregular.append(run)
         return result
 
     def _problem(self, runs: NDArray[np.intp]) -> BatchProblem:
@@ -115,7 +115,7 @@ class BatchedStart:
         )
 
     def _solve(self, problem: BatchProblem) -> Iterator[BatchSolution | StartGate]:
-        """``start._solve`` and the gates for a stack; BAD_FIT for a run that is odd."""
+        """``start._solve`` and the gates for a stack; BAD_FIT for an irregular run."""
         linear, positive = linear_states(problem)
         linear[~positive] = 0.0
         roads = [_Road(problem, linear), _Road(problem, np.zeros_like(linear))]

@@ -143,7 +143,7 @@ class BatchedUkf:
         fields = self._window_fields(window, np.arange(len(field_nt))) if window is not None else None
         self._start.push(tick, field_nt, window, fields.transpose(2, 1, 0) if fields is not None else None)
         starts = self._start.attempt(waiting)
-        self.left[starts.odd] = True
+        self.left[starts.irregular] = True
         for run, solution in starts.solutions.items():
             column = int(np.flatnonzero(self._run == run)[0])
             self._swap(column, self._active)

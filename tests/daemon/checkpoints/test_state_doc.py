@@ -7,7 +7,7 @@ from pathlib import Path
 
 from magcal_service.daemon.command_table import COMMANDS, By
 from magcal_service.daemon.commands import DAEMON_COMMANDS
-from magcal_service.daemon.pipeline import OWN_COMMANDS
+from magcal_service.daemon.pipeline import CRAFT_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[3]
 TEXT = (ROOT / "docs/state.md").read_text(encoding="utf-8")
@@ -24,7 +24,7 @@ def test_every_command_is_listed_and_no_other() -> None:
 
 
 def test_every_command_has_one_who_carries_it_out() -> None:
-    assert {name for name, spec in COMMANDS.items() if spec.by is By.CRAFT} == set(OWN_COMMANDS)
+    assert {name for name, spec in COMMANDS.items() if spec.by is By.CRAFT} == set(CRAFT_COMMANDS)
     assert {name for name, spec in COMMANDS.items() if spec.by is By.DAEMON} == set(DAEMON_COMMANDS)
 
 

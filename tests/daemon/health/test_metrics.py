@@ -125,9 +125,9 @@ def test_lateness_counts_the_wait_in_front_of_the_daemon() -> None:
     """A message found waiting counts from when the daemon last looked; one waited for, from when it came."""
     lateness = TickLateness()
     time.sleep(0.05)
-    lateness.looked(time.monotonic())
+    lateness.polled(time.monotonic())
     lateness.note()
-    lateness.looked(time.monotonic() - 1.0)
+    lateness.polled(time.monotonic() - 1.0)
     lateness.note()
     assert (sum(lateness.counts[BOUNDS_S.index(0.05) :]), sum(lateness.counts)) == (1, 2)
     assert lateness.quantiles_s()[1] > 0.045
