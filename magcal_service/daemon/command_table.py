@@ -1,6 +1,6 @@
 """Every command that may come over a link: its arguments, who carries it out, and what it does.
 
-The one place that knows them: the pipeline and the commander look handlers up by these names, an unknown command is
+The one place that knows them: the pipeline and the commander find handlers by these names, an unknown command is
 refused with them, and the table of docs/state.md is held to them by a test.
 """
 
@@ -16,7 +16,7 @@ PROCESS_NOISE_LIMITS: Final = {"bias_nt": 1000.0, "D": 0.01}
 
 
 class By(StrEnum):
-    """Who carries a command out: the craft's own pipeline, or the daemon, which has disk and life cycle."""
+    """Who carries a command out: the craft's pipeline, or the daemon, which has disk and life cycle."""
 
     CRAFT = "craft"
     DAEMON = "daemon"

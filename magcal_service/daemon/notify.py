@@ -1,4 +1,4 @@
-"""Tells systemd how the daemon is doing: the ``sd_notify`` protocol, a datagram on the socket it names."""
+"""Notifies systemd of the daemon's state: the ``sd_notify`` protocol, a datagram on the socket it names."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from magcal_service.wire.messages import (
 )
 
 SOURCE: Final = "magcal"
-"""Who sends: the source of every message of the daemon's own."""
+"""Who sends: the source of every message of the daemon."""
 
 _UPPER: Final = np.triu_indices(STATE_SIZE)  # a covariance travels as its upper triangle, row by row
 _UPPER_3: Final = np.triu_indices(3)

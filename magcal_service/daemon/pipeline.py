@@ -62,12 +62,12 @@ WATCHED: Final = {
 """Reasons under which a window of the watch may begin: they may be what it explains."""
 
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
-"""Reasons under which ticks are kept from the watch.  Its window outlives a new start: it has errors of its own."""
+"""Reasons under which ticks are kept from the watch.  Its window outlives a new start: it fits errors separately."""
 
 _WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
 
 CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
-"""Carries out a command of the daemon's for a craft; None where it is the craft's own."""
+"""Carries out a command of the daemon's for a craft; None where the craft does."""
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -215,7 +215,7 @@ class Pipeline(Stateful, PipelineMemory):
         Parameters
         ----------
         message: any message of this craft.
-        carried_out: gives the reply to a command that the daemon carries out, None for one that is the craft's own.
+        carried_out: gives the reply to a command that the daemon carries out, None for one that the craft carries out.
         """
         reply = carried_out(message, self) if carried_out is not None and isinstance(message, Command) else None
         yield from self.answer(message) if reply is None else [reply]
@@ -266,7 +266,7 @@ class Pipeline(Stateful, PipelineMemory):
         return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict)]
 
     def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
-        """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and said."""
+        """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and reported."""
         if self.compensation is None:
             return sample
         corrected = self.compensation.correct(sample)
@@ -276,7 +276,7 @@ class Pipeline(Stateful, PipelineMemory):
         return corrected
 
     def _rejected(self, sample: MagnetometerSample, rejection: Rejection) -> list[Message]:
-        """Only a fault of the sensor that has just begun is worth an estimate of its own: its verdict has changed."""
+        """Only a fault of the sensor that has just begun is worth an extra estimate: its verdict has changed."""
         if rejection not in SENSOR_FAULTS:
             return []
         fault, self._fault_left = SENSOR_FAULTS[rejection]
@@ -289,7 +289,7 @@ class Pipeline(Stateful, PipelineMemory):
         return [self._estimate(sample.time_ns, sample.clock)]
 
     def _recover(self) -> None:
-        """A sample was accepted: a fault ends with it, or after some more; without learning, an estimate grows old."""
+        """A sample was accepted: a fault ends with it, or some later; without updates, an estimate becomes stale."""
         if self._fault is not None:
             self._fault_left -= 1
             if self._fault_left <= 0:
@@ -324,7 +324,7 @@ class Pipeline(Stateful, PipelineMemory):
         return self._estimate(tick.time_ns, tick.clock)
 
     def _learn(self, tick: Tick) -> None:
-        """Give a tick to the estimator; where its arithmetic fails it begins anew, and the other craft work on."""
+        """Give a tick to the estimator; where its arithmetic fails it is reset, and the other craft work on."""
         try:
             outcome = self.estimator.handle(tick)
             state = self.estimator.estimate()
@@ -342,7 +342,7 @@ class Pipeline(Stateful, PipelineMemory):
         self._count(outcome.rejected, outcome.spin_squared_innovation is not None, outcome.spin_rejected)
 
     def _watch_model(self, tick: Tick) -> None:
-        """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is told."""
+        """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is reported."""
         reasons = set(self.trust.reasons)
         if not self.config.trust.watch or reasons & UNWATCHED or not (self.watch.is_open or reasons <= WATCHED):
             return
@@ -384,7 +384,7 @@ class Pipeline(Stateful, PipelineMemory):
         return number
 
     def _command(self, command: Command) -> CommandReply:
-        """Carry out a command of the craft's own; one that nobody knows is refused."""
+        """Carry out a command of the craft; an unknown one is refused."""
         work = CRAFT_COMMANDS.get(command.name)
         return self.reply(command, unknown(command.name) if work is None else work(self, command))
 
@@ -436,7 +436,7 @@ class Pipeline(Stateful, PipelineMemory):
         return "" if found is None else f"model doubtful: {found}; run: magcal diagnose RECORDING"
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
-        """Health of this craft; ``counters`` are the link's, added to the craft's own."""
+        """Health of this craft; ``counters`` are the link's, added to the craft's."""
         own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
         stamp = Stamp(self.config.name, self._number(), self.last_time_ns, self._clock)
         counted = self.ticks.counters + self.counters + own + counters

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from magcal_service.recordings.recorder import Recorder
 
 log = logging.getLogger("magcal")
-log.addHandler(logging.NullHandler())  # where nobody listens to logs, the command line tells the error itself
+log.addHandler(logging.NullHandler())  # without a handler for logs, the command line prints the error itself
 
 WAIT_S: Final = 0.5
 """Longest wait for a message: how late a status, the watchdog and a request to stop may be."""
@@ -100,7 +100,7 @@ class Service:
         self._ending = True
 
     def restore(self) -> None:
-        """Take up each craft's newest checkpoint where there is one of its own."""
+        """Restore each craft's newest checkpoint where there is one."""
         if self.checkpoints is None:
             return
         for name, pipeline in self.pipelines.items():
@@ -241,7 +241,7 @@ class Service:
             log.error("no more rows are written: %s", error)
 
     def feed_watchdog(self) -> None:
-        """Tell the service manager that all is well: ticks were made of the samples that came, or none came.
+        """Notify the service manager that all is well: ticks were made of the samples that came, or none came.
 
         A daemon that takes samples and makes nothing of them is not well, and is to be restarted.
         """

@@ -7,7 +7,7 @@ the filter stays at a wrong solution with small sigmas.  Nothing is added that w
 correction for the noise inside B.  ``docs/methods.md`` has the share of runs that fail.
 
 Source: Crassidis, Lai & Harman 2003, "Real-time attitude-independent three-axis magnetometer calibration", section on
-the extended filter; Cetin, Soken & Tekinalp 2020, equations (2)-(4), who report the trouble.
+the extended filter; Cetin, Soken & Tekinalp 2020, equations (2)-(4), who report the divergence.
 """
 
 from __future__ import annotations

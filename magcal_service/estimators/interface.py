@@ -67,7 +67,7 @@ class StateEstimate:
     phase: whether a start has been made (before that, x and covariance are the prior's).
     noise_nt: sensor noise that the covariance assumes [nT], 0 while unknown.
     samples, rejected: magnetometer samples used and stopped so far.
-    restarts: times the estimator lost consistency and started anew.
+    restarts: times the estimator lost consistency and restarted.
     waiting_for: the gate that stopped the last attempt at a start, None where none did.
     spin_given_up: the spin windows contradicted the scalar measurement and are no longer used.
     """

@@ -5,8 +5,8 @@ dB/dt = -w x (B - b).  The state (m, b) of six is linear: m turns by the gyro's 
 and B measures their sum; a Kalman filter needs neither start nor reference.  H itself turns, which enters as process
 noise from the reference's own change, and so does an assumed noise of the gyro.
 
-About a constant axis the bias along it is not observable.  The gyro's noise makes it seem so (a noisy axis looks like
-a changing one), and the filter would then believe the field's mean to be bias.  Directions in which the gyro's noise
+About a constant axis the bias along it is not observable.  The gyro's noise makes it seem so (a noisy axis resembles
+a changing one), and the filter would then attribute the field's mean to the bias.  Directions in which the gyro's noise
 explains more than half of the apparent change of axis are therefore given back to the prior.
 
 Needs ticks with ``rate_body_rad_s`` (n, 3) [rad/s]; those without are counted as not used.
@@ -38,7 +38,7 @@ _LARGEST_TURN_RAD: Final = 1.5
 """Between two samples; beyond it the mean of two rates is not the rotation."""
 
 _LONGEST_STEP_S: Final = 60.0
-"""Longest time between two samples over which the rate is integrated; choice: a field that turned so far is begun anew.
+"""Longest time between two samples over which the rate is integrated; choice: beyond it the field's state is reset.
 
 At the fastest turn of H in a low orbit 60 s are 8 degrees, a seventh of |H| of process noise: m is as good as unknown.
 """
@@ -207,7 +207,7 @@ class RateAided(Stateful, RateAidedMemory):
         covariance[[3, 4, 5], [3, 4, 5]] += walk * seconds
 
     def _begin(self, magnitude_nt: float) -> None:
-        """Forget m; what is known of b stays."""
+        """Reset m; what is known of b stays."""
         self._rates.clear()
         self._joint[:3] = 0.0
         self._joint_covariance[:3] = 0.0

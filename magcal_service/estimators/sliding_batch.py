@@ -7,7 +7,7 @@ P (sum w^2 F_k) P with P = (sum w F_k)^-1; that is what the estimate scatters by
 errors that moved.
 
 Source: Soken 2018, a re-weighted TWO-STEP batch for time-varying magnetometer errors; Alonso & Shuster 2002 for the
-batch itself.  Block sums and exponential weights are this project's own choice for the re-weighting.
+batch itself.  Block sums and exponential weights are this project's choice for the re-weighting.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from magcal_service.estimators.two_step import Solution, TwoStep, TwoStepMemory
 from magcal_service.ticks.assembler import Tick
 
 WINDOW_S: Final = 5400.0
-"""About one low orbit: shorter ones miss directions of the field, and the nine errors can't be told apart."""
+"""About one low orbit: shorter ones miss directions of the field, and the nine errors can't be separated."""
 
 DECAY_S: Final = 1800.0
 """Age at which a sample's weight has fallen to 1/e."""

@@ -9,7 +9,7 @@ Where a spin axis is configured, it is taken at its word, as equation (6) does, 
 estimate is conditioned on it.  A craft that turns about another axis contradicts it, and the axis stays free.
 
 Source: Cetin, Soken, Tekinalp 2020, equation (1), and Lefferts, Markley & Shuster 1982; the combination is this
-project's own.  ``docs/spin-estimator.md`` holds the reasons and the figures.
+project.  ``docs/spin-estimator.md`` holds the reasons and the figures.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ class SpinFilter(Stateful, SpinFilterMemory):
         return outcome
 
     def _follow_scalar(self) -> None:
-        """What the scalar filter gave up, the search gives up as well; a running spin filter judges for itself."""
+        """Where the scalar filter has restarted, the search restarts as well; a running spin filter is not affected."""
         restarts = self._scalar.estimate().restarts
         if restarts == self._scalar_restarts:
             return
@@ -229,7 +229,7 @@ class SpinFilter(Stateful, SpinFilterMemory):
         return outcome
 
     def _lose(self, tracker: SpinTracker, why: SpinGate) -> None:
-        """Back to the scalar estimate; after a gap the errors are as known as before, else only the scalar's word."""
+        """Back to the scalar estimate; after a gap the errors keep their covariance, else that of the scalar filter."""
         self.fallbacks += 1
         self._tracker = None
         if why is SpinGate.PHASE_LOST:

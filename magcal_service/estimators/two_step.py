@@ -4,7 +4,7 @@ Step 1 solves for (E, c) linearly after centring, which removes |b|^2; step 2 go
 the centre measurement |b|^2 = s put back.  Both use the observations (2)-(4) with the mean and variance of v, and both
 need the samples in sums only (``magnitude_sums``), so a solution costs the same however long the recording is.
 
-``corrected`` (the default) also takes off what the noise inside B adds to the gradient and to the normal matrix: the
+``corrected`` (the default) also subtracts what the noise inside B adds to the gradient and to the normal matrix: the
 published form leaves it in, is biased by about 1e-4 in D at 300 nT, and is off by a sigma or more.  With it the
 estimate attains the Cramer-Rao bound of the scalar measurement.  Added besides: a weak tie to the prior, so that a
 short batch stays regular, and the gates of ``start`` against collapsed solutions.  ``published`` has the form as it
@@ -192,7 +192,7 @@ class _Problem:
         return y if limit < np.inf else None
 
     def _normal(self, y: Array) -> Array:
-        """Normal matrix with the tie; the noise's share is left in where taking it off would leave too little."""
+        """Normal matrix with the tie; the noise's share is left in where subtracting it would leave too little."""
         full = self._sums.information(y, self._white_nt, corrected=False) + np.diag(self._tie)
         if not self._corrected:
             return full
@@ -280,7 +280,7 @@ class TwoStep(Stateful, TwoStepMemory):
         )
 
     def handle(self, tick: Tick) -> TickOutcome:
-        """Take one tick; solve the batch anew where it has grown, from the last solution on where there is one."""
+        """Take one tick; solve the batch again where it has grown, from the last solution where there is one."""
         residual = scalar_residual(self._x, tick.field_body_nt, tick.reference_magnitude_nt)
         running = self._phase is Phase.RUNNING
         squared = self._squared(tick, residual) if running else 0.0

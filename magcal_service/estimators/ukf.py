@@ -40,7 +40,7 @@ from magcal_service.ticks.assembler import Tick
 REJECTED_MEMORY: Final = 60
 """Samples over which the rejected share is averaged.
 
-Choice: 42 rejected in a row reach the limit. Fewer would start anew for one burst of spikes, more would leave the
+Choice: 42 rejected in a row reach the limit. Fewer would restart for one burst of spikes, more would leave the
 filter wrong for longer after a step.
 """
 
@@ -311,7 +311,7 @@ class Ukf(Stateful, UkfMemory):
         w = window.field_body_nt @ matrix - self._x[BIAS]
         projected = w * (magnitude / np.sqrt((w * w).sum(axis=1)))[:, None]
         mean = window.across @ (weights @ projected)
-        # the sensitivity is taken where neither radial noise nor the window's own mean is left in the vectors
+        # the sensitivity is taken where the vectors hold neither radial noise nor the window's mean
         clean = projected - mean @ window.across
         field_clean = (clean + self._x[BIAS]) @ np.linalg.inv(matrix)
         root = cholesky(self._covariance)
@@ -349,7 +349,7 @@ class Ukf(Stateful, UkfMemory):
         self._spin_norm, self._spin_count = 2.0, 0
 
     def _guard_consistency(self, magnitude_nt: float) -> None:
-        """Start anew where the samples, or the spin windows, keep contradicting the estimate."""
+        """Restart where the samples, or the spin windows, keep contradicting the estimate."""
         spin_lost = self._spin_count == SPIN_WINDOWS and self._spin_norm > 2.0 * SPIN_LIMIT
         settled = self._innovation_count == INNOVATION_MEMORY
         changed = settled and self._innovation_mean > INNOVATION_LIMIT and not self._learning

@@ -247,15 +247,15 @@ class Effect:
     units: unit of each parameter it may report, by name.
     prior: usual size of the disturbance [nT], from and to.
     valid: where the form holds.
-    confused_with: effects that look alike.
-    separated_by: the observation that tells them apart.
+    confused_with: effects with similar signatures.
+    separated_by: the observation that distinguishes them.
     source: where the form comes from.
     says: sentences with parameters and ``{driver}`` in braces; the first whose parameters are all there is used.
     hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
-    find: looks for it in samples, attitude or noise; None for an effect that acts as a field only.
+    find: detects it in samples, attitude or noise; None for an effect that acts as a field only.
     derived: further parameters worked out from those that were fitted.
     absorbed: what of it the nine errors take up unseen; empty where nothing.
-    not_live: drivers and forms that no single moment tells, so that they are not compensated live.
+    not_live: drivers and forms that no single moment determines, so that they are not compensated live.
     needs_rate: live, it needs the craft's rate.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: worked out on a scene.

@@ -29,7 +29,7 @@ _CLEAN_SHARE: Final = 0.2
 """Of all cases, those with nothing wrong: a fifth, so that 300 cases have 60 chances of a false alarm."""
 
 _OUTSIDE_SHARE: Final = 0.12
-"""With something that is in no catalogue; choice: enough of each kind to tell a share within a tenth or so."""
+"""With something that is in no catalogue; choice: enough of each kind to know a share within a tenth or so."""
 
 _PAIR_SHARE: Final = 0.12
 """With two effects; the same choice."""

@@ -13,7 +13,7 @@ F_k = R_k'R_k / s^2.  The rows R_k say what the sample shows of the state, by wh
 ====================  ============================================================================================
 
 Information adds, so the bound over time is the inverse of the cumulative sum.  What the bounds leave out: the
-information that the tangential noise's own size carries (of order (s / |H|)^2, below 1e-3 to 5 % noise).
+information that the size of the tangential noise carries (of order (s / |H|)^2, below 1e-3 to 5 % noise).
 
 Source: Rao 1945, Cramer 1946 for the bound; Van Trees 1968, section 2.4, for nuisance parameters (Schur complement);
 the measurement model is equations (1)-(6) of the method.

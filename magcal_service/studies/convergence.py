@@ -1,4 +1,4 @@
-"""Random errors, orbits, spins and axes through the daemon's own pipeline: is anything trusted that is wrong?
+"""Random errors, orbits, spins and axes through the daemon's pipeline: is anything trusted that is wrong?
 
 Every run is a ``Pipeline`` with its trust monitor, fed message by message; the verdict looked at is the one published.
 """
@@ -34,7 +34,7 @@ ORBITS: Final = 1.5
 """Length of a flight in orbits: one shows all directions that will come, half of one more is for settling."""
 
 WRONG_SIGMAS: Final = 5.0
-"""Trusted and wrong is what is off by more than so many own sigmas, by chance once in 2 million."""
+"""Trusted and wrong is what is off by more than so many formal sigmas, by chance once in 2 million."""
 
 WRONG_BIAS_NT: Final = 50.0
 """And by more than this, a bias [nT].
@@ -46,7 +46,7 @@ WRONG_D: Final = 1e-3
 """Or an element of D by more than this: 1e-3 of the field is 50 nT, too."""
 
 LARGEST_BOUND_NT: Final = 50.0
-"""Runs whose own bound, 1 sigma after one and a half orbits, is below this on every axis should be trusted by then."""
+"""Runs with a Cramer-Rao bound (1 sigma, one and a half orbits) below this on every axis should be trusted by then."""
 
 _YEAR_NS: Final = 365 * 86_400 * 10**9
 """A year [ns], within which a flight may start: every angle of the Earth to the orbit."""
@@ -60,7 +60,7 @@ _QUIETEST_NT, _NOISIEST_NT = 20.0, 500.0
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run: the method, the run's own seed, and the longest flight [s] (None: one and a half orbits)."""
+    """One run: the method, the run's seed, and the longest flight [s] (None: one and a half orbits)."""
 
     number: int
     method: str
@@ -76,13 +76,13 @@ class Outcome:
     ----------
     number: of the run, counted from 0; the first runs are the same however many there are.
     plan: what was drawn.
-    noise_known: whether the craft was told its noise.
+    noise_known: whether the craft knew its noise.
     bound_nt: bound of the worst bias axis at the end, 1 sigma [nT].
     verdict, reasons: at the end.
     first_trusted_s, last_wrong_s: when it was first trusted, and last trusted and wrong [s]; nan for never.
     trusted_ticks, wrong_ticks: ticks that were trusted, and trusted and wrong.
-    worst_sigmas, worst_nt: largest error of a bias axis while trusted, in own sigmas and in nT.
-    final_nt, final_sigma_nt: worst bias error and largest own sigma of a bias axis at the end [nT].
+    worst_sigmas, worst_nt: largest error of a bias axis while trusted, in formal sigmas and in nT.
+    final_nt, final_sigma_nt: worst bias error and largest formal sigma of a bias axis at the end [nT].
     """
 
     number: int

@@ -1,7 +1,7 @@
 """Where the work of a study is done: here, or in a pool of processes.
 
 A study cuts itself into jobs that depend on its arguments alone and never on the number of workers, and each run draws
-from a seed of its own; so every executor gives the same numbers.
+from its seed; so every executor gives the same numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Executor(Protocol):
-    """Maps a function over jobs.  Function, jobs and results have to be picklable; the function is a module's own."""
+    """Maps a function over jobs.  Function, jobs and results have to be picklable; the function is one of a module."""
 
     def map(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
         """The results in the order of the jobs, each as soon as it is known."""

@@ -99,7 +99,7 @@ class Ensemble:
 
     @property
     def sigma(self) -> Array:
-        """The filters' own 1 sigma (runs, k, 9)."""
+        """1 sigma by the filters' covariances (runs, k, 9)."""
         return np.sqrt(np.diagonal(self.covariance, axis1=2, axis2=3))
 
 

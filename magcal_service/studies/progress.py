@@ -1,4 +1,4 @@
-"""How far a study has come, on stderr: a bar where rich is installed and somebody looks, else a line now and then."""
+"""How far a study has come, on stderr: a bar where rich is installed on a terminal, else a line every half minute."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ WALK_D: Final = 1e-9
 """Process noise of each element of D [1/sqrt(s)]: none to speak of, 6e-8 in an hour; only the bias jumps."""
 
 CLOSE_NT: Final = 50.0
-"""Back: within this of the truth [nT], a quarter of the jump; or within three own sigmas."""
+"""Back: within this of the truth [nT], a quarter of the jump; or within three formal sigmas."""
 
 HOLD_S: Final = 300.0
 """Back: inside the limit from then on for this long."""

@@ -15,11 +15,11 @@ class Request:
 
     Parameters
     ----------
-    runs: Monte-Carlo runs; None: the study's own number (``run_study`` fills it in).
+    runs: Monte-Carlo runs; None: the study's default (``run_study`` fills it in).
     seed: of the whole study; every run draws from a child of it.
     executor: where the work is done.
-    methods: names of the estimators to compare, where the study compares any; empty: its own choice.
-    duration_s: length of a flight [s]; None: the study's own.  Shorter ones are for a first look.
+    methods: names of the estimators to compare, where the study compares any; empty: its default.
+    duration_s: length of a flight [s]; None: the study's default.  Shorter ones give a quick result.
     """
 
     runs: int | None

@@ -1,4 +1,4 @@
-"""Samples in, 1 s ticks out: pairing with the reference, gaps, late and doubled samples.  Time is the samples' own.
+"""Samples in, 1 s ticks out: pairing with the reference, gaps, late and doubled samples.  Time is the samples' time.
 
 A tick is one second of sample time, centred on whole seconds after the first sample.  It closes when a later sample
 has arrived and the reference covers it, or without, ``hold_s`` after it and after the time the next reference was due.
@@ -14,7 +14,7 @@ reject it):
 ``doubled``        the time of a sample already taken: rejected.
 ``stuck``          the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
 ``time_behind``    more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step`` backwards.
-``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is believed.
+``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted.
 ``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
 ``clock_changed``  other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
 ``saturated``      a component reaches ``range_nt``: rejected.
@@ -50,20 +50,20 @@ SECOND_NS: Final = 1_000_000_000
 """Nanoseconds in a second: wire times are whole nanoseconds, a tick is one second."""
 
 _AGREEING: Final = 3
-"""Samples in a row that have to agree on a new time before it is believed."""
+"""Samples in a row that have to agree on a new time before it is accepted."""
 
 _REMEMBERED: Final = 512
 """Times of accepted samples that a new one is compared with to find doubles: 10 s at 50 Hz."""
 
 _MOST_IN_TICK: Final = 1000
-"""Samples in one second: 20 times the fastest sensor, so that a babbling source cannot fill the memory."""
+"""Samples in one second: 20 times the fastest sensor, so that a source out of control cannot fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """The samples of one second of sample time, each paired with the reference at its own time.
+    """The samples of one second of sample time, each paired with the reference at its time.
 
-    A tick with n = 0 had samples but no reference for any of them: it is skipped, and said so.
+    A tick with n = 0 had samples but no reference for any of them: it is skipped and counted.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Does one axis of the magnetometer stand still while the others move?  A dead axis, or one that has lost its bits.
+"""Is one axis of the magnetometer constant while the others change?  A dead axis, or one with lost bits.
 
 Where the noise is known, and the axis has shown values far closer together than it, noise alone would have changed the
-value: a few identical ones in a row are a fault.  Of a coarse sensor that looks along a steady axis they say little;
+value: a few identical ones in a row are a fault.  Of a coarse sensor that points along a steady axis they show little;
 there it is a fault when the value has stood for a minute while another component moved by a good part of the field.
 """
 
@@ -20,7 +20,7 @@ _FINE: Final = 0.2
 """Resolution of an axis, as a share of the noise, below which noise changes it: two alike have a chance of 8 %."""
 
 _COMPARED: Final = 64
-"""Values among which the closest two tell the resolution."""
+"""Values whose closest two give the resolution."""
 
 _MOVED: Final = 0.2
 """How far another component has to move meanwhile, as a share of the vector's length."""

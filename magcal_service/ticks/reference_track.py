@@ -6,7 +6,7 @@ An inertial vector is interpolated as a vector.  In Earth-fixed and local frames
 for a magnitude alone, the magnitude is interpolated.
 
 A reference whose time does not fit (other clock, more than ``late_ns`` behind or ``jump_ns`` ahead of the newest) is
-set aside; the third in a row that agree is a step of the clock, and the track starts anew with the three.
+set aside; the third in a row that agree is a step of the clock, and the track restarts with the three.
 
 Error: at most T^2/8 times the second derivative.  In a low orbit |d2H/dt2| is below 0.3 nT/s^2 (50 uT turning at twice
 the orbital rate), so 0.04 nT at references 1 s apart and 4 nT at 10 s.
@@ -33,7 +33,7 @@ SMALLEST_NT: Final = 1.0
 """A reference below this is a source that sends zeros, not a field: 1 nT is 1/20000 of the weakest at the ground."""
 
 _AGREEING: Final = 3
-"""References in a row that have to agree on a new time before it is believed."""
+"""References in a row that have to agree on a new time before it is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
 
         ``reference`` accepted, ``reference_doubled`` rejected, ``reference_zero`` rejected because there is nothing to
         calibrate against, ``reference_jump`` rejected because its time did not fit and the next ones did not agree with
-        it, ``reference_step`` the track started anew.
+        it, ``reference_step`` the track restarted.
         """
         found = _reference_of(sample)
         if found.magnitude_nt < SMALLEST_NT:
@@ -145,7 +145,7 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
         return clock is self._clock and not self._votes and self._times[-1] >= time_ns
 
     def at(self, time_ns: int, clock: Clock) -> Reference | None:
-        """The reference at a time, or None where the rule gives none, or while a step of the clock is in the air."""
+        """The reference at a time, or None where the rule gives none, or while a step of the clock is unconfirmed."""
         times = self._times
         after = bisect_left(times, time_ns)
         if clock is not self._clock or self._votes or after == len(times):

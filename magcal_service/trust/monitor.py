@@ -1,9 +1,9 @@
-"""Is this estimate to be believed?  Running statistics of the residual -> a verdict with reasons and remedies.
+"""Can this estimate be trusted?  Running statistics of the residual -> a verdict with reasons and remedies.
 
-A small residual proves nothing (a collapsed solution has one), nor does a filter's own covariance (it is right
-only if the model is).  So the verdict asks several independent questions; each that is answered badly is a ``Reason``.
+A small residual proves nothing (a collapsed solution has one), nor does a filter's covariance (it is right
+only if the model is).  So the verdict combines several independent tests; each that fails is a ``Reason``.
 
-Levels at which a question counts as answered badly are in ``_Levels`` with their false-alarm rate on good data.
+Levels beyond which a test fails are in ``_Levels`` with their false-alarm rate on good data.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class _Levels:
     memory_ticks: Final = 300  # ticks over which innovations are averaged
     innovation: Final = 1.6  # mean normalised innovation squared; 300 independent ones have 1 +- 0.08: seldom
     block_samples: Final = 100  # residuals in one block mean
-    blocks: Final = 40  # 4000 samples, over an hour at 1 Hz: what wanders more slowly is followed
+    blocks: Final = 40  # 4000 samples, over an hour at 1 Hz: what drifts more slowly is followed
     block_ratio: Final = 4.0  # mean of (block mean / its sigma)^2; 40 independent ones have at most 1 +- 0.22: seldom
     spectrum_samples: Final = 512  # of the newest residuals, from which the white level is known to 4 %
-    spectrum_every: Final = 64  # ticks between two looks at the white level: an eighth of the samples is new
-    rejected_share: Final = 0.15  # the gate stops 2e-9 of noise; choice: what rejects one in seven is no odd spike
+    spectrum_every: Final = 64  # ticks between two evaluations of the white level: an eighth of the samples is new
+    rejected_share: Final = 0.15  # the gate stops 2e-9 of noise; choice: one in seven is more than single spikes
     sudden_samples: Final = 10  # samples over which a sudden fault shows
     sudden_share: Final = 0.5  # most are rejected: the errors jumped or the sensor fails; one in ten may be a spike
     stale_s: Final = 6000.0  # an orbit
@@ -130,7 +130,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, as after a reset of the estimator."""
+        """Back to the initial state, as after a reset of the estimator."""
         self._innovation = self._rejected_share = 0.0
         self._ticks = 0
         self._since_start = 0
@@ -138,7 +138,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._residuals = deque(maxlen=_Levels.spectrum_samples)
         self._floor_nt = 0.0
         self._block = []
-        self._block_spread_nt2 = 0.0  # what the estimate's own error may add to the present block's mean
+        self._block_spread_nt2 = 0.0  # what the estimate's error may add to the present block's mean
         self._blocks = deque(maxlen=_Levels.blocks)
         self._block_ratio = 0.0
         self._magnitude = Moments()
@@ -196,7 +196,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         if outcome.degrees:
             self._innovation += memory * (outcome.squared_innovation / outcome.degrees - self._innovation)
         gate_nt = self.config.filter.gate_sigma * max(estimate.noise_nt, 1e-9)
-        # one absurd sample is no structure
+        # a single outlier is no structure
         residual_nt = [min(max(value, -gate_nt), gate_nt) for value in outcome.residual_nt.tolist()]
         self._square += memory * (math.fsum(value * value for value in residual_nt) / total - self._square)
         self._observe_residual(residual_nt, tick, estimate)
@@ -277,7 +277,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return Trust(Verdict.NOT_STARTED, tuple(reasons), REMEDIES[reasons[0]])
 
     def _information(self) -> set[Reason]:
-        """Reasons that are worth saying but do not make the estimate doubtful by themselves."""
+        """Reasons that are reported but do not make the estimate doubtful by themselves."""
         short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
         return {Reason.SPIN_CONTRADICTED, Reason.FROZEN} | short
 

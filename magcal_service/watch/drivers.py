@@ -2,7 +2,7 @@
 
 A channel is interpolated linearly between its values around the time asked for; its newest value is held for as long as
 ``compensation.stale_after_s`` allows.  The sample's tick closes after the telemetry of its second, so a current that
-turns with the craft is met at its own phase.
+turns with the craft is taken at the right phase.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ DRIVING: Final = ("temperature", "current", "magnetic moment", "sun")
 """Quantities of channels that an effect of the catalogue follows."""
 
 _WARMTH_S: Final = 1200.0  # of electronics in a small craft: 300 to 3600
-_LIGHT_S: Final = 10.0  # between two looks at the shadow
-_MOST_CHANNELS: Final = 8  # kept: more than drive anything in a craft; each costs memory and a look
+_LIGHT_S: Final = 10.0  # between two evaluations of the shadow
+_MOST_CHANNELS: Final = 8  # kept: more than drive anything in a craft; each costs memory and tests
 _MOST_DRIVERS: Final = 16  # tried at once: each has three or six columns in every sum, and each is a test more
 _KEPT: Final = 64  # values of a channel: more than come while a tick waits to be closed
 

@@ -44,7 +44,7 @@ class Explanation:
 
     Parameters
     ----------
-    effects: names of the catalogue that would look like this; ``unknown`` where none does.
+    effects: names of the catalogue with this signature; ``unknown`` where none does.
     driver: what it follows, for people; empty where nothing.
     gain: of log likelihood [nats].
     columns: how many numbers were fitted for it.
@@ -130,7 +130,7 @@ def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Arra
     part: which of the nine errors.
     basis: values of the course's functions in each block (m, q).
     samples: how many in all.
-    root: ``inverse_root`` of the nine errors' own part of the sum of the blocks, where it is known.
+    root: ``inverse_root`` of the nine errors' part of the sum of the blocks, where it is known.
     """
     total, count, functions = blocks.sum(axis=0), len(blocks), basis.shape[1]
     root = inverse_root(total[:STATE_SIZE, :STATE_SIZE]) if root is None else root
@@ -146,7 +146,7 @@ def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Arra
 
 
 def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
-    """What a drift or a step of bias or scale would explain, and a bias of its own in each block.
+    """What a drift or a step of bias or scale would explain, and a separate bias in each block.
 
     ``times`` (m,) are the blocks' middles, in any unit.
     """
@@ -165,7 +165,7 @@ def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
             found.append(Explanation(watched_as(course), "", curve, 9))
         steps = [of_course(blocks, part, (number >= k)[:, None] * 1.0, samples, root) for k in range(1, count)]
         found.append(Explanation(watched_as(step), "", max(steps), 3, count - 1))
-        # within a block, which then has a value of its own
+        # within a block, which then has a separate value
         steps = [of_course(blocks, part, _apart(number, k), samples, root) for k in range(1, count - 1)]
         found.append(Explanation(watched_as(step), "", max(steps), 6, count - 2))
     free = of_course(blocks, BIAS, np.eye(count)[:, 1:], samples, root)

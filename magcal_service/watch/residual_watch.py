@@ -1,12 +1,12 @@
-"""The daemon's watch over its own model: does the residual follow something that the nine errors leave out, and what?
+"""The daemon's watch over its model: does the residual follow something that the nine errors leave out, and what?
 
 One sample of each tick that was learned from goes into sums over a window of up to ``TICKS``; at the end of each block
-the sums are asked what would explain the residual (``watch_evidence``).  Windows don't overlap and hold their own
-reference state, with the nine errors fitted again in each: how the filter weighs its past does not enter, and the noise
-of the sums is as white as the sensor's.  What is found stands until a whole window has passed without it.
+the sums are tested for what would explain the residual (``watch_evidence``).  Windows don't overlap and hold a
+reference state each, with the nine errors fitted again in each: how the filter weighs its past does not enter, and the
+noise of the sums is as white as the sensor's.  What is found stands until a whole window has passed without it.
 
 Of a sensor faster than 1 Hz the newest sample of each tick is used.  Where the errors are allowed to walk
-(``process_noise``), each block has nine errors of its own, and drifts and steps of them are no finding.
+(``process_noise``), each block has its nine errors, and drifts and steps of them are no finding.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ from magcal_service.watch.evidence import (
 CHUNK: Final = 64
 """Ticks of a chunk, whose spectrum is taken: a minute at 1 Hz, lines a sixtieth of a Hz apart.
 
-Choice: longer chunks tell lines better and are spoilt by a few outliers more often.
+Choice: longer chunks resolve lines better and are spoilt by a few outliers more often.
 """
 
 BLOCK: Final = 320
-"""Ticks of a block, after which there is a look: five chunks; looks twice as often would need 0.7 nats more each."""
+"""Ticks of a block, after which the sums are evaluated: five chunks; twice as often would need 0.7 nats more each."""
 
 TICKS: Final = 5120
 """Ticks of a window: 85 min at 1 Hz, nearly a low orbit with its eclipse."""
 
 FIRST_EVALUATION: Final = 3 * BLOCK
-"""Ticks before the first look: two blocks always lie on a line, so that no drift differs from a step."""
+"""Ticks before the first evaluation: two blocks always lie on a line, so that no drift differs from a step."""
 
 _YEAR_S: Final = 31_557_600.0
 """Seconds in a year of 365.25 days."""
 
 _TESTS: Final = 150
-"""Tests in one look at the most: 16 drivers and their channels, courses, 58 steps, 31 lines, 13 memories."""
+"""Tests in one evaluation at the most: 16 drivers and their channels, courses, 58 steps, 31 lines, 13 memories."""
 
 ALARM_NATS: Final = math.log(_YEAR_S / BLOCK * _TESTS / FALSE_PER_YEAR)
-"""Significance from which an explanation is told: -ln of a false alarm's probability in one test."""
+"""Significance from which an explanation is reported: -ln of a false alarm's probability in one test."""
 
 _BINS: Final = CHUNK // 2 + 1  # of the two-sided spectrum of a chunk that are different for real values
 _BIN_WEIGHT: Final = np.r_[0.5, np.ones(_BINS - 2), 0.5]  # the first and the last bin have one number, the others two
@@ -78,7 +78,7 @@ class Finding:
 
     Parameters
     ----------
-    effects: names of the catalogue, the likeliest first; several where they cannot be told apart; or ``unknown``.
+    effects: names of the catalogue, the likeliest first; several where they cannot be distinguished; or ``unknown``.
     driver: what it follows, for people; empty where nothing.
     nats: evidence for it.
     minutes: length of the data behind it.
@@ -117,7 +117,7 @@ def _span(columns: Array) -> Array:
 
 
 def likely(explanations: list[Explanation], samples: int) -> list[Explanation]:
-    """Those that chance does not explain and that cannot be told apart, the best first; the unknown one alone.
+    """Those that chance does not explain and that cannot be distinguished, the best first; the unknown one alone.
 
     It is called unknown where the best name leaves more than a fifth of the evidence without one.
     """
@@ -248,7 +248,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         offered = self.drivers.drivers()
         known = [driver for driver in offered if not math.isnan(value_of(values, driver))]
         self._x, self._began_s = estimate.x.copy(), float(tick.times_s[-1])
-        jacobian = field_jacobian(tick.field_body_nt[-1])  # the reference state's own error is no reason to be far off
+        jacobian = field_jacobian(tick.field_body_nt[-1])  # the reference state's error is allowed for
         self._spread_nt2 = max(0.0, float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1]))
         self._drivers, self._void, self._offered = known, [False] * len(known), len(offered)
         self._zero = [value_of(values, driver) for driver in known]
@@ -274,7 +274,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         self._share = self._share + _BIN_WEIGHT - power[:, 1:].sum(axis=1)
 
     def _close_block(self, now_s: float, *, walks: bool) -> bool:
-        """Add the block to the window and have a look; whether what is found has changed."""
+        """Add the block to the window and evaluate it; whether the finding has changed."""
         block = self._block
         assert block is not None
         self._block = None

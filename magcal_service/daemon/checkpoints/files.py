@@ -1,7 +1,7 @@
 """Checkpoints: a craft's whole state on disk, so that a restarted daemon goes on where it was.
 
 A file is replaced in one step (written beside, flushed, renamed, the folder flushed), so it is there whole or not at
-all; a SHA-256 over its content tells a file that a failing disk has changed.  Its content is one msgpack map, as in
+all; a SHA-256 over its content detects a file that a failing disk has changed.  Its content is one msgpack map, as in
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
 data as ``snapshot`` has them.  It is restored only where all three marks of the owner agree; nothing is guessed.
 
@@ -114,7 +114,7 @@ def decode(raw: bytes) -> Checkpoint:
 
 
 class StateStore:
-    """The checkpoints of one craft in a folder of its own: ``DIRECTORY/CRAFT/NUMBER.state`` and ``NAME.named``.
+    """The checkpoints of one craft in its folder: ``DIRECTORY/CRAFT/NUMBER.state`` and ``NAME.named``.
 
     Parameters
     ----------

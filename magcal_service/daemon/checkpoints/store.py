@@ -46,9 +46,9 @@ class Checkpoints:
         self.trouble = ""
 
     def restore(self, pipeline: Pipeline) -> tuple[Pipeline, list[Event]]:
-        """The pipeline of the newest checkpoint that is whole and the craft's own, or the one given; and what was done.
+        """The pipeline of the newest checkpoint that is whole and this craft's, or the one given; and what was done.
 
-        One that is damaged gives way to the one before it; one of another craft, version or configuration ends the
+        After one that is damaged the one before it is tried; one of another craft, version or configuration ends the
         search, since those before it are older still.
         """
         store, events = self._stores[pipeline.config.name], list[Event]()
@@ -75,7 +75,7 @@ class Checkpoints:
         return pipeline
 
     def save(self, pipelines: Iterable[Pipeline]) -> None:
-        """Write a checkpoint of each craft that has taken samples since its last; what fails is counted and told."""
+        """Write a checkpoint of each craft that has taken samples since its last; what fails is counted and logged."""
         for pipeline in pipelines:
             accepted = pipeline.ticks.counters["accepted"]
             if self._saved.get(pipeline.config.name) == accepted:

@@ -1,4 +1,4 @@
-"""Metrics as Prometheus text, on a loopback port of its own.
+"""Metrics as Prometheus text, on a separate loopback port.
 
 The daemon's loop renders the text and hands it over whole; the server's one thread only sends what it was given last.
 It answers one request after the other, reads one packet of each and waits a second for it at most, so nobody who

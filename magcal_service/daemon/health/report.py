@@ -70,7 +70,7 @@ class Health:
         return {"uptime_s": round(self.uptime_s, 1), **self.counters(), "craft": craft}
 
     def metrics(self, pipelines: Iterable[Pipeline], others: Counter[str]) -> str:
-        """The Prometheus text; ``others`` are the daemon's own counters, such as those of the checkpoints."""
+        """The Prometheus text; ``others`` are the daemon's counters, such as those of the checkpoints."""
         metrics, crafts = Metrics(), list(pipelines)
         self._daemon(metrics, others)
         self._samples(metrics, crafts)

@@ -1,10 +1,10 @@
 """Adaptive process noise: none in the quiet, and where the errors have jumped, as much as the jump needs, once.
 
-A filter without process noise believes its past, and follows a step of the errors ever more slowly; constant process
-noise pays for quick following with accuracy all the time.  So the filter is asked, against its own past, whether the
-errors have changed.  With x_k, P_k the estimate now, x_t, P_t the one at an earlier tick t and Y_t = P_t^-1, a jump nu
-of the states at t shows in the innovations since with the signature of Willsky & Jones.  For a constant state their
-recursions have a closed form in the two estimates alone:
+A filter without process noise weights its past fully, and follows a step of the errors ever more slowly; constant
+process noise pays for quick following with accuracy all the time.  So the filter is tested, against its past, for
+whether the errors have changed.  With x_k, P_k the estimate now, x_t, P_t the one at an earlier tick t and Y_t =
+P_t^-1, a jump nu of the states at t shows in the innovations since with the signature of Willsky & Jones.  For a
+constant state their recursions have a closed form in the two estimates alone:
 
     S = Y_t - Y_t P_k Y_t                     information of the innovations since t on a jump of all nine states
     d = Y_t (x_k - x_t)                       their correlation with its signature
@@ -15,13 +15,13 @@ recursions have a closed form in the two estimates alone:
 The last line is exactly the linear filter that was given the process noise L_B^-1 in the tick t, and none before and
 after; L is the weak prior of a jump.  Without a jump x_k - x_t has the covariance P_t - P_k, so that T is at most
 chi-square with as many degrees of freedom as B has states.  B runs over the bias, D, all nine, and each state alone.
-What is set free is the bias, unless D fits better by far, because for some minutes the two may look the same.  Until
-one of them is ruled out, the decision is open: the estimate of the filter that never followed is computed back, exactly
-as above, and all hypotheses are asked again.  With process noise in the configuration P_t is grown by it, and the rest
-holds approximately.
+What is set free is the bias, unless D fits better by far, because for some minutes the two may be indistinguishable.
+Until one of them is ruled out, the decision is open: the estimate of the filter that never followed is computed back,
+exactly as above, and all hypotheses are asked again.  With process noise in the configuration P_t is grown by it, and
+the rest holds approximately.
 
 Source: Willsky & Jones 1976, IEEE Trans. Automatic Control 21, 108-112 (generalised likelihood ratio, direct
-compensation of estimate and covariance).  The closed form is this project's own.
+compensation of estimate and covariance).  The closed form is original to this project.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _YOUNGEST_TICKS: Final = 2 * EVERY_TICKS
 """Least age of a candidate that is tested."""
 
 JUMP_NT: Final = 2000.0
-"""1 sigma of a jump of each bias in its prior [nT]; what jumps much further is stopped by the gate, and it starts anew.
+"""1 sigma of a jump of each bias in its prior [nT]; much larger ones the gate stops, and the filter restarts.
 
 Choice: along what the samples do not show, the covariance after a jump grows to it, so a wider one takes longer to
 settle; a narrower one shrinks what is found of a large jump.
@@ -72,7 +72,7 @@ _HYPOTHESES: Final = (BIAS, D_ALL, _ALL, *(slice(i, i + 1) for i in range(STATE_
 """States that a jump is looked for in."""
 
 _OPEN_TICKS: Final = 6000
-"""About a low orbit: a jump that could not be told apart for so long stays what it was taken for."""
+"""About a low orbit: a jump not attributed for so long keeps its first attribution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class _Evidence:
 
 @dataclass(frozen=True, slots=True)
 class _Open:
-    """A jump that was put down to the states ``free`` at the tick of ``past``, while others are not ruled out yet."""
+    """A jump attributed to the states ``free`` at the tick of ``past``, while others are not ruled out yet."""
 
     past: _Past
     free: slice
@@ -147,7 +147,7 @@ class ChangeDetectorMemory:
 
 
 class ChangeDetector(Stateful, ChangeDetectorMemory):
-    """Asks one filter, tick by tick, whether the errors have jumped.
+    """Tests one filter, tick by tick, for jumps of the errors.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class ChangeDetector(Stateful, ChangeDetectorMemory):
         self.clear()
 
     def clear(self) -> None:
-        """Forget the past, as after a start."""
+        """Discard the past, as after a start."""
         self._tick = 0
         self._past = []
         self._open = None
@@ -208,10 +208,11 @@ class ChangeDetector(Stateful, ChangeDetectorMemory):
         return evidence.followed(best, free, now, self._tick - candidates[best].tick)
 
     def _reconsider(self, now: _Past, jump: _Open) -> Change | None:
-        """The jump put down to other states where these fit better by far; closed when the others are ruled out.
+        """The jump attributed to other states where these fit better by far; closed when the others are ruled out.
 
-        A bias along a field that hardly turns looks like a gain for some minutes.  The information that was set free is
-        given back, which is the estimate of the filter that never followed; from there all hypotheses are asked anew.
+        A bias along a field that hardly turns is indistinguishable from a gain for some minutes.  The information that
+        was set free is given back, which is the estimate of the filter that never followed; from there all hypotheses
+        are tested again.
         """
         before = self._brought_forward(jump.past, now)
         known, freed = _inverse(before), _inverse(before + _prior_covariance(jump.free))

@@ -5,12 +5,12 @@ With w = (I + D) B - b the residual |w|^2 - |H|^2 of equation (3) is linear in t
     |w|^2 = q(x)'l(B),    l = (B1^2, B2^2, B3^2, B1 B2, B1 B3, B2 B3, B1, B2, B3, 1),
 
 so the sums of l l', l |H|^2 and |H|^4, weighted by 1 / (4 |H|^2), hold all that a batch will ever need: memory and time
-of a solution don't grow with the recording, and sums of stretches add.  This is TWO-STEP's own algebra: q is
+of a solution don't grow with the recording, and sums of stretches add.  This is the algebra of TWO-STEP: q is
 (E, c, |b|^2) of Alonso & Shuster up to signs and factors.
 
 Noise inside B (errors in variables).  With isotropic noise s in w, the gradient of the cost at the true state has the
 mean 10 s^2 w'J(B) + 4 s^2 w'J((I + D)^-1 w) per sample; three tenths of the first term are the mean of v, which the
-published method takes off.  ``gradient`` takes all of it off where asked to; terms in s^4 are left.  In the same way
+published method subtracts.  ``gradient`` subtracts all of it where asked to; terms in s^4 are left.  In the same way
 the noise adds to the normal matrix what looks like information; it matters where a state is badly observable.
 
 Source: Alonso & Shuster 2002 for the algebra and the mean of v; adjusted least squares after Kukush, Markovsky & Van
@@ -147,7 +147,7 @@ class MagnitudeSums:
     def gradient(self, y: Array, noise_nt: float, *, corrected: bool) -> Array:
         """Half the derivative of the cost (9,) at a scaled state, per unit of noise variance of one.
 
-        ``corrected``: with the mean of the noise inside B taken off, too; else the mean of v alone.
+        ``corrected``: with the mean of the noise inside B subtracted, too; else the mean of v alone.
         """
         variance = (noise_nt / SCALE_NT) ** 2
         q, jacobian = coefficients(y), coefficient_jacobian(y)

@@ -15,7 +15,7 @@ _MEMORY: Final = 600
 """Samples over which an unknown noise level is averaged: 3 % of its value."""
 
 _SETTLED: Final = 30
-"""Residuals from which on the second differences are believed."""
+"""Residuals from which on the second differences are used."""
 
 
 @dataclass(init=False, repr=False, eq=False)

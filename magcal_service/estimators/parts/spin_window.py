@@ -5,7 +5,7 @@ bias.  Two things spoil the plain mean: samples that don't divide the turn evenl
 at 60 s spin).  ``harmonic`` therefore takes the constant of a least-squares fit of {1, cos wt, sin wt, t cos wt,
 t sin wt}: any sampling, gaps included, and the leak is left in second order only.  ``mean`` is the paper's plain mean.
 
-Source: Cetin, Soken, Tekinalp 2020, equations (5) and (6); the harmonic weights are this project's own.
+Source: Cetin, Soken, Tekinalp 2020, equations (5) and (6); the harmonic weights are original to this project.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 LEO_FIELD_RATE_RAD_S: Final = 2.3e-3
-"""Fastest turn of H in a low orbit, twice the orbital rate at 350 km; used where no reference vector tells better."""
+"""Fastest turn of H in a low orbit, twice the orbital rate at 350 km; used where no reference vector gives it."""
 
 _SECOND_ORDER_LEAK: Final = 3.0
 """rms of the harmonic constant for a field turning at W under a spin w is below this times |H| (W/w)^2."""
@@ -59,7 +59,7 @@ class Window:
     field_body_nt: measured vectors B (k, 3) [nT].
     reference_magnitude_nt: |H| (k,) [nT].
     across: two unit body vectors across the spin axis (2, 3).
-    leak_nt: 1 sigma of what is left of A H in the mean, per component [nT].
+    leak_nt: 1 sigma of the residual of A H in the mean, per component [nT].
     share: factor on the noise variance because windows overlap (1 where they don't) [-].
     """
 
@@ -89,7 +89,7 @@ def _design(times_s: Array, rate_rad_s: float) -> Array:
 
 
 def harmonic_leak_nt(magnitude_nt: Array, turn_ratio: float) -> float:
-    """1 sigma [nT] of what is left of A H in a window's harmonic mean, per component.
+    """1 sigma [nT] of the residual of A H in a window's harmonic mean, per component.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def harmonic_weights(times_s: Array, rate_rad_s: float) -> Array | None:
     """Weights (k,) of the constant in a fit of {1, cos, sin, t cos, t sin} at the spin rate; None where undefined."""
     design = _design(times_s, rate_rad_s)
     normal = design.T @ design
-    if np.linalg.eigvalsh(normal)[0] < 1e-4:  # the constant can't be told from the spin: aliased or too short
+    if np.linalg.eigvalsh(normal)[0] < 1e-4:  # the constant can't be separated from the spin: aliased or too short
         return None
     weights: Array = np.linalg.solve(normal, design.T)[0].copy()  # in one piece, as a restored one is: sums are alike
     weights /= weights.sum()
@@ -127,8 +127,8 @@ def sound_samples(times_s: Array, field_nt: Array, rate_rad_s: float, noise_nt: 
     """Which vectors (k, 3) [nT] of a window agree with its harmonic fit (k,); all, where too many would have to go.
 
     A corrupted vector may keep its length, so that no scalar measurement shows it, and would spoil the whole window.
-    The worst go one by one until what is left is a fit that they could not spoil, and each is judged by that.  Their
-    residuals are compared with ``noise_nt`` [nT] where that is given, and else with the median; physics that no
+    The worst are removed one by one until the fit of the rest holds without them, and each is tested against that fit.
+    Their residuals are compared with ``noise_nt`` [nT] where that is given, and else with the median; physics that no
     harmonic fits spoils more than a quarter, and nothing is left out.
 
     The fit has terms in t of every component: along the spin axis the field goes by 80 nT/s in a low orbit, more than

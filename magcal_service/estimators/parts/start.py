@@ -8,7 +8,8 @@ begin on it.  In theta = (E, c, s) with E = 2D + D^2, c = (I + D) b, s = |b|^2 e
 Solved with the prior as a weak tie, turned into (b, D) by the positive square root of I + E, refined by Gauss-Newton on
 noise-projected vectors together with the spin windows, and accepted only when it passes the gates.
 
-Source: Alonso & Shuster 2002 (TWO-STEP: E and c, Gauss-Newton); the gates and the projection are this project's own.
+Source: Alonso & Shuster 2002 (TWO-STEP: E and c, Gauss-Newton); the gates and the projection are original to this
+project.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from magcal_service.ticks.assembler import Tick
 Entry = TypeVar("Entry")
 
 _AMBIGUOUS: Final = 25.0
-"""Advantage below which two distinct minima can't be told apart (odds of e^12)."""
+"""Advantage below which two distinct minima can't be distinguished (odds of e^12)."""
 
 _OUTLIER: Final = 6.0
 """Sigmas beyond which a sample is left out of the start: Gaussian noise exceeds them twice in 10^9."""
@@ -134,7 +135,7 @@ def gated(
 
 
 def _solve_without_outliers(problem: BatchProblem, noise_unknown: bool) -> BatchSolution | StartGate:
-    """The solution, less the samples and windows that it finds far outside its own scatter, in passes.
+    """The solution, less the samples and windows far outside its residual scatter, in passes.
 
     The scatter is taken from the median, so that spikes don't hide behind themselves.  Samples whose |B| alone stands
     far outside are left out from the beginning: a few of them would spoil the linear start.  Windows are of use when
@@ -335,7 +336,7 @@ class StartCollector(Stateful, StartCollectorMemory):
         return None
 
     def _attempt(self) -> BatchSolution | StartGate:
-        """All there is; without the windows where they spoil it; without the given noise where that lasts too long."""
+        """All samples and windows; without the windows where they contradict; at last without the given noise."""
         noise_nt = self.config.sensor.noise_nt
         result = self._solve(self._windows, noise_nt)
         if result is StartGate.BAD_FIT and self._windows:

@@ -29,7 +29,7 @@ filter was sure of the wrong place (5 to 17 sigma off in 3 of 60 random flights;
 """
 
 BAD_FIT: Final = 1.5
-"""Residual rms over the given noise beyond which a solution is not believed; 120 samples give 1 +- 0.065."""
+"""Residual rms over the given noise beyond which a solution is not accepted; 120 samples give 1 +- 0.065."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Proposal:
     ----------
     x, covariance: state (9,) and covariance (9, 9) [nT, -].
     residual_rms_nt: rms of the scalar residual that it leaves [nT].
-    largest_rms_nt: the rms up to which it is believed [nT]; inf where the noise is not stated.
+    largest_rms_nt: the rms up to which it is accepted [nT]; inf where the noise is not stated.
     is_unsure: whether a calibrated vector is known too badly, by the covariance alone, for the filter to take over;
         called last, since it has to go through the samples.
     """
@@ -65,7 +65,7 @@ START_GATES: Final[tuple[tuple[StartGate, Callable[[Proposal], bool]], ...]] = (
 )
 """Each gate with what makes it stop a solution, in the order in which they are asked: each presumes those above it.
 
-Solving reports four of its own kind before there is a solution (``start``, ``two_step``): ``NOT_POSITIVE`` where the
+The solvers report four cases before there is a solution (``start``, ``two_step``): ``NOT_POSITIVE`` where the
 linear step finds no I + D, ``NO_CONVERGENCE`` where no iteration settles, ``BAD_FIT`` where too many samples contradict
 the rest, ``POOR_COVERAGE`` where two minima fit as well.
 """

@@ -37,7 +37,7 @@ WORSE: Final = 1.0 + 1e-9
 ITERATIONS: Final = 40
 """Most steps; None after that.
 
-Choice: the starts in the tests settle after 5 (the rule) to 37; one that has not by then is given up, and the next
+Choice: the starts in the tests settle after 5 (the rule) to 37; one that has not by then fails, and the next
 attempt has more samples.
 """
 
@@ -71,7 +71,7 @@ class WindowMeans:
     ----------
     field_nt: weighted mean of B over each window (..., m, 3) [nT].
     across: two unit body vectors across the spin axis, per window (m, 2, 3).
-    weight, leak_nt: factor on the noise variance, and what is left of A H [nT], per window (m,).
+    weight, leak_nt: factor on the noise variance, and the residual of A H [nT], per window (m,).
     """
 
     field_nt: Array
@@ -156,7 +156,7 @@ class BatchProblem:
         return rows, zero, rows @ np.swapaxes(rows, -1, -2) + np.diag(self.prior**-2.0)
 
     def residuals(self, x: Array) -> Array:
-        """e = |w| - |H| (..., n) [nT] at states x (..., 9), its mean not taken off."""
+        """e = |w| - |H| (..., n) [nT] at states x (..., 9), its mean not subtracted."""
         _, (w1, w2, w3) = _calibrated(x, self.field_nt)
         residual: Array = np.sqrt(w1 * w1 + w2 * w2 + w3 * w3) - self.magnitude_nt
         return residual
@@ -180,7 +180,7 @@ class BatchProblem:
         Costs alone cannot be compared.  The noise in B goes through I + D: a solution that is smaller by a tenth makes
         the sum of squares smaller by a fifth, and so better than the truth by a hundred within minutes.  A density of B
         on a line has the slope of the residual along it beside its square.  The line taken is the one across the
-        other's surface |w| = |H|, on which ``x`` looks worst.
+        other's surface |w| = |H|, on which ``x`` fits worst.
         """
         step = np.linalg.solve(np.eye(3) + d_matrix(other), self._directions(other))  # 1 nT in the other's residual
         slope = (self._directions(x) * ((np.eye(3) + d_matrix(x)) @ step)).sum(axis=0)

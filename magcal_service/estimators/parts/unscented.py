@@ -106,7 +106,7 @@ def scalar_innovation(
     """Innovation of equation (3) for one sample, in plain floats where vectors have three elements: it is the hot path.
 
     The sensitivity is taken at the vector projected to the known magnitude (``model.without_radial_noise`` explains why
-    and is the same arithmetic for arrays), the innovation at the measured one, and the mean of v is taken off.
+    and is the same arithmetic for arrays), the innovation at the measured one, and the mean of v is subtracted.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def scalar_innovation(
     length = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
     residual = length - magnitude_nt
     share = white_variance / noise_variance * residual / length if length > 0.0 else 0.0
-    r1, r2, r3 = share * w1, share * w2, share * w3  # the radial part, taken off w and, through (I + D)^-1, off B
+    # the radial part, subtracted from w and, through (I + D)^-1, from B
+    r1, r2, r3 = share * w1, share * w2, share * w3
     (p1, p2, p3), determinant = adjugate_product(matrix, (r1, r2, r3))
     B1, B2, B3 = B1 - p1 / determinant, B2 - p2 / determinant, B3 - p3 / determinant
     moved = (vector_jacobian(B1, B2, B3) @ root) * weights.spread  # U (3, 9)
@@ -164,7 +165,8 @@ def transformed_innovation(
 def cholesky(covariance: Array) -> Array:
     """Lower factor of a covariance (9, 9); where rounding has cost definiteness, the nearest floor is restored.
 
-    The floor adds 1e-12 of each variance to the diagonal; it is tried up to a millionth before giving up.
+    The floor adds 1e-12 of each variance to the diagonal; it is raised up to a millionth before the factorisation
+    fails.
 
     Raises
     ------

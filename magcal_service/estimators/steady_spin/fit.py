@@ -3,7 +3,7 @@
 Everything that has as many elements as there are samples has them as its last axis, and is worked through in pieces
 that stay in the cache: a fit over five hours takes some ten milliseconds.
 
-Source: equation (1) of Cetin, Soken, Tekinalp 2020 and ``spin_state``; the rest is this project's own.
+Source: equation (1) of Cetin, Soken, Tekinalp 2020 and ``spin_state``; the rest is original to this project.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ CAPACITY: Final = 16384
 class SampleBuffer(Stateful):
     """The newest samples; when it is full, the oldest quarter goes.
 
-    Its memory are the rows that are filled, written by methods of its own: the rest of the table is room.
+    What is saved are the rows that are filled, by methods of this class: the rest of the table is room.
     """
 
     worked_out = ("_rows", "count")

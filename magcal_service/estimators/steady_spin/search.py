@@ -1,4 +1,4 @@
-"""From samples to a spin that the filter can carry on with: the buffer, the attempts, and the gates.
+"""From samples to a spin that the filter can start from: the buffer, the attempts, and the gates.
 
 No sample is used twice.  The batch fit that starts the filter rests on the samples in the buffer and on what was known
 *before the first of them*: the configured prior, or the scalar estimate as it stood then.  The scalar estimate of the
@@ -93,7 +93,7 @@ _AROUND: Final = (0.8, 1.25)
 """Factors on a configured rate between which it is searched first: a quarter off either way."""
 
 _AXIS_LIMIT: Final = 11.8
-"""Squared norm (expectation 2) beyond which the configured axis is not believed: 1 in 370 by chance."""
+"""Squared norm (expectation 2) beyond which the configured axis is not accepted: 1 in 370 by chance."""
 
 _HANDOVER_SHARE: Final = 0.01
 """1 sigma of a calibrated vector over |H| below which the filter may take over: second order is noise then."""
@@ -113,7 +113,7 @@ _SAME_TURN_RAD: Final = 0.05
 _GROWTH: Final = 2.0
 """Factor by which a fit's span grows.
 
-Choice: a fit tells the rate well enough to carry its phase over twice its span; a smaller factor takes more fits, a
+Choice: a fit gives the rate well enough to carry its phase over twice its span; a smaller factor takes more fits, a
 larger one steps over the place where the spin stops being steady more often.
 """
 
@@ -170,7 +170,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
     ----------
     config: the craft's configuration.
     rate_walk: smallest random walk of the body rate [rad/s/sqrt(s)], for a spin known to change.
-    axis: the configured axis; it is believed as long as the samples agree with it.
+    axis: the configured axis; it is used as long as the samples agree with it.
     """
 
     def __init__(self, config: CraftConfig, rate_walk: float = 0.0, axis: AxisTie | None = None) -> None:
@@ -196,7 +196,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         return self._walks[0]
 
     def begin(self, prior: Prior | None, why: SpinGate) -> None:
-        """Collect anew; ``prior`` is what is known without the samples to come (None: what is configured)."""
+        """Restart collecting; ``prior`` is what is known without the samples to come (None: what is configured)."""
         self.gate = why
         self._prior = prior or self.configured_prior
         self._buffer = SampleBuffer()
@@ -212,7 +212,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         return self._required_s
 
     def demand_longer_proof(self, now_s: float) -> None:
-        """The spin was not as steady as the last start assumed: allow more, and ask for a longer proof."""
+        """The spin was not as steady as the last start assumed: allow process noise, and require a longer stretch."""
         self._required_s = min(2.0 * self._required_s, _LONGEST_PROOF_S)
         self._allow_more_walk(now_s - self._began_s)
 
@@ -418,7 +418,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
         return quality.steady and (given is None or quality.residual_nt < _BAD_FIT * given)
 
     def _record_spin(self, candidate: _Candidate, noise_nt: float, now_s: float) -> None:
-        """What the newest stretch says about the spin, whether or not it is believed."""
+        """Record the spin of the newest stretch, whether or not it is accepted."""
         state, level = candidate.fit.state, candidate.quality.residual_nt / noise_nt
         scaled = state.covariance * max(level, 1.0) ** 2
         seen = SpinState(state.x, state.body_from_eci, state.rate_rad_s, scaled)

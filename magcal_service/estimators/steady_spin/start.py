@@ -8,7 +8,7 @@ Two steps, each the starting point of the next, and of the fit of all fifteen st
    problem of Wahba, whose gain is the sum of the singular values of one 3x3 matrix.  The rate is searched on a grid,
    with R proper.  When an improper R (a reflection) fits much better, the calibration is mirrored.
 
-Source: Wahba 1965 and Markley 1988 for step 2; the rest is this project's own.
+Source: Wahba 1965 and Markley 1988 for step 2; the rest is original to this project.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SEARCH_SAMPLES: Final = 512
 """Samples used by the search for the rate; more only cost time."""
 
 _AXIS_CONTRAST: Final = 2.0
-"""What is left across the axis over what is left along it; a craft that does not turn about an axis has about 1."""
+"""Residual across the axis over that along it; a craft that does not turn about an axis has about 1."""
 
 _MIRROR_MARGIN: Final = 0.5
 """A reflection that leaves less than this share of what a rotation leaves means a mirrored calibration."""
@@ -105,7 +105,7 @@ def find_spin(samples: Samples, x: Array, lowest_rad_s: float, highest_rad_s: fl
 
     The twin: over a short stretch H moves on an arc in one plane.  Reflect the spin axis s in that plane, and H has the
     same component along it but moves about it the other way; a rate that differs by twice that motion makes up for it.
-    Only a longer stretch tells the two apart.
+    Only a longer stretch distinguishes the two.
 
     Parameters
     ----------

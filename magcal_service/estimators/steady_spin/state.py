@@ -127,7 +127,7 @@ class SpinStateMemory:
 
 
 class SpinState(Stateful, SpinStateMemory):
-    """The fifteen-state extended filter itself: predict, look, apply.
+    """The fifteen-state extended filter itself: predict, innovation, apply.
 
     Parameters
     ----------

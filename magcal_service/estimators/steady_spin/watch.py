@@ -1,9 +1,9 @@
-"""Does the craft turn as steadily as the ``spin`` estimator assumes?  Two questions to the vector residual.
+"""Does the craft turn as steadily as the ``spin`` estimator assumes?  Two tests of the vector residual.
 
 A wrong attitude turns the predicted vector and leaves its length alone, while sensor noise has no preference: so what
 the residual holds *across* the field is compared with what it holds *along* it.  And an attitude that slowly runs away
 (a torque) leaves a residual that stays put in space: so its means over blocks, taken in inertial axes, are compared
-with what noise leaves.  Neither question needs the noise level to be known.
+with what noise leaves.  Neither test needs the noise level to be known.
 
 Limits are set so that good data fail in less than one of 10^5 blocks; what passes costs an attitude error of some
 1e-3 rad.
@@ -55,7 +55,7 @@ BLOCK_LIMIT: Final = 10.0
 """The same for one block alone, a third of chi-squared with 3 degrees: 1 in 10^6."""
 
 _LONGEST_OUTAGE: Final = 30
-"""Samples rejected in a row after which the filter no longer believes itself."""
+"""Samples rejected in a row after which the filter's attitude counts as lost."""
 
 _AFTER_GAP: Final = 3
 """The same right after a gap, where the only thing in doubt is the phase."""
@@ -108,7 +108,7 @@ class FitQuality:
 
 
 def fit_quality(fit: SpinFit) -> FitQuality:
-    """Put both questions to the residuals of a batch fit."""
+    """Apply both tests to the residuals of a batch fit."""
     y = fit.residual_nt
     unit = fit.field_body_nt / np.linalg.norm(fit.field_body_nt, axis=1)[:, None]
     along = float(np.mean(np.einsum("ni,ni->n", y, unit) ** 2))
@@ -172,7 +172,7 @@ class SpinWatch(Stateful, SpinWatchMemory):
         return self._compare(innovation) or self._drifts(innovation, body_from_eci)
 
     def _compare(self, innovation: Innovation) -> SpinGate | None:
-        """Across against along, each over its own expectation."""
+        """Across against along, each over its expectation."""
         y, h, covariance = innovation.value, innovation.field_body_nt, innovation.covariance
         square = float(h @ h)
         along, total = float(h @ y) ** 2 / square, float(y @ y)

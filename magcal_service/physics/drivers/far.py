@@ -25,7 +25,7 @@ FARTHEST_S: Final = 1200.0
 """Largest shift that is tried [s].
 
 Choice: more than twice what the station's places were behind (401 to 500 s, docs/recordings.md); further, a part of the
-orbit looks like another and the table grows.
+orbit resembles another and the table grows.
 """
 
 GROWTHS_S_PER_H: Final = np.array([-6.0, -3.0, 0.0, 3.0, 6.0])
@@ -38,7 +38,7 @@ SHORTEST_S: Final = 3000.0
 LONGEST_GAP_S: Final = 300.0
 """Over which a track may be taken as straight between two places, its height put right."""
 
-_ARC_S: Final = 120.0  # between the two places that tell how the track goes on
+_ARC_S: Final = 120.0  # between the two places that give the track's continuation
 _SHIFTS_S: Final = np.arange(-FARTHEST_S - 2.0 * STEP_S, FARTHEST_S + 2.5 * STEP_S, STEP_S)
 
 

@@ -13,7 +13,7 @@ from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonline
 from magcal_service.physics.scene.scene import Scene
 
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
-"""2 minutes (a bare board) to 4 hours (the middle of a craft)."""
+"""2 minutes (an uncovered board) to 4 hours (the middle of a craft)."""
 
 SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
 """What is heated first: nothing between, a panel, a structure."""

@@ -2,7 +2,7 @@
 
 Detumbling fires against dB/dt, seen just before, for part of every cycle, maybe for part of the recording only; dumping
 fires along B x h at intervals and holds for a moment.  Their few numbers (cycle, phase, share) jump, so they are
-searched by sums over stretches of time rather than by columns made anew for each.
+searched by sums over stretches of time rather than by new columns for each.
 """
 
 from __future__ import annotations

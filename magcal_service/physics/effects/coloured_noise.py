@@ -49,7 +49,7 @@ def autoregression(
     With the field's directions ``unit`` (n, 3) in the body the noise is one that is fixed in the body and seen along
     them: what was seen a lag before counts by the cosine of the turn since, e_k = sum_l a_l (u_k . u_(k-l)) e_(k-l).
 
-    Source: Yule-Walker equations, solved by least squares on the samples' own products.
+    Source: Yule-Walker equations, solved by least squares on the samples' products.
     """
     count = len(residual)
     order = min(ORDER, max(1, count // 50))
@@ -121,7 +121,7 @@ def is_noise(view: View) -> bool:
     """Whether a residual that hangs together is the noise itself, rather than something slow on top of it.
 
     The covariance of a noise fixed in the body at a lag l is C_l = sum e_k e_(k+l) c / sum c^2, c the cosine of the
-    turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's own square if that is white, and
+    turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's square if that is white, and
     less if it has a memory; and a memory of the noise begins to fade within ten samples.
     """
     unit, e = view.scene.unit, view.residual_nt

@@ -26,7 +26,7 @@ _LEAST_SIGMAS: Final = 0.1
 """Motion of the field, in noise sigmas, below which it does not matter: one percent of the variance."""
 
 _STEEPEST: Final = 0.999
-"""Largest sine of twice the angle: beyond 44 degrees both sides of 45 look alike, and the derivative has a pole."""
+"""Largest sine of twice the angle: beyond 44 degrees both sides of 45 coincide, and the derivative has a pole."""
 
 _SLOWEST_HZ: Final = 2e-3
 """Distance from the spin's lines within which nothing is nutation [Hz]: eleven times the orbit's frequency."""

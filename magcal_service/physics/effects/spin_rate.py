@@ -56,7 +56,7 @@ def _find(view: View) -> Finding | None:
     if not drifting and not other:
         return None
     sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
-    # a rate that does not change evenly: what one order more says otherwise, and the direction's own turn
+    # a rate that does not change evenly: what one order more says otherwise, and the turn of the direction itself
     rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span)
     change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span)
     parameters = {

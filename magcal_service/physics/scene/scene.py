@@ -1,7 +1,7 @@
 """What a recording offers to the catalogue: samples, reference, place, light, telemetry, and where the field points.
 
 A scene is the samples of one recording (or of one moment of a live stream) with everything derived that a driver may
-need, each worked out once and only when asked for; None where the recording cannot tell.
+need, each worked out once and only when asked for; None where the recording does not hold it.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Scene:
     origin_ns: source time of the origin [ns].
     utc: whether the source time is UTC.
     field_nt: (n, 3) measured vector B, sensor axes [nT].
-    calibrated_nt: (n, 3) w = (I + D) B - b - d by what is known so far, radial noise taken off [nT].
+    calibrated_nt: (n, 3) w = (I + D) B - b - d by what is known so far, radial noise subtracted [nT].
     clean_field_nt: (n, 3) the measured vector that would give ``calibrated_nt``: what columns are made of, because the
         residual is the radial noise, and a column that holds it too would explain it.
     magnitude_nt: (n,) |H_ref| [nT].
@@ -82,7 +82,7 @@ class Scene:
     given: constants of a model that is applied here, which hold in place of what the scene itself suggests; nothing is
         left out then for want of change.  None while effects are looked for.
     memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
-    turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro tells it, or None.
+    turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
     """
 
     time_s: Array

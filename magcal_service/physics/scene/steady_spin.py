@@ -86,7 +86,7 @@ class Turn:
 
 
 def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None) -> Turn | None:
-    """The turn about a known axis (3,) against the field itself, whose direction in space nobody has told.
+    """The turn about a known axis (3,) against the field itself, whose direction in space is unknown.
 
     That direction goes round twice an orbit at most.  None where the field does not turn about the axis.
     """
@@ -192,7 +192,7 @@ def _rate(scene: Scene, turn: Array, nominal: float | None) -> float | None:
 def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array | None, Array | None]:
     """Raw and smoothed phases (n,): local straight lines carried from stretch to stretch, then a spline through knots.
 
-    Each stretch is unwrapped by itself, relative to its own mean rate; over a gap the phase is carried on at the rate
+    Each stretch is unwrapped by itself, relative to its mean rate; over a gap the phase is carried on at the rate
     of the two sides, which is right while it drifts by less than half a turn.
     """
     raw = np.empty(len(scene))

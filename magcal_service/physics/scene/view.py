@@ -1,4 +1,4 @@
-"""What an effect that is no field may look at: raw samples, the residual, the turn of the craft, the noise."""
+"""What an effect that is no field is given: raw samples, the residual, the turn of the craft, the noise."""
 
 from __future__ import annotations
 

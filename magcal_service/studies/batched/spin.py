@@ -4,7 +4,7 @@ All runs share the sample times and the reference and differ in what was measure
 (``batched_spin_state``), and beside them, until all have started, their scalar filters (``batched_ukf``).  Starts and
 fits are those of ``SpinSearch``, one run at a time.  Results agree with ``spin`` to rounding (a test holds that).
 
-Not covered, and refused: unknown noise and process noise.  A run whose scalar filter leaves its batch before the spin
+Not covered, and rejected: unknown noise and process noise.  A run whose scalar filter leaves its batch before the spin
 has started, whose spin is lost or may change, or that has to drop samples for want of room is marked ``left``: it goes
 no further and has to be repeated alone.
 
@@ -107,7 +107,7 @@ class BatchedSpin:
 
         Parameters
         ----------
-        tick: one sample's time and reference vector; its own measured vector is not used.
+        tick: one sample's time and reference vector; its measured vector is not used.
         field_body_nt: measured vectors B (runs, 3) [nT]; fastest where the runs are next to each other in memory.
         """
         if tick.reference_eci_nt is None or tick.after_gap:
@@ -319,7 +319,7 @@ class _Watches:
         return lost
 
     def _compare(self, found: SpinInnovations, trace: Array, used: Flags) -> Flags:
-        """Across against along, each over its own expectation."""
+        """Across against along, each over its expectation."""
         rows = slice(0, len(used))
         y, h = found.value, found.field_body_nt
         square = (h * h).sum(axis=0)

@@ -73,7 +73,7 @@ class BatchedStart:
 
         Parameters
         ----------
-        tick: one sample; its own measured vector is not used.
+        tick: one sample; its measured vector is not used.
         field_nt: measured vectors B (runs, 3) [nT].
         window, window_field_nt: the spin window that ended in the tick, if one did, and its B (runs, k, 3) [nT].
         """
@@ -139,7 +139,7 @@ class BatchedStart:
 
 
 class _Road:
-    """``gauss_newton`` for a stack of problems, each from its own start.
+    """``gauss_newton`` for a stack of problems, each from its start.
 
     Parameters
     ----------

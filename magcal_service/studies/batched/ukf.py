@@ -3,8 +3,8 @@
 All runs share the sample times and the reference and differ in what was measured.  The formulas are those of
 ``ukf``, ``start`` and ``unscented``; results agree with them to rounding (a test holds that).
 
-Not covered, and refused: unknown noise, equation (8) and ``filter.adaptive``.  A run with a rejected sample, one whose
-start is not plain (``batched_start``), or one that comes near a loss of consistency, after which ``ukf`` starts anew or
+Not covered, and rejected: unknown noise, equation (8) and ``filter.adaptive``.  A run with a rejected sample, one whose
+start is not plain (``batched_start``), or one that comes near a loss of consistency, after which ``ukf`` restarts or
 gives its spin windows up, is marked ``left``: it goes no further and has to be repeated alone.  The limits are tighter
 than those at which ``ukf`` acts, so a run that stays is the same.
 
@@ -113,7 +113,7 @@ class BatchedUkf:
 
         Parameters
         ----------
-        tick: one sample's time and reference; its own measured vector is not used.
+        tick: one sample's time and reference; its measured vector is not used.
         field_body_nt: measured vectors B (runs, 3) [nT]; fastest where the runs are next to each other in memory.
         """
         self._recent.append(field_body_nt)
