@@ -1,8 +1,8 @@
 """What is published when something is missing or wrong: one row for each degraded mode.
 
-This table is the promise; ``tests/daemon/test_pipeline_modes.py`` plays each row through a pipeline and holds it to
-it, and ``docs/degraded-modes.md`` is written from it (``python -m magcal_service.trust.modes``).  In no mode does a
-vector look better than it is: it is withheld, or its covariance is the prior's or grows, or its verdict says
+This table is the promise; ``tests/daemon/test_pipeline_modes.py`` runs each row through a pipeline and checks
+it, and ``docs/degraded-modes.md`` is written from it (``python -m magcal_service.trust.modes``).  In no mode is a
+vector overstated: it is withheld, or its covariance is the prior's or grows, or its verdict says
 ``doubtful``.
 """
 
@@ -73,12 +73,12 @@ MODES: Final = {
     ),
     Mode.NO_MAGNETOMETER: Row(
         "no sample comes",
-        "none: nothing is invented",
+        "none: nothing is extrapolated",
         "at the first sample afterwards grown by the process noise since",
         Verdict.TRUSTED,
         None,
         "troubles",
-        "at the first sample; spin windows begin anew after gap_s, and after 6000 s the mode is stale",
+        "at the first sample; spin windows restart after gap_s, and after 6000 s the mode is stale",
     ),
     Mode.SATURATED_AXIS: Row(
         "a component reaches sensor.range_nt",
@@ -117,18 +117,18 @@ MODES: Final = {
         "the first other value",
     ),
     Mode.REFERENCE_JUMPS: Row(
-        "the reference's time jumps, to and fro",
+        "the reference's time jumps forth and back",
         "each sample's, by the last estimate",
-        "the last one; samples at a time that is in doubt get no reference and are not used",
+        "the last one; samples at an unconfirmed time get no reference and are not used",
         Verdict.TRUSTED,
         None,
         "reference_jump",
         "three references in a row that agree",
     ),
     Mode.REFERENCE_WRONG: Row(
-        "the reference's field is another one from a time on, by more than the gate",
+        "the reference's field changes at some time by more than the gate",
         "each sample's, by the last estimate",
-        "the last one: the gate stops the samples; a filter that starts anew keeps it until it is sure again",
+        "the last one: the gate stops the samples; a filter that restarts keeps it until its start is accepted",
         Verdict.DOUBTFUL,
         Reason.MANY_REJECTED,
         "rejected",
@@ -136,7 +136,7 @@ MODES: Final = {
     ),
     Mode.TIME_STEPS: Row(
         "the samples' clock steps back or far ahead",
-        "none for the first two samples, which are refused; then each sample's",
+        "none for the first two samples, which are rejected; then each sample's",
         "unchanged: a gap lies before, nothing is carried over",
         Verdict.TRUSTED,
         None,
@@ -145,12 +145,12 @@ MODES: Final = {
     ),
     Mode.OUTLIERS: Row(
         "one sample in ten is corrupted, and passes every check of the wire",
-        "each sample's, the corrupted ones' as well: they cannot be told before the filter has looked",
+        "each sample's, the corrupted ones' as well: they cannot be detected before the filter has updated",
         "the estimate's: the gate stops them",
         Verdict.TRUSTED,
         None,
         "rejected",
-        "nothing: each outlier is its own",
+        "nothing: outliers are independent",
     ),
     Mode.UNKNOWN_CRAFT: Row(
         "messages of a craft that is not configured",
@@ -163,12 +163,12 @@ MODES: Final = {
     ),
     Mode.OVERLOAD: Row(
         "more messages than the daemon can take",
-        "those of the messages that were taken; the oldest in the queue give way, each craft has its turn",
+        "those of the messages that were taken; the oldest in the queue are dropped, craft are served in turn",
         "the estimate's: a lost sample is a gap",
         Verdict.TRUSTED,
         None,
         "overflow",
-        "nothing: it works on with what comes",
+        "nothing: it continues with what is received",
     ),
     Mode.ESTIMATOR_FAILED: Row(
         "the estimator's arithmetic fails, or its result is not finite",
@@ -181,8 +181,8 @@ MODES: Final = {
     ),
     Mode.FROZEN: Row(
         "command freeze",
-        "each sample's, by the estimate of then",
-        "that of then, grown by the process noise since",
+        "each sample's, by the estimate of that time",
+        "that of the last update, grown by the process noise since",
         Verdict.TRUSTED,
         Reason.FROZEN,
         "ticks_frozen",
@@ -191,16 +191,16 @@ MODES: Final = {
     Mode.STALE: Row(
         "nothing was learned for more than 6000 s of samples' time: frozen, without reference or without samples",
         "each sample's, by the last estimate",
-        "that of then, grown by the process noise since",
+        "that of the last update, grown by the process noise since",
         Verdict.DOUBTFUL,
         Reason.STALE,
         "",
         "the first tick that is learned from",
     ),
     Mode.MODEL_DOUBTFUL: Row(
-        "the residual follows physics that the nine errors leave out: a temperature, a current, a coil, a step, ...",
+        "the residual follows physics that the nine errors do not model: a temperature, a current, a coil, a step, ...",
         "each sample's, by the last estimate",
-        "the estimate's: what is left out is not in it",
+        "the estimate's: the missing physics is not in it",
         Verdict.DOUBTFUL,
         Reason.MODEL_DOUBTFUL,
         "",
@@ -215,8 +215,8 @@ def markdown() -> str:
         "# Degraded modes",
         "",
         "What is published when something is missing or wrong, for a craft that was trusted before. The table is that",
-        "of [`modes.py`](../magcal_service/trust/modes.py), and `tests/daemon/test_pipeline_modes.py` plays each row",
-        "through a pipeline. In no mode does a vector look better than it is: it is withheld, or its covariance is the",
+        "of [`modes.py`](../magcal_service/trust/modes.py), and `tests/daemon/test_pipeline_modes.py` runs each row",
+        "through a pipeline. In no mode is a vector overstated: it is withheld, or its covariance is the",
         "prior's or grows, or its verdict says `doubtful`.",
         "",
         "| mode | when | vectors | covariance | verdict | reason | counted as | over with |",

@@ -93,7 +93,7 @@ def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    scene: with ``calibrated_nt`` and ``clean_field_nt`` by the model's nine errors, as ``diagnosis.prepare.cleaned``
+    scene: with ``calibrated_nt`` and ``clean_field_nt`` by the model's nine errors, as ``recordings.scene_of.cleaned``
         makes them.
     model: from ``physics.toml``.
 
