@@ -249,6 +249,13 @@ def test_a_tick_closes_when_a_sample_reaches_its_end(more_ns: int, closed: int) 
     assert len(target.ready()) == closed
 
 
+def test_a_tick_that_its_reference_covers_does_not_wait_for_the_next_one() -> None:
+    target = assembler(CONFIG)
+    for message in (reference(0.0), at(0.0), at(1.0)):
+        offer(target, message)
+    assert [tick.index for tick in target.ready()] == [0]
+
+
 @pytest.mark.parametrize(("more_ns", "closed"), [(-1, 0), (0, 1)])
 def test_a_tick_waits_hold_s_for_a_reference_that_is_due(more_ns: int, closed: int) -> None:
     """References at 0 and 2 s, the next due at 4 s: the tick of second 3 is given up at 4 + 3 s."""

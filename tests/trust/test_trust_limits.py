@@ -13,6 +13,7 @@ from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConf
 from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.residuals import white_floor
 from magcal_service.ticks.assembler import Tick
+from magcal_service.trust.modes import MODES, markdown
 from magcal_service.trust.monitor import NOT_STARTED, Moments, TrustMonitor, reason_of
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Verdict
@@ -199,6 +200,8 @@ def test_a_filter_that_says_its_noise_is_zero_is_not_divided_by() -> None:
     estimate, config = replace(SETTLED, noise_nt=0.0), replace(CONFIG, sensor=SensorConfig(None))
     monitor = observed([outcome((100.0,))] * 200, estimate, config)
     assert Reason.STRUCTURED_RESIDUAL in reasons(monitor, estimate)
+    sure = replace(estimate, covariance=np.zeros((9, 9)))
+    assert Reason.DRIFTING_RESIDUAL in reasons(observed([outcome((100.0,))] * 1000, sure, config), sure)
 
 
 def with_noise_floor(floor_nt: float) -> TrustMonitor:
@@ -484,3 +487,12 @@ def test_before_the_start_what_is_told_by_others_is_said_as_well() -> None:
 )
 def test_what_a_gate_of_the_start_means(gate: StartGate, reason: Reason) -> None:
     assert reason_of(gate) is reason
+
+
+def test_each_mode_has_its_row_on_the_page() -> None:
+    rows = [line.split(" | ") for line in markdown().splitlines() if line.startswith("| ")][1:]
+    assert [row[0].removeprefix("| ") for row in rows] == list(MODES)
+    for cells, row in zip(rows, MODES.values(), strict=True):
+        reason, counter = f"`{row.reason}`" if row.reason else "-", f"`{row.counter}`" if row.counter else "-"
+        expected = [row.when, row.vectors, row.covariance, f"`{row.verdict}`", reason, counter, f"{row.after} |"]
+        assert cells[1:] == expected
