@@ -1,7 +1,7 @@
 """Every command that may come over a link: its arguments, who carries it out, and what it does.
 
-The one place that knows them: the pipeline and the commander find handlers by these names, an unknown command is
-refused with them, and the table of docs/state.md is held to them by a test.
+The single definition: the pipeline and the commander find handlers by these names, an unknown command is
+refused with them, and a test compares the table of docs/state.md with them.
 """
 
 from __future__ import annotations

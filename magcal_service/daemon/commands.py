@@ -1,4 +1,4 @@
-"""Commands that reach beyond one craft's arithmetic: its checkpoints, and the daemon's end.
+"""Commands that act on more than one craft's estimate: its checkpoints, and the end of the daemon.
 
 ``command_table`` has them all; those of the craft are answered by its pipeline.
 """
@@ -19,12 +19,12 @@ _FILE: Final = re.compile(r"[A-Za-z0-9_-]{1,64}\.toml")
 
 
 class Commander:
-    """Carries them out.
+    """Carries out the daemon's commands.
 
     Parameters
     ----------
     checkpoints: of the daemon; None where the configuration has no ``[state]``.
-    shut_down: asks the daemon to end.
+    shut_down: requests the end of the daemon.
     """
 
     def __init__(self, checkpoints: Checkpoints | None, shut_down: Callable[[], None]) -> None:

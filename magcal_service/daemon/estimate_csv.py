@@ -47,8 +47,8 @@ class EstimateCsv:
     Parameters
     ----------
     path: the file.
-    append: go on after the rows that a file already holds, as a restarted daemon does; a last row that a crash cut
-        short is cut off.
+    append: continue after the rows that a file already holds, as a restarted daemon does; a last row that a crash
+        cut short is removed.
 
     Every method raises ``InputRefusedError`` where the file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Changes of state, each with its cause and its source: what the daemon says aloud, in the log and in the status."""
+"""Changes of state, each with its cause and its source: what the daemon reports in the log and in the status."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Event:
     craft: whose.
     what: a short fixed name, such as ``reset`` or ``restored``; docs/state.md lists them.
     cause: why, for people.
-    source: who brought it about: the source of a command, or ``magcal`` itself.
+    source: who caused it: the source of a command, or ``magcal`` itself.
     time_ns: source time of the newest sample then [ns].
     """
 

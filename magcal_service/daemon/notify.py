@@ -13,9 +13,9 @@ WATCHDOG = "WATCHDOG=1"
 def notify(*assignments: str) -> bool:
     """Send ``assignments`` such as ``READY``, ``WATCHDOG``, ``STOPPING`` or ``status("...")`` in one datagram.
 
-    Returns False, having done nothing, where no service manager listens (``NOTIFY_SOCKET`` unset); it never blocks
-    and a manager that has gone away or is too busy to listen is False as well: the daemon works on without it.
-    Send ``WATCHDOG`` only when the service has moved on, not from a timer: a stuck daemon is to be restarted.
+    Returns False, having done nothing, where there is no service manager (``NOTIFY_SOCKET`` unset); it never blocks,
+    and a manager that is gone or too busy to receive is False as well: the daemon runs on without it.
+    Send ``WATCHDOG`` only when the service has made progress, not from a timer: a stuck daemon is to be restarted.
 
     Source: sd_notify(3); a name that starts with ``@`` is an abstract socket, unix(7).
     """

@@ -1,4 +1,4 @@
-"""What a craft sends, as records of the wire: vectors, estimates, replies and status from numbers alone."""
+"""Messages that a craft publishes, as records of the wire: vectors, estimates, replies and status."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _IDENTITY_3: Final = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Whose message it is, its number, and the source time [ns] that it speaks of."""
+    """Craft and number of a message, and the source time [ns] that it refers to."""
 
     craft: str
     sequence: int
@@ -50,7 +50,7 @@ def calibrated_vector(
     Parameters
     ----------
     sample: as it is to be calibrated [nT].
-    state: the estimate at hand.
+    state: the present estimate.
     covariance: its covariance (9, 9), grown by the random walk since the newest sample that it learned from.
     verdict: how far it is to be trusted.
     """
@@ -98,7 +98,7 @@ def estimate_message(
 
 
 def command_reply(stamp: Stamp, command: Command, refusal: str, summary: str) -> CommandReply:
-    """The answer to a command: why it was refused, or how the craft is now that it was carried out."""
+    """The answer to a command: why it was refused, or the craft's summary after it was carried out."""
     return CommandReply(
         craft=stamp.craft,
         source=SOURCE,

@@ -1,6 +1,6 @@
 """One craft, pure: a message in, messages out.  Ticks -> estimator -> trust; no link, file or clock inside.
 
-A live link, a recording and the simulator all end here, so what is proved on one holds for the others.
+Live links, recordings and the simulator all use it, so what is verified on one holds for the others.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ WATCHED: Final = {
     Reason.MANY_REJECTED,
     Reason.SPIN_CONTRADICTED,
 }
-"""Reasons under which a window of the watch may begin: they may be what it explains."""
+"""Reasons under which a window of the watch may begin: it may explain them."""
 
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 """Reasons under which ticks are kept from the watch.  Its window outlives a new start: it fits errors separately."""
@@ -130,18 +130,18 @@ class Pipeline(Stateful, PipelineMemory):
             self._compensate_by(config.physics.text)
 
     def _compensate_by(self, physics: str) -> None:
-        """Take over the text of a ``physics.toml``; raises InputRefusedError where it is none."""
+        """Load the text of a ``physics.toml``; raises InputRefusedError where it is none."""
         self.compensation = Compensation(parse_model(physics.encode()))
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)
 
     def load_physics(self, physics: str) -> None:
-        """Compensate by another model from now on; what was learned under the one before is of no use."""
+        """Compensate by another model from now on; what was estimated under the one before is discarded."""
         self._compensate_by(physics)
         self._reset()
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
-        """Take over an exported state, with the verdict that follows from it."""
+        """Restore an exported state, with the verdict that follows from it."""
         noise = saved.get("_process_noise") if isinstance(saved, dict) else None
         if noise is not None:
             self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
@@ -156,7 +156,7 @@ class Pipeline(Stateful, PipelineMemory):
         self._check_publishable(where)
 
     def _check_publishable(self, where: str) -> None:
-        """Refuse a state whose estimate or status no receiver would accept."""
+        """Reject a state whose estimate or status no receiver would accept."""
         number = self._sequence
         try:
             for message in (self._estimate(self.last_time_ns, self._clock), self.status(0.0, Counter())):
@@ -193,7 +193,7 @@ class Pipeline(Stateful, PipelineMemory):
         return Event(self.config.name, what, cause, source, self.last_time_ns)
 
     def note(self, what: str, cause: str, source: str = SOURCE) -> None:
-        """Note an event for ``take_events``."""
+        """Record an event for ``take_events``."""
         self._events.append(self.event(what, cause, source))
 
     def take_events(self) -> list[Event]:
@@ -206,10 +206,10 @@ class Pipeline(Stateful, PipelineMemory):
         return [*self.answer(message), *self.advance()]
 
     def outputs(self, message: Message, carried_out: CarriedOut | None = None) -> Iterator[Message | Event]:
-        """Take one message; what comes of it, in the order in which it has to leave.
+        """Take one message; the messages it causes, in the order in which they are published.
 
-        A sample's vector or a command's reply first, worked out before any tick is: whoever publishes each output as it
-        comes has the vector on its way while the tick is still open.  Then the estimates of ticks that have closed,
+        A sample's vector or a command's reply first, computed before any tick is: a caller that publishes each output
+        as it is yielded sends the vector before the tick is processed.  Then the estimates of ticks that have closed,
         then the events.
 
         Parameters
@@ -223,7 +223,7 @@ class Pipeline(Stateful, PipelineMemory):
         yield from self.take_events()
 
     def answer(self, message: Message) -> list[Message]:
-        """Take one message; what has to leave at once: a sample's vector, a command's reply."""
+        """Take one message; what is published at once: a sample's vector, a command's reply."""
         match message:
             case MagnetometerSample():
                 return self._sample(message)
@@ -247,7 +247,7 @@ class Pipeline(Stateful, PipelineMemory):
         return []
 
     def advance(self) -> list[Message]:
-        """Work through the ticks that have closed; their estimates."""
+        """Process the ticks that have closed; their estimates."""
         return [self._tick(tick) for tick in self.ticks.ready()]
 
     def flush(self) -> list[Message]:
@@ -266,7 +266,7 @@ class Pipeline(Stateful, PipelineMemory):
         return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict)]
 
     def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
-        """The sample without what ``physics.toml`` holds; an effect whose driver is missing is counted and reported."""
+        """Subtract the disturbances that ``physics.toml`` models; those without a driver are counted and named."""
         if self.compensation is None:
             return sample
         corrected = self.compensation.correct(sample)
@@ -324,7 +324,7 @@ class Pipeline(Stateful, PipelineMemory):
         return self._estimate(tick.time_ns, tick.clock)
 
     def _learn(self, tick: Tick) -> None:
-        """Give a tick to the estimator; where its arithmetic fails it is reset, and the other craft work on."""
+        """Give a tick to the estimator; where its arithmetic fails it is reset, and the other craft continue."""
         try:
             outcome = self.estimator.handle(tick)
             state = self.estimator.estimate()
@@ -431,7 +431,7 @@ class Pipeline(Stateful, PipelineMemory):
 
     @property
     def model_doubt(self) -> str:
-        """What the model seems to leave out, and where to go with it; empty where nothing is found."""
+        """What the model seems to leave out, and the command to run; empty where nothing is found."""
         found = self.watch.finding
         return "" if found is None else f"model doubtful: {found}; run: magcal diagnose RECORDING"
 

@@ -1,4 +1,4 @@
-"""The daemon: open, loop, publish.  Everything that thinks is in ``pipeline``."""
+"""The daemon: open, loop, publish.  All estimation is in ``pipeline``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WAIT_S: Final = 0.5
 
 
 WATCHDOG_S: Final = 10.0
-"""How often ``systemctl status`` gets a new line where no watchdog asks for more."""
+"""How often ``systemctl status`` gets a new line where no watchdog requires more."""
 
 
 class Timer:
@@ -50,7 +50,7 @@ class Timer:
         self._next_s = time.monotonic() + period_s
 
     def due(self) -> bool:
-        """Whether it is time; a period that was slept through is not made up for."""
+        """Whether it is due; missed periods are skipped."""
         now_s = time.monotonic()
         if now_s < self._next_s:
             return False
@@ -92,7 +92,7 @@ class Service:
         self._ending = False
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
-        self._fed = (0, 0)  # samples accepted and ticks closed when the watchdog was last looked after
+        self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
 
     def shut_down(self) -> None:
@@ -110,7 +110,7 @@ class Service:
             self._report(events)
 
     def _received(self) -> list[Message]:
-        """What has come; how long it was waited for is noted."""
+        """The messages received; the waiting time is recorded."""
         began_s = time.monotonic()
         messages = self.link.receive(WAIT_S)
         self.health.lateness.polled(began_s)
@@ -160,7 +160,7 @@ class Service:
             self.checkpoints.save(self.pipelines.values())
 
     def handle(self, message: Message) -> None:
-        """Give one message to its craft and publish what comes of it."""
+        """Pass one message to its craft and publish the outputs."""
         pipeline = self.pipelines.get(message.craft)
         if pipeline is None:
             self.counters["unknown_craft"] += 1
@@ -215,7 +215,7 @@ class Service:
         return [part.counters for part in (self.recorder, self.checkpoints) if part is not None]
 
     def _publish_status(self, pipeline: Pipeline) -> None:
-        """With the link's counters as ``link.*``, the craft's newest event, and what is amiss with disk and link."""
+        """With the link's counters as ``link.*``, the craft's newest event, and faults of disk and link."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
         troubles = self.health.troubles(pipeline)
         if self.recorder is not None and self.recorder.trouble:
@@ -241,9 +241,9 @@ class Service:
             log.error("no more rows are written: %s", error)
 
     def feed_watchdog(self) -> None:
-        """Notify the service manager that all is well: ticks were made of the samples that came, or none came.
+        """Notify the watchdog: ticks were closed of the samples accepted, or no sample came.
 
-        A daemon that takes samples and makes nothing of them is not well, and is to be restarted.
+        A daemon that accepts samples and closes no ticks is to be restarted.
         """
         accepted = sum(pipeline.ticks.counters["accepted"] for pipeline in self.pipelines.values())
         closed = sum(pipeline.ticks.closed for pipeline in self.pipelines.values())
@@ -269,14 +269,14 @@ def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
 
 
 def _check_directories(config: Config) -> None:
-    """Refuse folders that everybody could write before anything is read from them."""
+    """Reject folders that everybody could write before anything is read from them."""
     for part in (config.state, config.record):
         if part is not None and part.directory.exists():
             check_state_directory(part.directory)
 
 
 def _check_history(config: Config, link: Link) -> None:
-    """Refuse a longer history than the samples that a state remembers: what lies before would be taken twice."""
+    """Reject a longer history than the samples that a state keeps: what lies before would be used twice."""
     if config.state is not None and link.history > REMEMBERED:
         accepted = f"with [state], history=0 to history={REMEMBERED} is accepted"
         raise ConfigError([Fault("link", f"history={link.history}", accepted)])

@@ -103,7 +103,7 @@ class Estimator(Protocol):
         """The whole state as plain data (``snapshot.Stateful``)."""
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
-        """Take over an exported state; ``SnapshotError`` where it does not fit."""
+        """Restore an exported state; ``SnapshotError`` where it does not fit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ Vector3 = tuple[float, float, float]
 
 
 class ActsOn(StrEnum):
-    """What an effect disturbs, so where it is looked for and how it is compensated."""
+    """What an effect disturbs, and so where it is detected and how it is compensated."""
 
     FIELD = "field"
     REFERENCE = "reference"
@@ -31,7 +31,7 @@ class ActsOn(StrEnum):
 
     @property
     def is_live(self) -> bool:
-        """Whether what is known of it can be subtracted sample by sample."""
+        """Whether its modelled disturbance can be subtracted sample by sample."""
         return self is ActsOn.FIELD or self.is_reference
 
 

@@ -5,7 +5,7 @@ Every effect is linear in its amplitudes once its few nonlinear numbers (a lag, 
     B = (I + D)^-1 (A H + b + d + eps),   d = sum_k c_k g_k(t; theta)        additive body field, corrected frame
     |A H| = |H_ref| + sum_k c_k m_k(t; theta)                                a wrong reference
 
-so a hypothesis hands out columns g_k (body field [nT per unit of c_k]) or m_k (magnitude [nT per unit]), and these
+so a hypothesis provides columns g_k (body field [nT per unit of c_k]) or m_k (magnitude [nT per unit]), and these
 columns are the derivatives of the residual: u'g for a body field, m for a magnitude (u: the field's direction in the
 body).
 """
@@ -118,7 +118,7 @@ class Nonlinear:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """What k columns hold in each of g stretches of time: sums from which any choice of stretches is worked out.
+    """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Hypothesis:
     nonlinear: what ``columns`` takes; none for most.
     constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
     odds: natural logarithm of the prior odds against the plain form.
-    largest_nt: rms that this form may have at most [nT], where that is less than the effect's own.
+    largest_nt: rms that this form may have at most [nT], where that is less than the effect's.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
@@ -253,12 +253,12 @@ class Effect:
     says: sentences with parameters and ``{driver}`` in braces; the first whose parameters are all there is used.
     hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
     find: detects it in samples, attitude or noise; None for an effect that acts as a field only.
-    derived: further parameters worked out from those that were fitted.
-    absorbed: what of it the nine errors take up unseen; empty where nothing.
+    derived: further parameters computed from those that were fitted.
+    absorbed: what of it the nine errors absorb; empty where nothing.
     not_live: drivers and forms that no single moment determines, so that they are not compensated live.
     needs_rate: live, it needs the craft's rate.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
-    direct: its direct form where a term has one, for the live path; None: worked out on a scene.
+    direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
     """
 
     name: str
@@ -293,7 +293,7 @@ class Effect:
 
 
 def in_words(value: Value) -> str:
-    """A number or a vector as text, with as many digits as its sigma deserves."""
+    """A number or a vector as text, with as many digits as its sigma supports."""
     numbers = np.atleast_1d(value.value)
     sigma = np.atleast_1d(value.sigma)
     digits = [_digits(float(n), float(s)) for n, s in zip(numbers.ravel(), sigma.ravel(), strict=True)]
@@ -326,7 +326,7 @@ def oscillation(time_s: Array, frequency_hz: float) -> Columns:
 def gains(field_nt: Array, signals: Array) -> Columns:
     """D + diag(a) s(t) for each signal of (n,) or (n, s): d = -a_i B_i s along axis i.
 
-    With the gain left out, w = (I + D) B - b = A H + eps - diag(a) s B, so the disturbance is minus the gain's work.
+    With the gain left out, w = (I + D) B - b = A H + eps - diag(a) s B, so the disturbance is minus the gain's effect.
     """
     each = signals[None] if signals.ndim == 1 else signals.T
     return Columns(axes=-each[:, :, None] * field_nt[None])

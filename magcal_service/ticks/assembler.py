@@ -5,8 +5,8 @@ has arrived and the reference covers it, or without, ``hold_s`` after it and aft
 While each stream is in order and the reference no later than that, a tick's contents don't depend on how the two were
 interleaved, which is why a replay equals the live run bit for bit.
 
-What happens to a sample that is not simply next (each outcome is counted under its name; ``Rejection`` has those that
-reject it):
+What happens to a sample that is not the next in time (each outcome is counted under its name; ``Rejection`` has those
+that reject it):
 
 =================  ===================================================================================================
 ``out_of_order``   older than its predecessor, its tick still open: accepted, sorted in.
@@ -18,10 +18,10 @@ reject it):
 ``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
 ``clock_changed``  other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
 ``saturated``      a component reaches ``range_nt``: rejected.
-``axis_stuck``     one component stands still while noise or the others should move it: rejected until it changes.
+``axis_stuck``     one component is constant while noise or the others should change it: rejected until it changes.
 ``zero``           all three components are 0, as of a sensor that has not measured yet: rejected.
 ``crowded``        its second holds ``_MOST_IN_TICK`` samples already: rejected.
-``no_reference``   no reference at its time when its tick closes: it was answered, but takes no part in the estimate.
+``no_reference``   no reference at its time when its tick closes: it is calibrated, but not used by the estimator.
 =================  ===================================================================================================
 
 A tick of which no sample has a reference is skipped and counted under ``ticks_skipped``; a second without samples,
@@ -53,7 +53,7 @@ _AGREEING: Final = 3
 """Samples in a row that have to agree on a new time before it is accepted."""
 
 _REMEMBERED: Final = 512
-"""Times of accepted samples that a new one is compared with to find doubles: 10 s at 50 Hz."""
+"""Times of accepted samples that a new one is compared with to find duplicates: 10 s at 50 Hz."""
 
 _MOST_IN_TICK: Final = 1000
 """Samples in one second: 20 times the fastest sensor, so that a source out of control cannot fill the memory."""
@@ -111,7 +111,7 @@ class TickAssemblerMemory:
 
 
 class TickAssembler(Stateful, TickAssemblerMemory):
-    """One craft's samples on their way into ticks.
+    """Groups one craft's samples into ticks.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         return self._newest_ns * 1e-9
 
     def wait_longer(self, seconds: float) -> None:
-        """References come so much later than the configuration knows [s]: their tags are shifted."""
+        """Wait so much longer for references than configured [s]: their time tags are shifted."""
         self._hold_ns = self._configured_hold_ns + round(seconds * SECOND_NS)
 
     def add_reference(self, sample: ReferenceSample) -> None:
@@ -182,7 +182,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         return rejection
 
     def take(self, sample: MagnetometerSample, corrected: MagnetometerSample) -> None:
-        """Take a sample that was not rejected; what was measured is remembered, ``corrected`` goes into the tick."""
+        """Take a sample that was not rejected; the measured one is kept to find duplicates, ``corrected`` is used."""
         self._votes.clear()
         elapsed_ns = sample.time_ns - self._base_ns
         if elapsed_ns < self._newest_ns:

@@ -2,7 +2,7 @@
 
 Where the noise is known, and the axis has shown values far closer together than it, noise alone would have changed the
 value: a few identical ones in a row are a fault.  Of a coarse sensor that points along a steady axis they show little;
-there it is a fault when the value has stood for a minute while another component moved by a good part of the field.
+there it is a fault when the value is constant for a minute while another component changes by a fifth of the field.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _COMPARED: Final = 64
 """Values whose closest two give the resolution."""
 
 _MOVED: Final = 0.2
-"""How far another component has to move meanwhile, as a share of the vector's length."""
+"""How far another component has to change meanwhile, as a share of the vector's length."""
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -57,7 +57,7 @@ class AxisWatch(Stateful, AxisWatchMemory):
         self._low, self._high = [[], [], []], [[], [], []]  # of the vectors since each axis took its value
 
     def stands_still(self, elapsed_ns: int, field_nt: Vector) -> bool:
-        """Take one vector [nT] with its elapsed time [ns], in order; whether an axis has stood still for too long."""
+        """Take one vector [nT] with its elapsed time [ns], in order; whether an axis has been constant for too long."""
         least_nt = _MOVED * max(map(abs, field_nt))
         still = [self._stands_still(axis, elapsed_ns, field_nt, least_nt) for axis in range(3)]
         return any(still)

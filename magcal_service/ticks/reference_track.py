@@ -6,7 +6,7 @@ An inertial vector is interpolated as a vector.  In Earth-fixed and local frames
 for a magnitude alone, the magnitude is interpolated.
 
 A reference whose time does not fit (other clock, more than ``late_ns`` behind or ``jump_ns`` ahead of the newest) is
-set aside; the third in a row that agree is a step of the clock, and the track restarts with the three.
+held back; the third in a row that agree is a step of the clock, and the track restarts with the three.
 
 Error: at most T^2/8 times the second derivative.  In a low orbit |d2H/dt2| is below 0.3 nT/s^2 (50 uT turning at twice
 the orbital rate), so 0.04 nT at references 1 s apart and 4 nT at 10 s.
@@ -27,7 +27,7 @@ _MOST: Final = 8192
 """Reference samples kept at most; the oldest go first."""
 
 REMEMBERED: Final = 128
-"""Used references that are kept to know them again when a node sends its history: 100 by default."""
+"""Used references that are kept to recognise repeats when a node sends its history: 100 by default."""
 
 SMALLEST_NT: Final = 1.0
 """A reference below this is a source that sends zeros, not a field: 1 nT is 1/20000 of the weakest at the ground."""
@@ -134,7 +134,7 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
             del times[0], self._found[0]
 
     def due_ns(self, clock: Clock) -> int | None:
-        """When the next reference is due by the pace of the last two; None where none is to be expected."""
+        """When the next reference is due by the interval of the last two; None where none is to be expected."""
         if clock is not self._clock:
             return None
         pace_ns = self._times[-1] - self._times[-2] if len(self._times) > 1 else self._max_gap_ns
@@ -158,7 +158,7 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
         return _between(self._found[after - 1], self._found[after], share)
 
     def discard_before(self, time_ns: int) -> None:
-        """Drop what no later sample can need, but for the last ones, once there are many."""
+        """Discard what no later sample can need, but for the last ones, once there are many."""
         keep = bisect_left(self._times, time_ns) - 1 - REMEMBERED
         if keep > REMEMBERED:
             del self._times[:keep], self._found[:keep]

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Rejection(StrEnum):
-    """The reason for which a sample takes no part; when each applies is in the table of ``ticks.assembler``."""
+    """The reason for which a sample is not used; when each applies is in the table of ``ticks.assembler``."""
 
     LATE = "late"
     DOUBLED = "doubled"

@@ -36,7 +36,7 @@ _REASON_OF_GATE: Final = {
 
 
 def reason_of(gate: StartGate) -> Reason:
-    """What it means for the verdict that a start was stopped by this gate."""
+    """The verdict's reason for a start that was stopped by this gate."""
     return _REASON_OF_GATE[gate]
 
 
@@ -59,7 +59,7 @@ class _Levels:
     noise_share: Final = 0.05  # noise over |H|; the covariance is found short beyond it
     magnitude_spread: Final = 0.005  # std of |H| over its mean
     silent_s: Final = 60.0  # without a reference or with a stuck sensor
-    coverage_ticks: Final = 12_000  # two orbits: by then every direction has been seen that will be
+    coverage_ticks: Final = 12_000  # two orbits: by then every direction has occurred that will
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[R
 
 
 def _is_collapsed(x: Array) -> bool:
-    """Whether an eigenvalue of I + D is out of bounds; small elements of D settle it without computing any."""
+    """Whether an eigenvalue of I + D is out of bounds; for small elements of D without computing any."""
     low, high = _Levels.eigenvalues
     if 3.0 * max(map(abs, x[D_ALL].tolist())) < min(1.0 - low, high - 1.0):  # Gershgorin's discs
         return False
@@ -118,7 +118,7 @@ class TrustMonitorMemory:
 
 
 class TrustMonitor(Stateful, TrustMonitorMemory):
-    """Watches one craft's ticks.
+    """Monitors one craft's ticks.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return self._floor_nt
 
     def observe(self, tick: Tick, outcome: TickOutcome, estimate: StateEstimate) -> None:
-        """Take in what one tick did."""
+        """Update the statistics with one tick."""
         if estimate.restarts != self._restarts:
             self._restarts, self._since_start = estimate.restarts, 0
             self._block.clear()
@@ -229,7 +229,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._unpaired_s += seconds
 
     def observe_frozen(self) -> None:
-        """A tick had its reference, but nothing was to be learned from it."""
+        """A tick had its reference, but it was not used for the estimate."""
         self._unpaired_s = 0.0
         self._frozen = True
 
@@ -242,7 +242,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._model_doubtful = doubtful
 
     def observe_fault(self, fault: Reason | None) -> None:
-        """What is wrong with the sensor from now on; None: nothing any more."""
+        """The sensor's fault from now on; None: none any more."""
         self._fault = fault
 
     def observe_unchecked(self, seconds: float) -> bool:
@@ -350,7 +350,7 @@ class Moments(Stateful, MomentsMemory):
         self._count, self.mean, self._sum = 0, 0.0, 0.0
 
     def add(self, values: Array) -> None:
-        """Take in values of any number."""
+        """Add values of any number."""
         for value in values.tolist():
             self._count += 1
             delta = value - self.mean

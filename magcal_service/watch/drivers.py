@@ -49,7 +49,7 @@ class Driver:
 
     @property
     def label(self) -> str:
-        """For people."""
+        """In words."""
         return f"inferred {self.channel}" if self.quantity in (LIGHT, WARMTH) else f"channel {self.channel}"
 
 
@@ -119,7 +119,7 @@ class DriverTrack(Stateful, DriverTrackMemory):
         return [*found[: _MOST_DRIVERS - len(light)], *light]
 
     def at(self, time_ns: int) -> dict[str, tuple[float, ...]]:
-        """Values at a time, by channel; one that is stale then is not in it.  What is older is forgotten."""
+        """Values at a time, by channel; one that is stale then is not in it.  What is older is discarded."""
         found = {name: value for name, series in self._channels.items() if (value := _value(series, time_ns))}
         if self._light and abs(time_ns - self._light[-1][0]) * 1e-9 < 12.0 * _LIGHT_S:
             _, lit, warmth = self._light[-1]

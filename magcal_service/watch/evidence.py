@@ -1,13 +1,13 @@
-"""Which physics would explain what a calibration leaves over?  Evidence from running sums alone.
+"""Which physics would explain the residual of a calibration?  Evidence from running sums alone.
 
 A row of the sums is the scalar residual e = |(I + D) B - b| - |H| of one sample, its nine sensitivities J, and one
 column for each thing that may have been left out, all at a reference state that is held over the window:
 
     e = J dx + X c + noise,      gain of X = n/2 ln(RSS without X / RSS with X)   [nats]
 
-The nine errors dx are fitted again each time, so only what they cannot absorb counts, and the noise level is the
-residual's own.  Where X is not needed, twice the gain is chi-squared with as many degrees as X has columns.  What is
-faster than a chunk of samples is looked for in the spectrum of the chunks' residuals, by Whittle's likelihood.
+The nine errors dx are fitted again each time, so only what they cannot absorb counts, and the noise level is that
+of the residual.  Where X is not needed, twice the gain is chi-squared with as many degrees as X has columns.  What is
+faster than a chunk of samples is detected in the spectrum of the chunks' residuals, by Whittle's likelihood.
 
 Source: Wilks 1938 (likelihood ratios); Whittle 1953; Schwarz 1978 (what a column costs).
 """
@@ -45,7 +45,7 @@ class Explanation:
     Parameters
     ----------
     effects: names of the catalogue with this signature; ``unknown`` where none does.
-    driver: what it follows, for people; empty where nothing.
+    driver: what it follows, in words; empty where nothing.
     gain: of log likelihood [nats].
     columns: how many numbers were fitted for it.
     tries: among how many of its kind it was chosen.
@@ -85,7 +85,7 @@ def log_tail(x: float, degrees: int) -> float:
 
 
 def inverse_root(squares: Array) -> Array:
-    """R (k, r) with R R' the inverse of a matrix of squares and products (k, k); what it hardly holds is left out."""
+    """R (k, r) with R R' the inverse of a matrix of squares and products (k, k); weak directions are left out."""
     scale = np.sqrt(np.maximum(np.diagonal(squares), 1e-300))
     values, vectors = np.linalg.eigh(squares / np.outer(scale, scale))
     good = values > _NULL * values[-1]

@@ -2,8 +2,8 @@
 
 One sample of each tick that was learned from goes into sums over a window of up to ``TICKS``; at the end of each block
 the sums are tested for what would explain the residual (``watch_evidence``).  Windows don't overlap and hold a
-reference state each, with the nine errors fitted again in each: how the filter weighs its past does not enter, and the
-noise of the sums is as white as the sensor's.  What is found stands until a whole window has passed without it.
+reference state each, with the nine errors fitted again: how the filter weighs its past does not enter, and the
+noise of the sums is as white as the sensor's.  A finding stands until a whole window has passed without it.
 
 Of a sensor faster than 1 Hz the newest sample of each tick is used.  Where the errors are allowed to walk
 (``process_noise``), each block has its nine errors, and drifts and steps of them are no finding.
@@ -63,7 +63,7 @@ ALARM_NATS: Final = math.log(_YEAR_S / BLOCK * _TESTS / FALSE_PER_YEAR)
 
 _BINS: Final = CHUNK // 2 + 1  # of the two-sided spectrum of a chunk that are different for real values
 _BIN_WEIGHT: Final = np.r_[0.5, np.ones(_BINS - 2), 0.5]  # the first and the last bin have one number, the others two
-_NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of are not taken out of it
+_NULL: Final = 1e-6  # directions of the nine errors that a chunk has less of are not projected out of it
 _OWN: Final = 7  # columns without a driver: cubes of the reading 3, what is beyond its largest 3, slope of |H| 1
 _FAR_NT: Final = 5e4  # [nT] unit of the readings in their cubes: a strong field, so that columns have sizes near one
 _MOST_ALONE: Final = 2  # samples far off by themselves in a chunk that is still used
@@ -79,7 +79,7 @@ class Finding:
     Parameters
     ----------
     effects: names of the catalogue, the likeliest first; several where they cannot be distinguished; or ``unknown``.
-    driver: what it follows, for people; empty where nothing.
+    driver: what it follows, in words; empty where nothing.
     nats: evidence for it.
     minutes: length of the data behind it.
     """
@@ -109,7 +109,7 @@ def _spoiled(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _span(columns: Array) -> Array:
-    """Orthonormal columns (n, r) of what columns (n, k) span; what they hardly do is left out."""
+    """Orthonormal columns (n, r) of what columns (n, k) span; weak directions are left out."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     left, values, _ = np.linalg.svd(scaled, full_matrices=False)
     span: Array = left[:, values > _NULL * values[0]]
@@ -157,7 +157,7 @@ class ModelWatchMemory:
 
 
 class ModelWatch(Stateful, ModelWatchMemory):
-    """Watches one craft's residual.
+    """Monitors one craft's residual.
 
     Parameters
     ----------
@@ -171,13 +171,13 @@ class ModelWatch(Stateful, ModelWatchMemory):
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was found, as after a reset of the estimator; drivers and the largest readings stay."""
+        """Discard the finding, as after a reset of the estimator; drivers and the largest readings stay."""
         self.finding = None
         self._quiet = True
         self.begin()
 
     def begin(self) -> None:
-        """Begin a new window; what was found stands."""
+        """Begin a new window; the finding is kept."""
         self._x, self._spread_nt2 = np.zeros(STATE_SIZE), 0.0
         self._drivers, self._zero, self._void, self._offered = [], [], [], 0
         self._rows, self._blocks, self._times = [], [], []
@@ -186,7 +186,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         self._samples, self._began_s = 0, 0.0
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
-        """Take over an exported state; SnapshotError where its parts don't belong together."""
+        """Restore an exported state; SnapshotError where its parts don't belong together."""
         super().restore_state(saved, where, given)
         size, count = self._size(), len(self._drivers)
         shapes = {one.shape for one in (self._block, self._rest) if one is not None}
@@ -216,7 +216,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         return self._samples > 0
 
     def push(self, tick: Tick, estimate: StateEstimate, *, walks: bool) -> bool:
-        """Take in a tick that was learned from; whether what is found has changed.
+        """Add a tick that the estimate has used; whether the finding has changed.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         if self._samples % BLOCK:
             return False
         if len(self.drivers.drivers()) > self._offered:
-            self.begin()  # a channel has come that the window does not know
+            self.begin()  # a channel has come that the window has no columns for
             return False
         return self._close_block(float(tick.times_s[-1]), walks=walks)
 
@@ -302,7 +302,7 @@ class ModelWatch(Stateful, ModelWatchMemory):
         best, before = likeliest[0], self.finding
         young = self._samples < TICKS // 2
         if before is not None and before.nats > best.gain and (young or set(before.effects) & set(effects)):
-            return False  # the window before knew more
+            return False  # the finding of the window before has more evidence
         self.finding = Finding(effects, best.driver, best.gain, minutes)
         return before is None or before.effects[0] != effects[0]
 

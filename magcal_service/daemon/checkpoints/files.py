@@ -1,9 +1,9 @@
-"""Checkpoints: a craft's whole state on disk, so that a restarted daemon goes on where it was.
+"""Checkpoints: a craft's whole state on disk, so that a restarted daemon continues from it.
 
 A file is replaced in one step (written beside, flushed, renamed, the folder flushed), so it is there whole or not at
 all; a SHA-256 over its content detects a file that a failing disk has changed.  Its content is one msgpack map, as in
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
-data as ``snapshot`` has them.  It is restored only where all three marks of the owner agree; nothing is guessed.
+data as ``snapshot`` has them.  It is restored only where craft, version and digest agree.
 
     magcal-state 2\\n   SHA-256 of the rest, 32 bytes   msgpack
 """
@@ -31,7 +31,7 @@ from magcal_service.wire.fields import NAME
 MAGIC: Final = b"magcal-state 2\n"  # 1: findings of the watch in another order
 _DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
-"""No craft's state comes near it: 0.4 MB with 4096 samples collected towards a start."""
+"""Far above any craft's state: 0.4 MB with 4096 samples collected towards a start."""
 
 _MOST_NAMED: Final = 16
 """Named checkpoints of a craft; they stay until they are replaced, so their number has to be bounded."""
@@ -94,7 +94,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
 
 
 def decode(raw: bytes) -> Checkpoint:
-    """What a file's bytes say; ``StateError`` where they are not a whole, unchanged checkpoint of this format."""
+    """Decode a file's bytes; ``StateError`` where they are not a whole, unchanged checkpoint of this format."""
     begin = len(MAGIC) + _DIGEST_BYTES
     if not raw.startswith(MAGIC):
         raise StateError("not a checkpoint of this format")

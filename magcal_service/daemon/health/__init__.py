@@ -1,4 +1,4 @@
-"""How the daemon is: figures, their report, Prometheus text.
+"""Health of the daemon: figures, their report, Prometheus text.
 
 Imports config, wire and the ground.
 """

@@ -1,4 +1,4 @@
-"""How the daemon is doing: how late its ticks are, what it takes of the machine, what is amiss with each craft."""
+"""Health figures of the daemon: lateness of its ticks, resources of its process, faults of each craft."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.messages import Verdict
 
 SILENT_S: Final = 60.0
-"""A craft of which no sample was accepted for longer than this is in trouble."""
+"""A craft of which no sample was accepted for longer than this is unhealthy."""
 
 _RECENT: Final = 512
 """Ticks over which the quantiles are taken: eight minutes of one craft at 1 Hz."""
@@ -28,7 +28,7 @@ _PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
 
 
 class TickLateness:
-    """How long after its last message had come a tick's estimate left, at the most.
+    """Delay from the arrival of a tick's last message to the publication of its estimate, at the most.
 
     A message that was there when the daemon polled is taken as there since its last poll, so a queue in front of
     the daemon is in it.
@@ -52,7 +52,7 @@ class TickLateness:
         self._polled_s = now_s
 
     def note(self) -> None:
-        """An estimate has left."""
+        """An estimate was published."""
         late_s = time.monotonic() - self._arrived_s
         self.counts[bisect_left(BOUNDS_S, late_s)] += 1
         self.total_s += late_s
@@ -68,7 +68,7 @@ class TickLateness:
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """What the process takes: resident memory [bytes], open files, threads."""
+    """What the process uses: resident memory [bytes], open files, threads."""
 
     rss_bytes: int
     open_files: int
@@ -92,7 +92,7 @@ class Flow:
         self._began_s = time.monotonic()
 
     def silent_s(self, pipeline: Pipeline) -> float:
-        """How long no sample of a craft has been accepted [s], as far as was seen by asking."""
+        """How long no sample of a craft has been accepted [s], to within the interval of the calls."""
         accepted, now_s = pipeline.ticks.counters["accepted"], time.monotonic()
         before, since_s = self._since.get(pipeline.config.name, (0, self._began_s))
         if accepted != before:
@@ -102,7 +102,7 @@ class Flow:
 
 
 def troubles(pipeline: Pipeline, silent_s: float) -> list[str]:
-    """What is amiss with a craft, each in a few words; nothing where its vectors can be used as they say."""
+    """Faults of a craft, each in a few words; none where its vectors can be used as their verdict says."""
     found = []
     if silent_s > SILENT_S:
         found.append(f"no sample for {silent_s:.0f} s")

@@ -1,8 +1,8 @@
 """Metrics as Prometheus text, on a separate loopback port.
 
-The daemon's loop renders the text and hands it over whole; the server's one thread only sends what it was given last.
-It answers one request after the other, reads one packet of each and waits a second for it at most, so nobody who
-connects can hold memory or the daemon.
+The daemon's loop renders the text and hands it over whole; the server's one thread only sends the newest text.
+It answers one request after the other, reads one packet of each and waits a second for it at most, so no client
+can hold memory or block the daemon.
 
 Format: Prometheus text exposition format 0.0.4.
 """

@@ -1,4 +1,4 @@
-"""Figures of a running daemon, put together for the status, the metrics and the log."""
+"""Figures of a running daemon, assembled for the status, the metrics and the log."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Health:
         return time.monotonic() - self._started_s
 
     def troubles(self, pipeline: Pipeline) -> list[str]:
-        """What is amiss with a craft."""
+        """Faults of a craft."""
         return troubles(pipeline, self._flow.silent_s(pipeline))
 
     def counters(self) -> Counter[str]:

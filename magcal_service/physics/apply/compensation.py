@@ -1,10 +1,10 @@
-"""Live compensation: what ``physics.toml`` holds is subtracted from every sample and corrected in every reference.
+"""Live compensation: subtract the disturbances that ``physics.toml`` models from every sample, correct every reference.
 
 A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
-model says it should have had.  Drivers are the newest values on the link: a channel is held until its next value, a
+model gives it.  Drivers are the newest values on the link: a channel is held until its next value, a
 position carried on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its
-form or its driver, or that comes out beyond all measure, is left out and named in ``missing``.  Effects with a past go
-on from sample to sample (``scene.Memory``).
+form or its driver, or whose disturbance is absurdly large, is left out and named in ``missing``.  Effects with a memory
+carry it from sample to sample (``scene.Memory``).
 
 Error of holding a channel: its rate times its age; a channel that turns with the craft has to be sent with the samples.
 """
@@ -68,19 +68,19 @@ _MOST_SHIFT_S: Final = 3600.0
 """By how much time tags may disagree [s]."""
 
 _AT_START_S: Final = 60.0
-"""How close to the model's own start a daemon has to begin to take the start temperature from it [s].
+"""How close to the model's start a daemon has to begin to take the start temperature from it [s].
 
 Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
 """
 
 _KNOT_S: Final = 10.0
-"""Time between the places that give the direction of flight, and age of a reference vector that still serves [s].
+"""Time between the places that give the direction of flight, and age up to which a reference vector is used [s].
 
 In a low orbit the path bends by 0.6 degrees in 10 s, and H turns by at most 1.3.
 """
 
 _GROWTH_NS: Final = 1_000_000_000
-"""How long a worked out growth of the reference is held [ns]: the length of a tick; each takes a scene."""
+"""How long a computed growth of the reference is held [ns]: the length of a tick; each takes a scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ class Compensation(Stateful, CompensationMemory):
         """How much later a reference for a sample comes than it would without a time offset [s]."""
         return max(0.0, sum(shifts_s(self._time_terms, 0.0)[0]))
 
-    # What comes
+    # Inputs
 
     def telemetry(self, sample: TelemetrySample) -> None:
         """Take a channel's value."""
@@ -195,7 +195,7 @@ class Compensation(Stateful, CompensationMemory):
         self._places = [*self._places[-1:], Place(sample.time_ns, (x, y, z))]
 
     def reference(self, sample: ReferenceSample) -> ReferenceSample:
-        """The reference as the model says that it should have been."""
+        """The reference as the model corrects it."""
         if sample.field_nt is not None and sample.frame is Frame.ECI:
             self._reference, self._reference_ns = sample.field_nt, sample.time_ns
         shift_s, unfit = shifts_s(self._time_terms, (sample.time_ns - self.model.origin_ns) * 1e-9)
@@ -206,7 +206,7 @@ class Compensation(Stateful, CompensationMemory):
         return sample
 
     def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
-        """The sample without the model's disturbances."""
+        """The sample less the model's disturbances."""
         if not self._field_terms:
             return sample
         self._begun_ns = self._begun_ns or sample.time_ns
@@ -243,7 +243,7 @@ class Compensation(Stateful, CompensationMemory):
         return x, y, z
 
     def _now(self, index: int, row: Row) -> list[float]:
-        """What a direct term makes of this moment (3,) [nT]: the channel's newest value, no scene."""
+        """Disturbance of a direct term at this moment (3,) [nT]: the channel's newest value, no scene."""
         form = self._direct[index]
         assert form is not None
         held = self._channels.get(form.channel)
@@ -254,7 +254,7 @@ class Compensation(Stateful, CompensationMemory):
         return form.field(held.values, row.field_nt)
 
     def _on(self, scene: Scene | None, index: int, row: Row, in_order: bool) -> list[float]:
-        """What a term makes of the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
+        """Disturbance of a term at the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
         assert scene is not None
         memory = Memory(-1, self._states[index] if in_order else dict(self._states[index]))
         with np.errstate(all="ignore"):
@@ -271,7 +271,7 @@ class Compensation(Stateful, CompensationMemory):
         """(I + D)^-1."""
         return np.asarray(np.linalg.inv(np.eye(3) + d_matrix(self.model.x)))
 
-    # How it is applied
+    # Application
 
     def _bound(self, term: ModelTerm, scene: Scene, memory: Memory, time_ns: int) -> Bound:
         effect = effect_named(term.effect)
@@ -282,7 +282,7 @@ class Compensation(Stateful, CompensationMemory):
         return bind(term, scene, memory)
 
     def _is_warm(self, term: ModelTerm, time_ns: int) -> bool:
-        """Whether an inferred temperature is known: from the model's own start on, or once its start is forgotten."""
+        """Whether an inferred temperature is known: from the model's start on, or once its start has decayed."""
         if abs(self._begun_ns - self.model.origin_ns) < 1e9 * _AT_START_S:
             return True
         settled_s = _WARM * sum(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
@@ -330,7 +330,7 @@ class Compensation(Stateful, CompensationMemory):
         return np.stack([place + velocity * (time_ns - last.time_ns) for time_ns in times_ns])
 
     def _attitude(self, calibrated: Array, now_ns: int) -> Array | None:
-        """(n, 3, 3) from the model's spin axis and each sample's own phase; None without axis or reference."""
+        """(n, 3, 3) from the model's spin axis and each sample's phase; None without axis or reference."""
         spin = self.model.spin
         if spin is None or self._reference is None or abs(now_ns - self._reference_ns) > 1e9 * _KNOT_S:
             return None
@@ -340,7 +340,7 @@ class Compensation(Stateful, CompensationMemory):
         return attitude_of(body, inertial, np.angle(turn))
 
     def _grown(self, sample: ReferenceSample) -> ReferenceSample:
-        """The reference brought to the magnitude that acts; worked out once a second, held in between."""
+        """The reference brought to the magnitude that acts; computed once a second, held in between."""
         vector = None if sample.field_nt is None else np.array(sample.field_nt)
         magnitude = float(np.linalg.norm(vector)) if vector is not None else sample.magnitude_nt or 0.0
         if abs(sample.time_ns - self._growth_ns) >= _GROWTH_NS:

@@ -47,7 +47,7 @@ def at_origin(scene: Scene, model: PhysicsModel) -> Scene:
 
 
 def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
-    """Find a term's hypothesis on a scene (times from the model's origin), under the term's own constants.
+    """Find a term's hypothesis on a scene (times from the model's origin), under the term's constants.
 
     Raises DriverMissingError where the scene has no such driver, MisfitError where names or shapes differ.
     """

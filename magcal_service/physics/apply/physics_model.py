@@ -27,7 +27,7 @@ VERSION: Final = 1
 """Of the format: another one may give known keys another meaning, so it is refused."""
 
 MOST_EFFECTS: Final = 32
-"""More than the catalogue has; bounds what a live craft works out for each sample."""
+"""More than the catalogue has; bounds what is computed for each sample live."""
 
 _DRIVER: Final = re.compile(r"none|channel:[^\s\x00-\x1f]{1,200}|inferred:[a-z_]{1,32}")
 
@@ -161,7 +161,7 @@ class PhysicsModel:
 
 
 def _origin(reading: Reading, key: str) -> int:
-    """ns since 1970, or of the clock's own zero; fits an int64."""
+    """ns since 1970, or of the clock's zero; fits an int64."""
     value = reading.table.content.get(key)
     reading.table.has(key)
     if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 1 << 63:

@@ -1,4 +1,4 @@
-"""What an effect is driven by where nobody recorded it: warmth, torquing, changes in time, slow drifts.
+"""Drivers of effects that are inferred where they were not recorded: warmth, torquing, changes in time, slow drifts.
 
 Imports ``scene`` and the interface of effects.
 """

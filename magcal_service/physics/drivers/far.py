@@ -1,7 +1,7 @@
-"""A reference that is off by minutes of the orbit: stale elements, or a clock that nobody has set.
+"""A reference that is off by minutes of the orbit: stale elements, or a clock that was not set.
 
-To first order only the next minute is known; so the field is worked out along the recording's own track, further on by
-each of a row of steps.  The track goes on beyond its ends along a circle in space.
+To first order only the next minute is known; so the field is computed along the recording's track, shifted by
+each of a series of steps.  The track continues beyond its ends along a circle in space.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonline
 from magcal_service.physics.scene.scene import Scene
 
 STEP_S: Final = 60.0
-"""Between shifts that the field is worked out for [s]: 3.8 degrees of a low orbit; cubic curves follow |H| so far."""
+"""Between shifts for which the field is computed [s]: 3.8 degrees of a low orbit; cubic curves follow |H| so far."""
 
-_KNOT_S: Final = 30.0  # between rows that the field is worked out for; taken as linear between them it is 10 nT off
+_KNOT_S: Final = 30.0  # between rows for which the field is computed; taken as linear between them it is 10 nT off
 FARTHEST_S: Final = 1200.0
 """Largest shift that is tried [s].
 
@@ -33,7 +33,7 @@ LARGEST_NT: Final = 30000.0
 """rms that a whole shift may have [nT]: the difference between any two places of a low orbit."""
 
 SHORTEST_S: Final = 3000.0
-"""Half an orbit, below which a shift along it is a slope and a curve, no shape of its own."""
+"""Half an orbit, below which a shift along it is a slope and a curve, no distinct shape."""
 
 LONGEST_GAP_S: Final = 300.0
 """Over which a track may be taken as straight between two places, its height put right."""

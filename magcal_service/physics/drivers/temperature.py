@@ -1,4 +1,4 @@
-"""Temperature as a driver: recorded, or inferred as a first-order answer to sunlight."""
+"""Temperature as a driver: recorded, or inferred as a first-order response to sunlight."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
 """What is heated first: nothing between, a panel, a structure."""
 
 _AGAINST_GUESSING: Final = 5.0
-"""Nats against guessing a temperature where one was recorded: odds of 150 to 1 for the record."""
+"""Nats against inferring a temperature where one was recorded: odds of 150 to 1 for the record."""
 
 _LEAST_SWING_K: Final = 0.05
-"""Spread below which a recorded temperature is constant: a step of a coarse sensor; it drives nothing that shows."""
+"""Spread below which a recorded temperature is constant: a step of a coarse sensor; it drives nothing detectable."""
 
 Act = Callable[[Array], Columns]
 """From a signal (n,) to its columns."""
@@ -60,11 +60,11 @@ def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
 
 
 def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
-    """Temperature as an answer to light, in units of the swing between light and shadow.
+    """Temperature as a response to light, in units of the swing between light and shadow.
 
     Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
     the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  Where a
-    temperature was recorded, guessing another one has odds against it.
+    temperature was recorded, inferring another one has odds against it.
     """
     if scene.lit is None or not scene.eclipses:
         return

@@ -1,4 +1,4 @@
-"""What torquers do that nobody has recorded: a regular duty, detumbling by the sign of dB/dt, dumping of momentum.
+"""Activity of torquers that was not recorded: a regular duty, detumbling by the sign of dB/dt, dumping of momentum.
 
 Detumbling fires against dB/dt, seen just before, for part of every cycle, maybe for part of the recording only; dumping
 fires along B x h at intervals and holds for a moment.  Their few numbers (cycle, phase, share) jump, so they are
@@ -48,19 +48,19 @@ _SLOTS: Final = 24
 """Places in an interval of dumping: 10 to 67 s each. Choice: twice as many, twice the trials."""
 
 _ON_SLOTS: Final = (3, 5, 7, 10)
-"""Lengths of a dump that are tried, in slots: 12 to 42 % of it, each about half longer than the last."""
+"""Lengths of a dump that are tried, in slots: 12 to 42 % of the interval, each about half longer than the last."""
 
 _SEGMENT_S: Final = 8.0
 """Length of the sums that intervals are folded from [s]; choice: below a slot, few in a long recording."""
 
 _MOST: Final = 6
-"""Best patterns of the sums that are worked out by columns; choice: the sums rank well, and each costs a fit."""
+"""Best patterns of the sums that are evaluated by columns; choice: the sums rank well, and each costs a fit."""
 
 _LONGEST_PERIOD_S: Final = 20.0
-"""Sample period beyond which no pattern is looked for [s]: most of ``CYCLES_S`` would be sampled less than once."""
+"""Sample period beyond which no pattern is searched [s]: most of ``CYCLES_S`` would be sampled less than once."""
 
 _LEAST_SAMPLES: Final = 200
-"""Samples from which on a pattern is looked for: its nine amplitudes and six numbers need several each."""
+"""Samples from which on a pattern is searched: its nine amplitudes and six numbers need several each."""
 
 
 DETUMBLING: Final = "inferred:detumbling"

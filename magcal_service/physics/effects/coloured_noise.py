@@ -17,10 +17,10 @@ ORDER: Final = 8
 """Order of the autoregression; what lasts longer is ``long_memory``'s. Choice: each costs half of ln n nats."""
 
 _LEAST_NATS: Final = 15.0
-"""Evidence from which on the noise is coloured: odds of 3 million, since it is asked of every recording."""
+"""Evidence from which on the noise is coloured: odds of 3 million, since every recording is tested."""
 
 _LEAST_CORRELATION: Final = 0.05
-"""Correlation below which a memory does not matter: variances are off by 10 % at most, (1 + rho) / (1 - rho)."""
+"""Correlation below which a memory is neglected: variances are off by 10 % at most, (1 + rho) / (1 - rho)."""
 
 _SIGNIFICANT_SIGMAS: Final = 5.0
 """Sampling errors that a correlation has to have besides: by chance once in 2 million."""
@@ -102,7 +102,7 @@ def long_memory(residual: Array, unit: Array | None = None) -> Array:
 
 
 def whitened(rows: Array, coefficients: Array, unit: Array) -> Array:
-    """Rows (n, k) less what an autoregressive model (p,) of noise fixed in the body foretells of them.
+    """Rows (n, k) less what an autoregressive model (p,) of noise fixed in the body predicts of them.
 
     Directions ``unit`` (n, 3) as in ``autoregression``; by transforms, a few columns at a time.
     """
@@ -118,7 +118,7 @@ def whitened(rows: Array, coefficients: Array, unit: Array) -> Array:
 
 
 def is_noise(view: View) -> bool:
-    """Whether a residual that hangs together is the noise itself, rather than something slow on top of it.
+    """Whether a correlated residual is the noise itself, rather than something slow on top of it.
 
     The covariance of a noise fixed in the body at a lag l is C_l = sum e_k e_(k+l) c / sum c^2, c the cosine of the
     turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's square if that is white, and

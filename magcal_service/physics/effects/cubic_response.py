@@ -1,4 +1,4 @@
-"""The sensor's answer is not straight: a cubic term of each axis, and the transverse field effect."""
+"""The sensor's response is not linear: a cubic term of each axis, and the transverse field effect."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
 
 
 def _direct(term: Term) -> Direct | None:
-    """By the circuits of one channel; all channels together are worked out on a scene."""
+    """By the circuits of one channel; all channels together need a scene."""
     if "+" in term.driver:
         return None
     keys = [f"column_{index}" for index in range(len(term.constants))]

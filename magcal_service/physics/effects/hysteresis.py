@@ -1,4 +1,4 @@
-"""Permeable parts remember: play operators of the field that acts."""
+"""Permeable parts have hysteresis: play operators of the field that acts."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ Choice: higher than for named physics (12), because any disturbance that turns w
 """
 
 _LEAST_SIGMAS: Final = 0.1
-"""Motion of the field, in noise sigmas, below which it does not matter: one percent of the variance."""
+"""Motion of the field, in noise sigmas, below which it is neglected: one percent of the variance."""
 
 _STEEPEST: Final = 0.999
 """Largest sine of twice the angle: beyond 44 degrees both sides of 45 coincide, and the derivative has a pole."""

@@ -19,7 +19,7 @@ _LEAST_SIGMAS: Final = 0.3
 """Step in noise sigmas from which on it counts: at 0.3 it adds 0.75 % to the variance."""
 
 _LEAST_DETECTABILITY: Final = 10.0
-"""How far its noise has to stand out of the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
+"""Least detectability of its noise in the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
 
 
 def step_of(values: Array) -> float:

@@ -1,4 +1,4 @@
-"""The sensor answers late: a low-pass, an averaging driver, eddy currents in the structure around it."""
+"""The sensor responds late: a low-pass, an averaging driver, eddy currents in the structure around it."""
 
 from __future__ import annotations
 

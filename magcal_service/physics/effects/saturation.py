@@ -38,7 +38,7 @@ _FEWEST_CLIPPED: Final = 8
 """Samples at the largest value from which it is a stop; choice: fewer are met by a coarse converter."""
 
 _FLAT_TO_NEXT: Final = 5.0
-"""Times that the largest value has to come oftener than any of the five beside it.
+"""Factor by which the largest value has to repeat more often than any of the five beside it.
 
 A turning field has its largest value on a lattice 1 / (sqrt 2 - 1) = 2.4 times as often as the next; twice that is
 clear of it.
@@ -46,7 +46,7 @@ clear of it.
 
 
 def _find(view: View) -> Finding | None:
-    """A hard stop: the largest value of an axis comes again and again, far oftener than the values beside it."""
+    """A hard stop: the largest value of an axis repeats far more often than the values beside it."""
     field = view.scene.field_nt
     spoiled = np.zeros(len(field), dtype=bool)
     limit, axis_found = 0.0, 0

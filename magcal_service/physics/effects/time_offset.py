@@ -1,4 +1,4 @@
-"""Sensor and reference are tagged by clocks that disagree, or drift apart."""
+"""Sensor and reference are tagged by clocks with an offset or a drift."""
 
 from __future__ import annotations
 

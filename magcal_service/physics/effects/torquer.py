@@ -1,4 +1,4 @@
-"""Magnetic torquers: field of the driven coil, its decay, and what the core remembers."""
+"""Magnetic torquers: field of the driven coil, its decay, and the remanence of the core."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 
 
 def _decayed(scene: Scene, moment: Array, decay_s: float) -> Array:
-    """The current's answer (n, k) to a held command: a first-order lag from each sample's command to the next."""
+    """The current's response (n, k) to a held command: a first-order lag from each sample's command to the next."""
     if decay_s <= 0.0:
         return moment
     kept = np.exp(-np.diff(scene.time_s) / decay_s)

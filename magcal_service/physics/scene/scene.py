@@ -1,7 +1,7 @@
-"""What a recording offers to the catalogue: samples, reference, place, light, telemetry, and where the field points.
+"""What a recording offers to the catalogue: samples, reference, place, light, telemetry, and the field's direction.
 
 A scene is the samples of one recording (or of one moment of a live stream) with everything derived that a driver may
-need, each worked out once and only when asked for; None where the recording does not hold it.
+need, each computed once and only when used; None where the recording does not hold it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _KEPT = (
     "knots",
     "has_model",
 )
-"""What a scene has worked out that does not depend on the calibrated vectors."""
+"""Results of a scene that do not depend on the calibrated vectors."""
 
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ class Telemetry:
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """What an effect with a past carries from one scene of a stream to the next, which begins at row ``next_row``."""
+    """What an effect with a memory carries from one scene of a stream to the next, which begins at row ``next_row``."""
 
     next_row: int = -1
     states: dict[str, Array] = field(default_factory=dict)
@@ -79,8 +79,8 @@ class Scene:
     position_ecef_km: (n, 3) or None.
     channels: telemetry by name.
     body_from_eci: (n, 3, 3) attitude, recorded or from a steady spin, or None.
-    given: constants of a model that is applied here, which hold in place of what the scene itself suggests; nothing is
-        left out then for want of change.  None while effects are looked for.
+    given: constants of a model that is applied here, which replace those of the scene; no effect is then
+        left out for lack of change.  None while effects are searched.
     memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
     turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
     """
@@ -102,7 +102,7 @@ class Scene:
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
-        """What ``make`` gives, worked out once for this recording, whatever is calibrated meanwhile.
+        """The result of ``make``, computed once for this recording, whatever is calibrated meanwhile.
 
         For what depends on times, places, reference and telemetry alone.
         """
@@ -124,11 +124,11 @@ class Scene:
 
     @property
     def is_given(self) -> bool:
-        """Whether a known model is applied, rather than one looked for."""
+        """Whether a known model is applied, rather than one searched."""
         return self.given is not None
 
     def constant(self, name: str, own: float) -> float:
-        """A constant of the model that is applied; ``own`` while one is looked for."""
+        """A constant of the model that is applied; ``own`` while one is searched."""
         return own if self.given is None else self.given.get(name, own)
 
     def chosen(self, name: str, own: Sequence[int]) -> list[int]:
@@ -139,11 +139,11 @@ class Scene:
         return [int(self.given[key]) for key in keys if key in self.given]
 
     def begin(self, name: str, default: Array | float) -> Array | float:
-        """State at the first row of an effect with a past, as the scene before it has left it."""
+        """State at the first row of an effect with a memory, as the scene before it has left it."""
         return default if self.memory is None else self.memory.states.get(name, default)
 
     def keep(self, name: str, states: Array) -> None:
-        """Leave the states (n, ...) of an effect with a past to the next scene."""
+        """Pass the states (n, ...) of an effect with a memory to the next scene."""
         if self.memory is not None:
             self.memory.states[name] = np.array(states[self.memory.next_row])
 
@@ -202,7 +202,7 @@ class Scene:
     def field_slope(self) -> Array:
         """(n, 3) dw/dt of the calibrated vector in the body [nT/s].
 
-        With a known rate: -rate x w plus the field's own change in space, right however fast the craft turns; without
+        With a known rate: -rate x w plus the field's change in space, right however fast the craft turns; without
         one by differences, which are short by 1 - sinc(rate x period).  Where only the magnitude's change is known in
         space, the part along a steady axis is the course of w along it, over a minute or four turns.
         """
@@ -279,7 +279,7 @@ class Scene:
         return self.constant("mean_light", float(self.lit.mean()))
 
     def warmed(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
-        """Answer (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
+        """Response (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
         key = (tau_s, skin_s)
         if key not in self._warmed:
             assert self.lit is not None

@@ -74,7 +74,7 @@ class Turn:
     phase_rad, raw_phase_rad: (n,) angle about +axis, unwrapped, smoothed and from each sample alone.
     rate_rad_s: mean rate about +axis.
     across_nt: (n,) part of the field across the axis.
-    drift_rad_s: how fast the direction that the phase is counted from may turn itself.
+    drift_rad_s: how fast the direction from which the phase is counted may turn.
     """
 
     axis_body: Array
@@ -150,7 +150,7 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
 
 
 def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
-    """Axis in the body and in inertial space (3,) each; None where the two do not come out as unit vectors alike."""
+    """Axis in the body and in inertial space (3,) each; None where the two are not both unit vectors."""
     rows = np.hstack([w, -reference])
     normal = rows.T @ rows
     _, vectors = np.linalg.eigh(normal)

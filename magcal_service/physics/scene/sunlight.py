@@ -1,4 +1,4 @@
-"""The Sun as a driver: its direction, the Earth's shadow, and first-order answers to light.
+"""The Sun as a driver: its direction, the Earth's shadow, and first-order responses to light.
 
 Separate from the simulator's Sun on purpose: what tests the diagnosis shares no code with what it explains with.
 Source: Meeus 1998, Astronomical Algorithms, chapter 25 (low accuracy, 0.01 deg); Vallado 2013, section 5.3 (shadow).
@@ -56,7 +56,7 @@ def sunlit(position_eci_km: Array, sun: Array) -> Array:
 
 
 def first_order(time_s: Array, drive: Array, tau_s: float, start: Array | float | None = None) -> Array:
-    """Answer y (n, ...) of dy/dt = (drive - y) / tau at rising times (n,), the drive taken linear between samples.
+    """Response y (n, ...) of dy/dt = (drive - y) / tau at rising times (n,), the drive taken linear between samples.
 
     ``start`` is y at the first sample; None: the drive's first value.  Exact for a drive that is linear in between.
     """

@@ -19,7 +19,7 @@ class View:
     Parameters
     ----------
     scene: the samples.
-    residual_nt: (n,) scalar residual that is left [nT].
+    residual_nt: (n,) scalar residual [nT].
     noise_nt: white noise, 1 sigma per axis [nT].
     spin: attitude of a steady spin, None where there is none or the reference is no vector.
     alone: the turn about a known axis where there is no such attitude.
