@@ -15,66 +15,23 @@ from magcal_service.diagnosis.linear import BLOCKS, Workspace
 from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
 from magcal_service.diagnosis.result import _close
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
-from magcal_service.model import Array, measure
+from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
-from magcal_service.physics.scene.scene import Scene
-from tests.physics.scenes import COUNT, NOISE_NT, X, scene, spoiled
-
-FLOOR_NT = 0.3 * NOISE_NT
-TIME_S = scene().time_s
-SLOW, QUICK, OTHER = np.sin(TIME_S / 700.0), np.sin(TIME_S / 260.0), np.cos(TIME_S / 410.0)
-
-
-def flown(disturbance_nt: Array, grown_nt: Array | float = 0.0) -> Scene:
-    """The clean craft at its usual noise with a body field (n, 3) and a growth of the magnitude (n,)."""
-    noise = np.random.default_rng(21).normal(0.0, NOISE_NT, (COUNT, 3))
-    clean = scene()
-    noisy = spoiled(measure(X, clean.calibrated_nt + disturbance_nt + noise), clean)
-    return replace(noisy, channels={}, magnitude_nt=clean.magnitude_nt - grown_nt)
-
-
-def along(axis: int, signal: Array) -> Array:
-    """A signal (n,) along one axis of the body (n, 3)."""
-    return np.outer(signal, np.eye(3)[axis])
-
-
-def body_form(effect: str, variant: str, *fields: Array, **changes: object) -> Hypothesis:
-    """A form whose every amplitude adds one of the fields (n, 3)."""
-    columns = Columns(body=np.stack(fields))
-    return Hypothesis(
-        effect,
-        "none",
-        lambda _: columns,
-        (Block("nt", "nT", (len(fields),)),),
-        variant,
-        **changes,  # type: ignore[arg-type]
-    )
-
-
-def grown_form(*signals: Array, **changes: object) -> Hypothesis:
-    """A form whose every amplitude adds one of the signals (n,) to the magnitude."""
-    columns = Columns(magnitude=np.stack(signals))
-    return Hypothesis("grown", "none", lambda _: columns, (Block("nt", "nT", (len(signals),)),), **changes)  # type: ignore[arg-type]
-
-
-def made_up(name: str, *forms: Hypothesis) -> Effect:
-    """An effect with these forms, whatever the scene."""
-    return replace(effect_named("bias_drift"), name=name, hypotheses=lambda _: forms, find=None)
-
-
-def searching(of: Scene, *forms: Hypothesis, largest_nt: float = math.inf) -> tuple[Search, Fit]:
-    """A search among forms, and the nine errors' fit."""
-    problem = Problem(of, NOISE_NT, largest_nt={form.effect: largest_nt for form in forms})
-    names = dict.fromkeys(form.effect for form in forms)
-    effects = [made_up(name, *(form for form in forms if form.effect == name)) for name in names]
-    return Search(problem, hypotheses_of(effects, problem), effects), solve(problem, X)
-
-
-def screened(search: Search, fit: Fit) -> list[Candidate]:
-    """Every hypothesis at its best, at the noise as it is."""
-    return search.screen(search.workspace(fit), fit, NOISE_NT)
-
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
+from tests.diagnosis.made_up import (
+    FLOOR_NT,
+    OTHER,
+    QUICK,
+    SLOW,
+    TIME_S,
+    along,
+    body_form,
+    flown,
+    grown_form,
+    screened,
+    searching,
+)
+from tests.physics.scenes import COUNT, NOISE_NT, X, scene
 
 # What is looked at costs
 
@@ -117,6 +74,15 @@ def test_a_number_that_was_searched_costs_the_places_that_were_looked_at(form: H
     search, fit = searching(flown(along(0, 40.0 * (TIME_S > 4000.0))), form)
     (candidate,) = screened(search, fit)
     assert candidate.nats == pytest.approx(candidate.gain.nats - math.log(places), abs=1e-9)
+
+
+@pytest.mark.parametrize("row", [930, 1040])
+def test_the_instant_of_a_change_is_found_between_those_that_were_tried_first(row: int) -> None:
+    """Every sample from the neighbour before the best of the grid to the one after it is looked at."""
+    form = numbered("instant", TIME_S[100:1900:100], lambda at: (at <= TIME_S).astype(float))
+    search, fit = searching(flown(along(0, 600.0 * (np.arange(COUNT) >= row))), form)
+    (candidate,) = screened(search, fit)
+    assert float(candidate.theta[0]) == pytest.approx(TIME_S[row] - 2.0, abs=12.0)
 
 
 def test_a_lines_frequency_costs_one_place_a_sample() -> None:
