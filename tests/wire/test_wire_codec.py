@@ -199,6 +199,12 @@ def test_the_largest_status_fills_the_payload_and_no_more():
     assert 10000 < len(encode(largest)) <= MAX_PAYLOAD_BYTES
 
 
+@pytest.mark.parametrize(("size", "too_large"), [(MAX_PAYLOAD_BYTES, False), (MAX_PAYLOAD_BYTES + 1, True)])
+def test_a_payload_is_refused_for_its_size_from_one_byte_beyond_the_largest_on(size, too_large):
+    assert MAX_PAYLOAD_BYTES == 10240
+    assert (refusal_of(b"\xc1" * size) == "too_large") is too_large
+
+
 def test_the_largest_estimate_fits():
     largest = Estimate(
         **COMMON,
