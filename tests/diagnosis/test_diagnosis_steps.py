@@ -1,0 +1,288 @@
+"""The steps of a diagnosis one by one: what is a spike, a room, a memory, a name, and what speaks against a result."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.diagnose import (
+    NUTATION,
+    SPIN_RATE,
+    Verdict,
+    _imitated,
+    _is_coning,
+    _memory,
+    _outdone,
+    _reasons,
+    _simulation,
+    _unexplained,
+    _verdict,
+)
+from magcal_service.diagnosis.explain import Explained
+from magcal_service.diagnosis.leftover import Structure
+from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
+from magcal_service.diagnosis.problem import Problem, Term, evaluate, solve
+from magcal_service.diagnosis.shapes import Shape
+from magcal_service.model import Array, measure
+from magcal_service.physics.interface import Finding, value_of
+from magcal_service.recordings.channels import Axes
+from magcal_service.recordings.in_memory import from_arrays
+from tests.diagnosis.made_up import FLOOR_NT, SLOW, TIME_S, along, body_form, flown, searching
+from tests.physics.scenes import AXIS_BODY, COUNT, NOISE_NT, X, scene, spoiled, turning, view
+
+QUIET = np.zeros((COUNT, 3))
+
+
+def finding(**parameters: float) -> Finding:
+    return Finding({name: value_of(value, 0.0, "1") for name, value in parameters.items()}, 20.0, 0.5)
+
+
+def structure(nats: float, squares: float) -> Structure:
+    return Structure(Shape("field", "says", lambda unit: unit), nats, squares, np.zeros(COUNT))
+
+
+def explained(terms: int) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(terms=(None,) * terms))
+
+
+# What it comes to
+
+
+@pytest.mark.parametrize(
+    ("terms", "findings", "unexplained", "verdict"),
+    [
+        (0, {}, 0.0, Verdict.NONE),
+        (1, {}, 0.2, Verdict.NAMED),
+        (1, {}, 0.201, Verdict.UNKNOWN),
+        (0, {"nutation": None}, 0.0, Verdict.NAMED),
+        (0, {}, 0.9, Verdict.UNKNOWN),
+    ],
+)
+def test_up_to_a_fifth_may_be_left_without_a_name(
+    terms: int, findings: dict[str, Any], unexplained: float, verdict: Verdict
+) -> None:
+    assert _verdict(explained(terms), findings, unexplained) is verdict
+
+
+def residuals(before: float, after: float) -> tuple[Any, Any]:
+    """A preparation and a fit whose residuals have these squares."""
+    prepared = SimpleNamespace(baseline=SimpleNamespace(residual=np.sqrt([before])))
+    return prepared, SimpleNamespace(residual=np.sqrt([after]))
+
+
+def test_what_is_unexplained_is_the_best_structures_share_of_all_that_is_there() -> None:
+    prepared, fit = residuals(1000.0, 400.0)
+    assert _unexplained(prepared, fit, [structure(7.0, 150.0)], None) == pytest.approx(150.0 / 750.0)
+    assert _unexplained(prepared, fit, [structure(5.9, 150.0)], None) == 0.0
+    assert _unexplained(prepared, fit, [], None) == 0.0
+    memory = replace(finding(), share=0.25)
+    assert _unexplained(prepared, fit, [structure(7.0, 150.0)], memory) == pytest.approx(150.0 / 850.0)
+    worse, grown = residuals(400.0, 1000.0)
+    assert _unexplained(worse, grown, [structure(7.0, 150.0)], None) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("bias_sigma", "d_sigma", "rows", "verdict", "x", "reasons"),
+    [
+        (999.0, 0.049, 300, Verdict.NAMED, X, ()),
+        (1001.0, 0.001, 300, Verdict.NAMED, X, ("poor_coverage",)),
+        (1.0, 0.051, 300, Verdict.NAMED, X, ("poor_coverage",)),
+        (1.0, 0.001, 299, Verdict.NAMED, X, ("not_enough_data",)),
+        (1.0, 0.001, 300, Verdict.UNKNOWN, X, ("unexplained_structure",)),
+        (1.0, 0.001, 300, Verdict.NONE, np.array([0, 0, 0, -0.6, 0, 0, 0, 0, 0.0]), ("collapsed",)),
+    ],
+)
+def test_a_result_has_the_reasons_against_it(
+    bias_sigma: float, d_sigma: float, rows: int, verdict: Verdict, x: Array, reasons: tuple[str, ...]
+) -> None:
+    """The largest sigma of bias and of D, the number of rows, the verdict, and whether it is a sensor at all."""
+    sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
+    fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2))
+    prepared: Any = SimpleNamespace(problem=SimpleNamespace(scene=range(rows)))
+    assert _reasons(prepared, fit, verdict) == reasons
+
+
+# Attitude
+
+
+@pytest.mark.parametrize(("found_rpm", "coning"), [(2.0 * 0.9926, True), (2.0 * 0.9922, False), (2.0 * 1.0078, False)])
+def test_a_rate_that_coning_makes_slower_is_coning(found_rpm: float, coning: bool) -> None:
+    """5 degrees: 1 - cos is 0.0038, and twice that is allowed, to either side."""
+    findings = {
+        SPIN_RATE: finding(rate_rpm=found_rpm, nominal_rpm=-2.0 if found_rpm < 0 else 2.0),
+        NUTATION: finding(angle_deg=5.0),
+    }
+    assert _is_coning(findings) is coning
+    unstated = {SPIN_RATE: finding(rate_rpm=found_rpm), NUTATION: finding(angle_deg=5.0)}
+    assert not _is_coning(unstated)
+
+
+@pytest.mark.parametrize(("angle_deg", "imitated"), [(0.55, True), (0.60, False)])
+def test_a_nutation_no_larger_than_the_rest_of_the_disturbance_is_imitated(angle_deg: float, imitated: bool) -> None:
+    """A residual of 200 nT over noise of 100: 173 nT along the field, so 300 nT in every direction, of 30 uT."""
+    spin: Any = SimpleNamespace(across_nt=np.array([29_000.0, 31_000.0]))
+    prepared: Any = SimpleNamespace(
+        baseline=SimpleNamespace(rms_nt=200.0), problem=SimpleNamespace(noise_nt=100.0, scene=scene())
+    )
+    quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene()))
+    assert _imitated(finding(angle_deg=angle_deg), prepared, quiet, spin) is imitated
+    assert not _imitated(finding(angle_deg=angle_deg), prepared, quiet, None)
+
+
+@pytest.mark.parametrize(("angle_deg", "imitated"), [(0.75, True), (0.78, False)])
+def test_a_nutation_no_larger_than_the_effects_that_were_found_is_imitated(angle_deg: float, imitated: bool) -> None:
+    """400 nT of a found field turn a vector of 30 uT by 0.76 degrees."""
+    form = body_form("one", "", np.tile([0.0, 0.6, 0.8], (COUNT, 1)))
+    term = Term(form, np.zeros(0), np.array([400.0]))
+    fit: Any = SimpleNamespace(terms=(term,), problem=SimpleNamespace(scene=scene()))
+    prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=90.0), problem=SimpleNamespace(noise_nt=100.0))
+    spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
+    assert _imitated(finding(angle_deg=angle_deg), prepared, fit, spin) is imitated
+
+
+# The noise
+
+
+def remembering(correlation: float, seed: int = 3) -> Array:
+    """Noise (n, 3) fixed in the body, whose neighbours correlate."""
+    white = np.random.default_rng(seed).normal(0.0, NOISE_NT, (COUNT, 3))
+    found = np.array(white)
+    for row in range(1, COUNT):
+        found[row] = correlation * found[row - 1] + math.sqrt(1.0 - correlation**2) * white[row]
+    return found
+
+
+def memory_of(noise: Array) -> Array:
+    of = spoiled(measure(X, scene().calibrated_nt + noise), scene())
+    fit = solve(Problem(of, NOISE_NT), X)
+    prepared: Any = SimpleNamespace(view=view(of))
+    return _memory(prepared, fit.problem, fit)
+
+
+def test_noise_with_a_memory_has_coefficients_and_white_noise_none() -> None:
+    found = memory_of(remembering(0.8))
+    assert float(found[0]) == pytest.approx(0.8, abs=0.15)
+    assert len(memory_of(remembering(0.0))) == 0
+
+
+def test_an_oscillation_is_no_memory() -> None:
+    coming = np.exp(-(((TIME_S - 3000.0) / 1500.0) ** 2))[:, None]
+    swing = 6.0 * NOISE_NT * coming * np.outer(np.sin(2.0 * np.pi * 0.045 * TIME_S), [0.5, -0.7, 0.5])
+    assert len(memory_of(remembering(0.0) + swing)) == 0
+
+
+# Names that merely fit
+
+
+def outdone(*terms_nt: tuple[str, Array, float]) -> Explained:
+    """What is left of names with these fields, beside a slow course that no name has."""
+    forms = [body_form(name, "", field) for name, field, _ in terms_nt]
+    course = sum(size * field for _, field, size in terms_nt) + along(2, 150.0 * np.cos(TIME_S / 300.0))
+    search, fit = searching(flown(course), *forms)
+    terms = [Term(form, np.zeros(0), np.array([0.0])) for form in search.hypotheses]
+    found = search.compared(solve(search.problem, fit.x, terms), FLOOR_NT)
+    return _outdone(search, fit, found, None, FLOOR_NT)
+
+
+def test_a_name_that_holds_nearly_all_stays_and_one_that_holds_little_goes() -> None:
+    """Beside 150 nT without a name: 900 nT are three quarters of all and more, 100 nT are not."""
+    assert len(outdone(("one", along(0, SLOW), 900.0)).fit.terms) == 1
+    assert outdone(("one", along(0, SLOW), 100.0)).fit.terms == ()
+
+
+def test_nothing_is_outdone_where_nothing_was_found() -> None:
+    search, fit = searching(flown(QUIET))
+    found = Explained(fit)
+    assert _outdone(search, fit, found, None, FLOOR_NT) is found
+
+
+# What it is compared with
+
+
+def test_a_simulation_that_is_given_has_its_own_residual() -> None:
+    problem = Problem(flown(QUIET), NOISE_NT)
+    baseline = solve(problem, X)
+    prepared: Any = SimpleNamespace(problem=problem, baseline=baseline)
+    given = X + np.array([500.0, 0, 0, 0, 0, 0, 0, 0, 0])
+    x, residual = _simulation(prepared, given)
+    assert x is given
+    assert residual == pytest.approx(evaluate(problem, given, ()).residual)
+
+
+def test_without_one_the_first_half_of_the_recording_is_what_it_is_compared_with() -> None:
+    """A step at the middle leaves the first half clean: its errors come out, and the second half shows the step."""
+    half = np.arange(COUNT) >= COUNT // 2
+    problem = Problem(flown(along(0, 400.0 * half)), NOISE_NT)
+    prepared: Any = SimpleNamespace(problem=problem, baseline=solve(problem, X))
+    x, residual = _simulation(prepared, None)
+    assert x[:3] == pytest.approx(X[:3], abs=40.0)
+    assert float(np.sqrt(np.mean(residual[~half] ** 2))) == pytest.approx(NOISE_NT, rel=0.05)
+    assert float(np.sqrt(np.mean(residual[half] ** 2))) > 2.0 * NOISE_NT
+
+
+# Preparing
+
+
+def test_a_sample_far_out_of_its_neighbourhood_is_a_spike() -> None:
+    """Eight of the residual's robust sigmas, of its neighbours and of all; a step is none."""
+    of = scene(NOISE_NT)
+    field = np.array(of.field_nt)
+    field[700] += 12.0 * NOISE_NT * scene().unit[700]
+    field[900] += 6.0 * NOISE_NT * scene().unit[900]
+    field[0] -= 12.0 * NOISE_NT * scene().unit[0]
+    found = _spikes(spoiled(field, of), X)
+    assert np.flatnonzero(found).tolist() == [0, 700]
+    stepped = of.field_nt + 20.0 * NOISE_NT * scene().unit * (np.arange(COUNT) > 1000)[:, None]
+    assert not _spikes(spoiled(stepped, of), X).any()
+
+
+def test_the_white_level_is_that_of_the_noise() -> None:
+    assert _white(scene(NOISE_NT), X) == pytest.approx(NOISE_NT, rel=0.05)
+    assert _white(scene(), X) == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("noise_nt", [None, NOISE_NT])
+def test_the_nine_errors_are_found_without_a_start(noise_nt: float | None) -> None:
+    found = baseline_start(scene(NOISE_NT), noise_nt)
+    assert found[:3] == pytest.approx(X[:3], abs=25.0)
+    assert found[3:] == pytest.approx(X[3:], abs=1e-3)
+
+
+def test_rows_are_sorted_counted_and_of_very_many_some_taken() -> None:
+    time_s = np.array([3.0, 1.0, 2.0, 2.0])
+    B = np.tile([1.0, 2.0, 3.0], (4, 1)) * np.arange(1.0, 5.0)[:, None]
+    recording = from_arrays(time_s, B, np.full(4, 45e3))
+    usable, counts = _usable(recording)
+    assert np.diff(usable.time_ns).tolist() == [10**9, 10**9]
+    assert counts == {"rows": 4, "without reference or doubled": 1}
+    many = 120_001
+    recording = from_arrays(np.arange(float(many)), np.tile([1.0, 2.0, 3.0], (many, 1)), np.full(many, 45e3))
+    usable, counts = _usable(recording)
+    assert (len(usable), counts["thinned by"]) == (40_001, 3)
+    assert np.diff(usable.time_ns[:3]).tolist() == [3 * 10**9] * 2
+
+
+@pytest.mark.parametrize(("spread", "is_room"), [(0.004, True), (0.006, False)])
+def test_a_room_has_one_magnitude_to_half_a_per_cent(spread: float, is_room: bool) -> None:
+    """And an attitude: the transpose of the recorded one turns the body into the room."""
+    magnitude = 45e3 * (1.0 + spread * np.where(np.arange(COUNT) % 2, 1.0, -1.0))
+    of = replace(scene(), magnitude_nt=magnitude)
+    attitude = turning(AXIS_BODY, np.array([0.0, 0.0, 1.0]), 0.1 * TIME_S)
+    room = _room(of, (Axes.ECI, attitude))
+    assert (room is not None) is is_room
+    if room is not None:
+        assert np.array_equal(room[5], attitude[5].T)
+    assert _room(of, None) is None
+
+
+def test_a_rooms_field_is_the_mean_vector_brought_to_its_length() -> None:
+    field = np.array([20e3, -5e3, 40e3])
+    attitude = turning(AXIS_BODY, np.array([0.0, 0.0, 1.0]), 0.1 * TIME_S)
+    seen = np.einsum("nij,j->ni", attitude, field)
+    of = replace(scene(), calibrated_nt=2.0 * seen, magnitude_nt=np.full(COUNT, float(np.linalg.norm(field))))
+    assert _room_field(of, np.transpose(attitude, (0, 2, 1))) == pytest.approx(field)
