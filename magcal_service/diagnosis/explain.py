@@ -24,20 +24,20 @@ MOST_EFFECTS: Final = 3
 """Effects in one recording: beyond three they explain one another on the recordings tried."""
 
 CLASS_NATS: Final = 3.0
-"""Rivals within odds of 20 to 1 are one class: this recording cannot tell them apart."""
+"""Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
 
 _CANCELLING: Final = 3.0
 """Times its largest size that an effect's field may have where parts of it cancel in the residual.
 
-Choice: cancelling parts are known badly, so their sum needs room; a much larger factor lets them run away unseen.
+Choice: cancelling parts are known badly, so their sum needs room; a much larger factor lets them diverge unseen.
 """
 
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
-_MOST_REFRESHED: Final = 4  # rounds of columns made anew; two are the rule
+_MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters
-_RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not looked at again
+_RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first
-_NEARLY: Final = 0.95  # of an inferred driver's evidence, what its own record has to hold to take its place
+_NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
 _MOST_RIVALS: Final = 12  # of them kept as rivals for later steps
 
@@ -70,7 +70,7 @@ class Search(Screen):
     close: set[str] = field(default_factory=set, repr=False)
 
     def with_noise(self, problem: Problem, coefficients: Array) -> Search:
-        """A search of its own over a problem under noise with a memory; what came near before is known to it."""
+        """Another search over a problem under noise with a memory; it keeps the labels that came near before."""
         return replace(self, problem=problem, whitening=coefficients, hypotheses=[], close=set(self.close))
 
     # Selection
@@ -91,9 +91,9 @@ class Search(Screen):
         return self.compared(self._by_channel(final if pruned is final else self.refreshed(pruned), floor_nt), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
-        """Fit once more with all columns made of vectors that the fit itself has calibrated; the search goes on there.
+        """Fit once more with all columns made of vectors that the fit has calibrated; the search continues there.
 
-        Columns made of other vectors than the model's own are inconsistent with it, and combinations of many of them
+        Columns made of other vectors than the model's are inconsistent with it, and combinations of many of them
         then hold the radial noise that they were freed of one by one.
         """
         for _ in range(_MOST_REFRESHED):
@@ -185,7 +185,7 @@ class Search(Screen):
         return inside > 0.0 and outside > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
-        """Without the terms that the others have made superfluous."""
+        """Without the terms that are redundant beside the others."""
         while fit.terms:
             sigma = max(fit.rms_nt, floor_nt)
             nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
@@ -226,7 +226,7 @@ class Search(Screen):
     def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
         """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
 
-        A driver that is worked out has no noise of a sensor's, and so is a little better than its own record.
+        An inferred driver has no sensor noise, and so fits a little better than its record.
         """
         for index, term in enumerate(fit.terms):
             if not term.hypothesis.driver.startswith("inferred"):

@@ -1,4 +1,4 @@
-"""What no effect explains: the family of shapes that finds most in a residual, how much, and what it looks like."""
+"""What no effect explains: the family of shapes that holds most of a residual, how much, and its form."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magcal_service.model import Array
 from magcal_service.physics.interface import along_axes, oscillation
 
 SIGNIFICANT_NATS: Final = 6.0
-"""Evidence for a family, after their number, from which on it is no noise: about a dozen are looked at."""
+"""Evidence for a family, after their number, from which on it is no noise: about a dozen are tried."""
 
 _MOST_TERMS: Final = 5
 """Terms of a family that are named; choice: enough for a product on three axes and two others, few enough to read."""
@@ -41,9 +41,9 @@ class Structure:
     Parameters
     ----------
     shape: the family.
-    nats: evidence for it, after the number of families looked at.
+    nats: evidence for it, after the number of families tried.
     squares: sum of squares that it holds, less what noise alone would give it [nT^2].
-    signal: (m,) what it finds in each row [nT].
+    signal: (m,) its fitted value in each row [nT].
     """
 
     shape: Shape
@@ -53,7 +53,7 @@ class Structure:
 
 
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
-    """Every family's part in what a fit has left, the best first."""
+    """Every family's part in the residual of a fit, the best first."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
     families = list(shapes(search.problem, phase, _line(search, fit, space, sigma)))
@@ -72,7 +72,7 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
 
 
 def _transients(search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure | None:
-    """Stretches, at no regular times, in which something fixed in the body comes and goes.
+    """Stretches, at no regular times, in which a field fixed in the body is present.
 
     Each stretch of three widths that gains more than choosing it among all costs counts by what it gains; of those
     that overlap the best.  Where most of the recording would count, it is no transient.

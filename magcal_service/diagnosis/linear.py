@@ -5,7 +5,7 @@ Evidence is that of a linear Gaussian model whose amplitudes have one common pri
 
     2 ln E(s) = sum_i (V'r)_i^2 / sigma^2 / (l_i + sigma^2 / s^2) - ln(1 + l_i s^2 / sigma^2)
 
-so a form with more amplitudes pays for each by what the data could have told about it, whatever the sample's size.
+so a form with more amplitudes pays for each by what the data could determine of it, whatever the sample's size.
 Source: MacKay 1992, Bayesian interpolation, Neural Computation 4, equations 4.9 and 4.13.
 """
 
@@ -26,12 +26,12 @@ FOLDS: Final = 5
 BLOCKS: Final = 50
 """Held-out data are contiguous blocks, a fiftieth of the recording each.
 
-Choice: contiguous, because neighbours share what is slow and would vouch for each other; fifty leave each fold ten
+Choice: contiguous, because neighbours share what is slow and would not be independent; fifty leave each fold ten
 places spread over the recording.
 """
 
 _ROUNDING: Final = 1e-9
-"""Share of a column's own square below which what a projection leaves of it is rounding."""
+"""Share of a column's square below which what a projection leaves of it is rounding."""
 
 _SPREADS: Final = np.geomspace(1e-6, 1e6, 61)
 
@@ -88,7 +88,7 @@ class Workspace:
     def segments(self, columns: Array, first_rows: NDArray[np.intp]) -> Segments:
         """Sums over the stretches that begin at each of the rows (g,), rising; what comes before the first is left out.
 
-        Columns (m, k) count in units of their own rms.
+        Columns (m, k) count in units of their rms.
         """
         scaled = columns / self._scale(columns)
         parts = np.concatenate([self._basis, scaled, self.residual[:, None]], axis=1)
@@ -116,7 +116,7 @@ class Workspace:
 def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float, smallest: float = 0.0) -> Gain:
     """``Gain`` from a normal matrix (k, k), a right side (k,), both of columns divided by ``scale`` (k,).
 
-    Directions with an eigenvalue below ``smallest`` lie in the model's own columns up to rounding and say nothing.
+    Directions with an eigenvalue below ``smallest`` lie in the model's columns up to rounding and hold no information.
     """
     values, vectors = np.linalg.eigh(normal)
     useful = values > max(smallest, 1e-10 * float(values[-1]))

@@ -11,7 +11,7 @@ from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 
 _SLOWEST_PERIODS: Final = 8.0
-"""Periods that a tone has to have in the recording; choice: fewer cannot be told from a drift or a step."""
+"""Periods that a tone has to have in the recording; choice: fewer cannot be distinguished from a drift or a step."""
 
 _SLOWEST_S: Final = 900.0
 """Longest period of a tone [s]: a sixth of a low orbit; what is slower belongs to orbit, light and warmth."""
@@ -35,7 +35,7 @@ def strongest(
 
     The six columns u_i cos, u_i sin at each frequency of a zero-padded transform; their normal matrix follows from the
     transform of u_i u_j at zero and at twice the frequency.  Gaps count as no data.  Lines slower than eight periods a
-    recording or 900 s, and those at the spin's own rate and its double, are no tones (``all_lines`` keeps the latter).
+    recording or 900 s, and those at the spin's rate and its double, are no tones (``all_lines`` keeps the latter).
     """
     frequency, power = body_spectrum(scene, residual, unit)
     span = max(float(scene.time_s[-1] - scene.time_s[0]), 1.0)
@@ -100,7 +100,7 @@ def _slots(scene: Scene) -> NDArray[np.intp]:
 def is_red(scene: Scene, residual: Array, unit: Array) -> bool:
     """Whether a residual's spectrum in the body falls from the lowest frequencies on, as noise with a memory has it.
 
-    A peak in the middle (twice what lies below it) is an oscillation of something.
+    A peak in the middle (twice what lies below it) is an oscillation.
     """
     _, power = body_spectrum(scene, residual, unit)
     width = max(len(power) // 60, 8)

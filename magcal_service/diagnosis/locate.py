@@ -1,4 +1,4 @@
-"""Where a mismatch sits: every family of shapes and every channel, ranked, corrected for how many were looked at."""
+"""Where a mismatch sits: every family of shapes and every channel, ranked, corrected for the number of trials."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _LINES: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Something that a mismatch goes along with.
+    """Something that a mismatch is correlated with.
 
     Parameters
     ----------
     kind: ``time``, ``frequency``, ``field``, ``phase``, ``light``, ``place`` or ``channel``.
     says: in words.
     share: of the excess over noise, 0 to 1.
-    significance: ln of the odds for structure there, less ln of how many places were looked at [nats].
+    significance: ln of the odds for structure there, less ln of the number of trials [nats].
     at: number that belongs to it, such as a frequency [Hz] or a time [s], or None.
     """
 
@@ -62,9 +62,9 @@ _KINDS: Final = {
 
 
 def locate(search: Search, fit: Fit, found: Sequence[Structure] | None = None) -> list[Place]:
-    """Places of a fit's residual, most significant first; those that may be chance are left out.
+    """Places of a fit's residual, most significant first; those that may be chance are omitted.
 
-    ``found``: the structures of this residual where they have been worked out already.
+    ``found``: the structures of this residual where they have been computed already.
     """
     floor = 0.3 * search.problem.noise_nt
     found = structures(search, fit, None, floor) if found is None else found

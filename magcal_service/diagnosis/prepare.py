@@ -50,7 +50,7 @@ class Prepared:
     problem: as the residual is formed.
     baseline: the nine errors alone.
     spin: the turn of the craft, or None.
-    view: what effects may look at that are no field.
+    view: the input of effects that are no field.
     counts: rows that were left out, by kind.
     findings: effects seen in the samples themselves, by name.
     """
@@ -139,7 +139,7 @@ def _white(scene: Scene, x: Array) -> float:
 
 
 def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
-    """Single samples that stand far out of their neighbourhood."""
+    """Single samples far outside their neighbourhood."""
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
     padded = np.pad(residual, 4, mode="reflect")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)

@@ -1,11 +1,11 @@
-"""Simulation and recording side by side: nine errors, effects, and the residual that is left, with its derivatives.
+"""Simulation and recording side by side: nine errors, effects, and the residual, with its derivatives.
 
 Two forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
 recorded and the reference has one magnitude only (a room): r = w - A H0, three rows a sample, H0 three more unknowns:
 on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects' (``physics.interface``).
 
 Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
-residual's own noise.
+residual's noise.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Problem:
     Parameters
     ----------
     scene: the samples.
-    noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is taken off the scalar residual.
+    noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is subtracted from the scalar residual.
     room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: the scalar form.
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
     """
@@ -95,7 +95,7 @@ class Problem:
         return min(hypothesis.largest_nt, self.largest_nt.get(hypothesis.effect, np.inf))
 
     def rows(self, columns: Columns, unit: Array) -> Array | None:
-        """Columns as rows of the residual (m, k), or None where they say nothing in this form."""
+        """Columns as rows of the residual (m, k), or None where they are zero in this form."""
         if not self.is_vector:
             return columns.along(unit)
         return columns.components()
@@ -338,7 +338,7 @@ def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
 
 
 def _blocked(fit: Fit, step: Array) -> NDArray[np.bool_]:
-    """Which unknowns (p,) are nonlinear numbers that the step would take out of their range.
+    """Which unknowns (p,) are nonlinear numbers that the step would move out of their range.
 
     They stay for this step: amplitudes that were to go along with them would be wrong.
     """

@@ -1,4 +1,4 @@
-"""How far a diagnosis has come, on stderr: a turning wheel where rich is installed and somebody looks, else lines."""
+"""How far a diagnosis has come, on stderr: a spinner where rich is installed on a terminal, else lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress() -> Iterator[Callable[[str], None]]:
-    """What to tell each step to while the block lasts."""
+    """A function to report each step to while the block lasts."""
     if sys.stderr.isatty():
         try:
             from rich.console import Console

@@ -1,4 +1,4 @@
-"""The nonlinear numbers of a hypothesis moved from the best of their grids to the best there is."""
+"""The nonlinear numbers of a hypothesis moved from the best of their grids to the optimum."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magcal_service.physics.interface import Hypothesis, Nonlinear
 
 _LINE_STEP: Final = 0.25  # of 1 / duration, the width of a line in the spectrum: the first step within it
 _LINE_END: Final = 0.005  # of the same: a phase of two degrees over the recording
-_INSTANT_END: Final = 0.4  # of a sample period: no instant between two samples is told from another
+_INSTANT_END: Final = 0.4  # of a sample period: instants between two samples are indistinguishable
 _RELATIVE_END: Final = 0.02  # of a number itself: a time constant is seldom known better
 _PASSES: Final = 2  # over the numbers where there are several: the second sees the others moved
 

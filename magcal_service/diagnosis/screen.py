@@ -1,4 +1,4 @@
-"""Every hypothesis at its best on a residual: rows through the noise's whitening, grids, and what is believable."""
+"""Every hypothesis at its best on a residual: rows through the noise's whitening, grids, and plausible sizes."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ ACCEPTED_NATS: Final = 12.0
 """Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
 
 LEAST_VISIBLE: Final = 0.03
-"""Of an effect's own size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
+"""Of an effect's size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
 WHOLE: Final = 0.25
-"""A shift that is the whole of its field has the amplitude 1; a fit may be so far off, a first look twice as far."""
+"""A shift that is the whole of its field has the amplitude 1; a fit may be so far off, the screening twice as far."""
 
-_SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which have a hypothesis of their own
-_LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise's own, and no frequency to look at
+_SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which are another hypothesis
+_LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
 _OF_LINES: Final = ("frequency", "period")
 
@@ -67,7 +67,7 @@ class Screen:
         self.look_at(self.problem, self.hypotheses)
 
     def look_at(self, problem: Problem, hypotheses: Sequence[Hypothesis]) -> None:
-        """Go on with another problem and its hypotheses; rows of the one before are forgotten."""
+        """Continue with another problem and its hypotheses; rows of the one before are discarded."""
         self.problem, self.hypotheses, self._cache = problem, hypotheses, {}
         names = [hypothesis.effect for hypothesis in hypotheses]
         self._forms = {name: names.count(name) for name in set(names)}  # what choosing the best of them costs
@@ -205,7 +205,7 @@ class Screen:
         return np.array([0.5 * (times[row] + times[max(row - 1 - 2 * self.problem.is_vector, 0)])]), gains[top]
 
     def _believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> Candidate | None:
-        """The candidate, unless it is larger than its physics ever is, or all but absorbed by what is fitted anyway."""
+        """The candidate, unless it is larger than its physics ever is, or nearly absorbed by the rest of the model."""
         if candidate.nats < 0.5 * ACCEPTED_NATS:
             return candidate
         if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
@@ -232,7 +232,7 @@ def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
 
 
 def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
-    """Values to try first; a period may show as a line of its own or as side lines of the spin."""
+    """Values to try first; a period may show as a separate line or as side lines of the spin."""
     if number.role not in _OF_LINES:
         return number.grid
     if lines is None or not len(lines):
@@ -250,7 +250,7 @@ def _product(grids: Sequence[Array]) -> Array:
 
 
 def search_cost(number: Nonlinear, problem: Problem) -> float:
-    """ln of how many independent places were looked at."""
+    """ln of the number of independent trials."""
     if number.role in ("frequency", "period", "instant"):
         return math.log(max(len(problem.scene), 2))
     return math.log(max(len(number.grid), 1))

@@ -1,4 +1,4 @@
-"""Structure without a name: families of columns that no physics was asked for.
+"""Structure without a name: families of columns without any physics.
 
 They answer one question, whether anything is left in a residual, and where: over time, at a frequency, along the field
 in the body, with the spin's phase, with the Sun, with a channel.  What they alone explain is unknown.
@@ -39,7 +39,7 @@ class Shape:
 
 
 def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) -> Iterator[Shape]:
-    """Every family that this recording has the means for; ``line_hz`` is a line worth a closer look."""
+    """Every family that this recording has the means for; ``line_hz`` is a line to resolve further."""
     scene = problem.scene
     elapsed = scene.time_s - scene.time_s[0]
     share = elapsed / max(float(elapsed[-1]), 1.0)

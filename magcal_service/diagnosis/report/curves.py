@@ -19,7 +19,7 @@ _BINS: Final = 20
 """Ranges of a driver; choice: enough to see a bend, each still with a twentieth of the samples."""
 
 _MOST_TERMS: Final = 3
-"""Effects with a figure of their own: as many as a search keeps (``MOST_EFFECTS``)."""
+"""Effects with a separate figure: as many as a search keeps (``MOST_EFFECTS``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ def spectrum(scene: Scene, residual: Array) -> tuple[Array, Array]:
 
 
 def against(diagnosis: Diagnosis, before: Array, after: Array) -> list[Against]:
-    """One for each of the largest effects; without any, for what is left or for the field's magnitude."""
+    """One for each of the largest effects; without any, for the residual or for the field's magnitude."""
     problem, fit = diagnosis.prepared.problem, diagnosis.fit
     if problem.is_vector:
         return []
