@@ -5,6 +5,9 @@ from __future__ import annotations
 import io
 import os
 import stat
+import struct
+import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.recorder import Recorder, SessionFile
 from magcal_service.recordings.session_files import Recovered, SessionFolder, recover_in_place
+from magcal_service.wire.messages import Clock
 from tests.recordings.sessions import craft, settings, stream, until
 
 SAMPLES = stream(300)
@@ -156,3 +160,37 @@ def test_a_recovery_is_reported_with_the_file_that_came_of_it(tmp_path: Path) ->
     assert str(Recovered(source, result, 3, 7)) == (
         "3 records of one.mcap recovered, 7 bytes given up: one.recovered.mcap"
     )
+
+
+def test_the_footer_says_where_the_summary_is_and_has_its_checksum(tmp_path: Path) -> None:
+    """CRC-32 from the beginning of the summary to the footer's own offsets, as https://mcap.dev/spec has it."""
+    path, file = SessionFolder(tmp_path).create(0)
+    session = SessionFile(path, file, {"session": "one"}, {})
+    session.add(1, SAMPLES[0])
+    session.close()
+    content = path.read_bytes()
+    at = len(content) - len(MAGIC) - 29
+    opcode, length, start, offsets, checksum = struct.unpack_from("<BQQQI", content, at)
+    assert (opcode, length) == (2, 20)
+    assert 0 < start < offsets < at
+    assert content[start - 13] == 15  # the end of the data stands before it
+    assert checksum == zlib.crc32(content[start : at + 25])
+
+
+@pytest.mark.parametrize(
+    ("changes", "published"),
+    [
+        ({"time_ns": (1 << 63) - 1}, (1 << 63) - 1),
+        ({"time_ns": 0}, 0),
+        ({"time_ns": -1}, 77),
+        ({"time_ns": 5, "clock": Clock.ELAPSED}, 77),
+    ],
+)
+def test_a_source_time_is_published_where_it_is_utc_and_mcap_can_hold_it(
+    tmp_path: Path, changes: dict[str, Any], published: int
+) -> None:
+    path, file = SessionFolder(tmp_path).create(0)
+    session = SessionFile(path, file, {}, {})
+    session.add(77, replace(SAMPLES[0], **changes))
+    session.close()
+    assert [raw.publish_time_ns for raw in read(path)[1]] == [published]
