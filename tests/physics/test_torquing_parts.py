@@ -1,0 +1,159 @@
+"""Patterns of torquers that nobody recorded, sample by sample as their controllers would make them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.model import Array
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.drivers import torquing
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.scene import Scene
+
+PERIOD_S, COUNT = 2.0, 600
+TIME_S = PERIOD_S * np.arange(float(COUNT))
+
+
+def course() -> Array:
+    """A field (n, 3) that swings on every axis with a period of its own."""
+    return 30e3 * np.stack([np.sin(TIME_S / 37.0), np.cos(TIME_S / 53.0), np.sin(TIME_S / 29.0 + 1.0)], axis=1)
+
+
+def flown(count: int = COUNT, period_s: float = PERIOD_S) -> Scene:
+    field = course()[:count]
+    time_s = period_s * np.arange(float(count))
+    return Scene(time_s, 0, False, field, field, field, np.linalg.norm(field, axis=1))
+
+
+def form(variant: str, of: Scene | None = None) -> Hypothesis:
+    return next(h for h in effect_named("torquer").hypotheses(of or flown()) if h.variant == variant)
+
+
+def field_of(hypothesis: Hypothesis, matrix: Array, *theta: float) -> Array:
+    return hypothesis.columns(np.array(theta)).field(matrix.reshape(-1))
+
+
+MATRIX = np.arange(1.0, 10.0).reshape(3, 3)
+
+
+@pytest.mark.parametrize(
+    ("count", "period_s", "offered"), [(200, 2.0, True), (199, 2.0, False), (300, 20.0, True), (300, 20.1, False)]
+)
+def test_patterns_need_two_hundred_samples_no_more_than_twenty_seconds_apart(
+    count: int, period_s: float, offered: bool
+) -> None:
+    found = [h for h in effect_named("torquer").hypotheses(flown(count, period_s)) if h.driver.startswith("inferred")]
+    assert bool(found) is offered
+    given = replace(flown(count, period_s), given={})
+    assert [h for h in effect_named("torquer").hypotheses(given) if h.driver.startswith("inferred")]
+
+
+def test_detumbling_without_end_is_against_the_sign_of_the_slope() -> None:
+    slope = np.gradient(course(), TIME_S, axis=0)
+    assert field_of(form("sign of dB/dt"), MATRIX) == pytest.approx(-np.sign(slope) @ MATRIX)
+    assert form("sign of dB/dt").odds == 6.0
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "share", "phase", "lead_s"), [(20.0, 0.5, 0.0, 0.0), (20.0, 0.3, 0.25, 4.0), (30.0, 0.75, 0.5, 2.0)]
+)
+def test_detumbling_fires_for_a_share_of_each_cycle_by_the_slope_seen_before_it(
+    cycle_s: float, share: float, phase: float, lead_s: float
+) -> None:
+    """From one instant to another; the slope is that of the first sample no earlier than the lead before the cycle."""
+    first_s, last_s = 200.0, 900.0
+    slope = np.gradient(course(), TIME_S, axis=0)
+    expected = np.zeros((COUNT, 3))
+    for row, now_s in enumerate(TIME_S.tolist()):
+        cycle = math.floor(now_s / cycle_s - phase)
+        into = now_s / cycle_s - phase - cycle
+        seen_s = (cycle + phase) * cycle_s - lead_s
+        seen = next((number for number, at_s in enumerate(TIME_S) if at_s >= seen_s - 0.5 * PERIOD_S), COUNT - 1)
+        if into < share and first_s <= now_s < last_s:
+            expected[row] = -np.sign(slope[seen]) @ MATRIX
+    found = field_of(form("sign of dB/dt on a duty"), MATRIX, cycle_s, share, phase, lead_s, first_s, last_s)
+    assert found == pytest.approx(expected)
+
+
+def test_detumbling_is_searched_by_cycles_phases_shares_and_parts() -> None:
+    hypothesis = form("sign of dB/dt on a duty")
+    grids = {number.name: number.grid for number in hypothesis.nonlinear}
+    assert grids["period_s"] == pytest.approx(2.0 * torquing.CYCLES_S)
+    assert form("sign of dB/dt on a duty", flown(COUNT, 0.5)).nonlinear[0].grid == pytest.approx(torquing.CYCLES_S)
+    assert grids["on_share"].tolist() == [0.3, 0.5, 0.75]
+    assert grids["phase"] == pytest.approx(np.arange(8) / 8.0)
+    assert grids["lead_s"].tolist() == [0.0, 0.5, 1.0, 2.0, 4.0]
+    edges = np.linspace(0.0, TIME_S[-1], 25)
+    assert grids["from_s"] == pytest.approx(edges[:-1])
+    assert grids["to_s"] == pytest.approx([*edges[1:-1], TIME_S[-1] + PERIOD_S])
+    assert {number.role for number in hypothesis.nonlinear} == {"held"}
+    assert (hypothesis.odds, hypothesis.largest_nt) == (7.0, 5000.0)
+
+
+def test_parts_are_all_stretches_of_seven_and_more() -> None:
+    parts = torquing._parts()
+    assert parts.shape == (171, 24)
+    assert len({tuple(part) for part in parts.tolist()}) == 171
+    for part in parts:
+        used = np.flatnonzero(part)
+        assert len(used) >= 7
+        assert np.array_equal(used, np.arange(used[0], used[-1] + 1))
+        assert set(part) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "share", "phase", "hold_s"),
+    [(300.0, 0.25, 0.0, 0.0), (300.0, 0.2, 0.4, 10.0), (400.0, 0.3, 0.9, 5.0)],
+)
+def test_dumping_follows_the_field_or_holds_it_for_a_while(
+    interval_s: float, share: float, phase: float, hold_s: float
+) -> None:
+    """Intervals count from the middle of the recording; a held dipole is that of the beginning of its hold."""
+    hypothesis = form("momentum dumped at intervals")
+    middle_s = 0.5 * TIME_S[-1]
+    assert hypothesis.constants == {"middle_s": middle_s}
+    expected = np.zeros((COUNT, 3))
+    for row, now_s in enumerate(TIME_S.tolist()):
+        into_s = ((now_s - middle_s) / interval_s - phase) % 1.0 * interval_s
+        made_s = now_s - into_s % hold_s if hold_s > PERIOD_S else now_s
+        made = next(number for number, at_s in enumerate(TIME_S) if at_s >= made_s - 0.5 * PERIOD_S)
+        if into_s / interval_s < share:
+            expected[row] = course()[min(made, row)] @ MATRIX
+    found = field_of(hypothesis, MATRIX, interval_s, share, phase, hold_s)
+    assert found == pytest.approx(expected)
+
+
+def test_dumping_is_searched_by_intervals_slots_and_holds() -> None:
+    grids = {number.name: number.grid for number in form("momentum dumped at intervals").nonlinear}
+    assert grids["on_share"] == pytest.approx(np.array([3, 5, 7, 10]) / 24.0)
+    assert grids["phase"] == pytest.approx(np.arange(24) / 24.0)
+    assert grids["hold_s"].tolist() == [0.0, 2.0, 4.0, 5.0, 10.0]
+    slow = {number.name: number.grid for number in form("momentum dumped at intervals", flown(COUNT, 6.0)).nonlinear}
+    assert slow["hold_s"].tolist() == [0.0, 6.0, 10.0]
+    assert grids["period_s"] == pytest.approx(torquing._intervals(TIME_S[-1]))
+
+
+@pytest.mark.parametrize(("count", "offered"), [(376, True), (375, False)])
+def test_dumping_needs_three_of_its_shortest_intervals(count: int, offered: bool) -> None:
+    variants = [h.variant for h in effect_named("torquer").hypotheses(flown(count))]
+    assert ("momentum dumped at intervals" in variants) is offered
+
+
+@pytest.mark.parametrize(("span_s", "last_s"), [(3000.0, 1000.0), (9000.0, 1600.0)])
+def test_intervals_rise_by_an_eighth_of_a_turn_over_the_recording(span_s: float, last_s: float) -> None:
+    """From 250 s, each so near the one before that both ends differ by 0.12 of an interval, to a third of the span."""
+    found = torquing._intervals(span_s)
+    assert float(found[0]) == 250.0
+    assert found[1:] / found[:-1] - 1.0 == pytest.approx(0.12 * found[:-1] / span_s)
+    assert found[-2] < last_s <= found[-1]
+
+
+def test_slots_that_are_on_go_round_the_interval() -> None:
+    assert torquing._ON.shape == (96, 24)
+    for (share, slot), row in zip(torquing._ON_NUMBERS, torquing._ON, strict=True):
+        assert sorted(np.flatnonzero(row)) == sorted((slot + number) % 24 for number in range(share))
+    assert torquing._ON_NUMBERS[:2] == [(3, 0), (3, 1)]
