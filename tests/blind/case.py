@@ -19,7 +19,7 @@ class EffectTruth:
 
     Parameters
     ----------
-    effect: its name in the contract; for a kind outside of it, a name of this package's own.
+    effect: its name in the catalogue; for a kind outside of it, a name of this package's own.
     parameters: true values by name, with the unit in the name; see README.md for conventions.
     driver: names of the recorded channels that drive it; empty where they were left out or it needs none.
     scalar: the magnitude shows it; otherwise detectability has a meaning of its own (``strength.py``).

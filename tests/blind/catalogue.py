@@ -37,7 +37,7 @@ EFFECTS: Mapping[str, Builder] = MappingProxyType(
         "stuck_axis": response.stuck_axis,
     }
 )
-"""Every effect that has a name in the recording contract."""
+"""A builder for every effect of the catalogue (``magcal_service.physics``), by the name it has there."""
 
 OUTSIDE: Mapping[str, Builder] = MappingProxyType(
     {
@@ -56,7 +56,7 @@ OUTSIDE: Mapping[str, Builder] = MappingProxyType(
 ABSORBED: Mapping[str, Builder] = MappingProxyType(
     {"steady_lag": motion.steady_lag, "steady_skew": motion.steady_skew},
 )
-"""Effects of the contract as they are where nothing of them shows: to be answered ``none``."""
+"""Effects of the catalogue as they are where nothing of them shows: to be answered ``none``."""
 
 BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **ABSORBED})
 

@@ -58,7 +58,7 @@ class Cause:
 
     Parameters
     ----------
-    name: of the effect in the contract, or of the kind that is in no catalogue.
+    name: of the effect in the catalogue, or of the kind that is in no catalogue.
     world: the world it acts in, which it may have changed (a despin) before it acts.
     spoil: what it changes, from its scale; scale 0 changes nothing.
     parameters: what the answer says of it, from its scale.

@@ -42,7 +42,7 @@ def draw_case(
     Parameters
     ----------
     seed: 0 or more.
-    kind: an effect of the contract, ``"pair"`` or ``"tone+bias_step"``, ``"none"``, ``"absorbed"`` (an effect that
+    kind: an effect of the catalogue, ``"pair"`` or ``"tone+bias_step"``, ``"none"``, ``"absorbed"`` (an effect that
         the calibration takes up whole, detectability below 2), ``"outside"`` or ``"outside:walk"``; see ``KINDS``.
     driver_recorded: whether the channels that drive an effect are in the recording.
     detectability: range of every effect's detectability; in a pair it is taken beside the other effect.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import pkgutil
 from dataclasses import replace
 from functools import cache
@@ -9,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from magcal_service import physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_numbers
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics import effects
@@ -16,7 +18,7 @@ from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, Values, value_of
 from tests.physics.scenes import NOISE_NT, X, arrays, scene, some_numbers, view
 
-CONTRACT = (
+NAMES = (
     "thermal_bias",
     "thermal_scale",
     "current_loop",
@@ -42,11 +44,15 @@ CONTRACT = (
     "hysteresis",
     "stuck_axis",
 )
+"""What results may hold."""
+
 EFFECTS = pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.name)
 FIELDS = pytest.mark.parametrize(
     "effect", [e for e in catalogue() if e.hypotheses(scene())], ids=lambda effect: effect.name
 )
 NO_FIELD = ("quantisation", "nutation", "spin_rate", "coloured_noise", "stuck_axis")
+"""Those of ``NAMES`` that give ``find`` and no columns."""
+
 SUFFIXES = {"nt": "nT", "degc": "degC", "s": "s", "hz": "Hz", "km": "km"}
 
 
@@ -78,15 +84,28 @@ def close(found: Array, expected: Array, share: float) -> bool:
     return float(np.linalg.norm(found - expected)) < share * float(np.linalg.norm(expected))
 
 
-def test_catalogue_holds_the_contracts_names_and_no_other() -> None:
-    """Discovery finds the 24 names that results may hold."""
-    assert [effect.name for effect in catalogue()] == sorted(CONTRACT)
+def test_catalogue_holds_the_names_of_the_list_and_no_other() -> None:
+    """Discovery finds the names that results may hold: an effect that is lost, or renamed, is seen."""
+    found = {effect.name for effect in catalogue()}
+    assert len(found) == len(catalogue()), "two effects have the same name"
+    assert found - set(NAMES) == set(), "a new effect: add the name to NAMES here"
+    assert set(NAMES) - found == set(), "no file of physics/effects/ defines it: remove the name from NAMES here"
 
 
 def test_every_effect_lives_in_the_file_of_its_name() -> None:
     """An entry is found where its name says."""
     files = {entry.name for entry in pkgutil.iter_modules(effects.__path__)}
-    assert set(CONTRACT) == files
+    names = {effect.name for effect in catalogue()}
+    assert files == names, "name each file of physics/effects/ as its EFFECT's name, and keep other modules elsewhere"
+
+
+def test_no_module_of_physics_outside_effects_defines_an_effect() -> None:
+    """It would be in no catalogue, and nothing would say so."""
+    modules = [entry.name for entry in pkgutil.walk_packages(physics.__path__, f"{physics.__name__}.")]
+    elsewhere = [name for name in modules if not name.startswith(f"{effects.__name__}.")]
+    assert len(elsewhere) > 10
+    strays = [name for name in elsewhere if hasattr(importlib.import_module(name), "EFFECT")]
+    assert strays == [], "move the file to physics/effects/, where the catalogue looks"
 
 
 def test_an_unknown_name_is_refused() -> None:
@@ -95,9 +114,11 @@ def test_an_unknown_name_is_refused() -> None:
         effect_named("gremlins")
 
 
-def test_all_but_five_effects_act_as_a_field_here() -> None:
+def test_all_but_a_few_effects_act_as_a_field_here() -> None:
     """On a scene with everything recorded, only what shows in samples, attitude or noise has no columns."""
-    assert sorted(e.name for e in catalogue() if not hypotheses(e.name)) == sorted(NO_FIELD)
+    without = {effect.name for effect in catalogue() if not hypotheses(effect.name)}
+    assert without - set(NO_FIELD) == set(), "no columns on tests/physics/scenes.py: add the name to NO_FIELD here"
+    assert set(NO_FIELD) - without == set(), "it has columns: remove the name from NO_FIELD here"
 
 
 @EFFECTS
@@ -114,8 +135,9 @@ def test_entry_says_what_a_reader_needs(effect: Effect) -> None:
 @EFFECTS
 def test_entry_is_confused_with_others_of_the_catalogue(effect: Effect) -> None:
     """Rivals are names of the catalogue, at least one and never the effect's own."""
-    assert effect.confused_with
-    assert set(effect.confused_with) <= set(CONTRACT) - {effect.name}
+    others = {other.name for other in catalogue()} - {effect.name}
+    assert effect.confused_with, "confused_with needs the name of another effect"
+    assert set(effect.confused_with) <= others, "confused_with holds names of other effects only"
 
 
 @EFFECTS
@@ -126,7 +148,7 @@ def test_entry_acts_somewhere(effect: Effect) -> None:
 
 @FIELDS
 def test_every_form_belongs_to_its_effect_and_has_a_label_of_its_own(effect: Effect) -> None:
-    """Forms carry the effect's name, a driver of the contract's three kinds, and labels that differ."""
+    """Forms carry the effect's name, a driver of the three kinds, and labels that differ."""
     forms = hypotheses(effect.name)
     assert {form.effect for form in forms} == {effect.name}
     assert all(form.driver == "none" or form.driver.partition(":")[0] in ("channel", "inferred") for form in forms)
