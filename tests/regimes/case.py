@@ -248,7 +248,7 @@ def _answer(
     }
     if world.model_parts_nt:
         right = measure(world, ())
-        answer["model_detectability"] = detectability(world, right, Measured(right.samples, world.field))
+        answer["model_detectability"] = detectability(world, right, Measured(right.samples, world.true_field))
     return answer
 
 

@@ -67,8 +67,8 @@ def lagging(world: World, tau_s: float) -> Floats:
     for part in range(_SUBSTEPS):
         at = world.t - part * fine
         weight = part / _SUBSTEPS
-        before = np.vstack([2.0 * world.field[0] - world.field[1], world.field[:-1]])
-        space = (1.0 - weight) * world.field + weight * before
+        before = np.vstack([2.0 * world.true_field[0] - world.true_field[1], world.true_field[:-1]])
+        space = (1.0 - weight) * world.true_field + weight * before
         course.append(np.einsum("nij,nj->ni", world.motion(at), space))
     dense = np.stack(course[::-1], axis=1).reshape(-1, 3)
     kept = math.exp(-fine / tau_s)
@@ -101,7 +101,7 @@ def nine_columns(world: World, samples: Floats) -> Floats:
 
 def detectability(world: World, changed: Measured, twin: Measured) -> float:
     """Norm of the scalar residual's change, nine errors projected out, over the noise; of the rows recorded."""
-    kept = world.kept.astype(bool)
+    kept = world.kept
     change = (scalar_residual(world, changed) - scalar_residual(world, twin))[kept]
     columns = nine_columns(world, twin.samples)[kept]
     basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]

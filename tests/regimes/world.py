@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.regimes import attitude
 from tests.regimes.attitude import Motion
@@ -75,7 +76,7 @@ class World:
     ----------
     t: (n,) tags [s] on an even grid; ``kept`` (n,) marks those that were recorded.
     orbit, position_km: None on the ground; (n, 3) ECI [km].
-    field: (n, 3) true field [nT], ECI, on the ground in the room's axes; ``reference`` what the model says.
+    true_field: (n, 3) [nT], ECI, on the ground in the room's axes; ``reference`` what the model says.
     body: (n, 3, 3) to body axes.
     field_body: (n, 3) true field there [nT].
     light: (n,) share of the Sun's light; ``sun_body`` (n, 3) its direction.
@@ -89,10 +90,10 @@ class World:
     name: str
     start_unix_s: float
     t: Floats
-    kept: Floats
+    kept: NDArray[np.bool_]
     orbit: Orbit | None
     position_km: Floats | None
-    field: Floats
+    true_field: Floats
     reference: Floats
     body: Floats
     field_body: Floats
@@ -137,7 +138,7 @@ def draw_world(name: str, rng: np.random.Generator) -> World:
     return make(regime, name, rng, t, start, kept=kept, noise_nt=noise, scale=scale, bias_nt=bias)
 
 
-def _with_gaps(rng: np.random.Generator, t: Floats) -> Floats:
+def _with_gaps(rng: np.random.Generator, t: Floats) -> NDArray[np.bool_]:
     kept = rng.uniform(size=len(t)) > rng.uniform(0.0, 0.03)
     for _ in range(int(rng.integers(2, 6))):
         begin, length = rng.uniform(0.05, 0.95) * t[-1], rng.uniform(120.0, 1500.0)
@@ -197,7 +198,7 @@ def _flight(regime: Regime, name: str, rng: np.random.Generator, t: Floats, star
         t,
         orbit=orbit,
         position_km=position,
-        field=reference + extra,
+        true_field=reference + extra,
         reference=reference,
         body=body,
         field_body=field_body,
@@ -229,7 +230,7 @@ def _ground(regime: Regime, name: str, rng: np.random.Generator, t: Floats, star
         t,
         orbit=None,
         position_km=None,
-        field=field_room,
+        true_field=field_room,
         reference=field_room,
         body=body,
         field_body=field_body,
@@ -245,4 +246,4 @@ def _ground(regime: Regime, name: str, rng: np.random.Generator, t: Floats, star
 
 def kept_rows(world: World, values: Floats) -> Floats:
     """The rows of values (n, ...) that were recorded."""
-    return values[world.kept.astype(bool)]
+    return values[world.kept]
