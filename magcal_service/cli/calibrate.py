@@ -30,7 +30,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     find_method(options.method)
     recording = read_recording(options.recording, options.craft)
     result = calibrate(recording, options.method)
-    print("\n".join(recording.report.lines()))
+    print("\n".join([*recording.report.lines(), *(f"found: {one}" for one in result.findings)]))
     print(_table(result))
     if options.json is not None:
         try:

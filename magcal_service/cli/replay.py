@@ -31,26 +31,27 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.daemon.estimate_csv import EstimateCsv
     from magcal_service.offline.calibrate import residuals_of
     from magcal_service.offline.replay import craft_of, replay
+    from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless
 
     configured = _craft_from(options.config, options.craft)
     recording = read_recording(options.recording, options.craft)
-    refuse_hopeless(recording)
-    craft = configured or craft_of(recording)
+    inspection = inspect(recording)
+    refuse_hopeless(inspection.usable, inspection.lines())
+    craft = configured or craft_of(inspection.to_replay)
     with ExitStack() as stack:
         csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
-        result = replay(recording, craft, options.speed, csv, as_recorded=True)
+        result = replay(recording, craft, options.speed, csv, as_recorded=True, inspection=inspection)
     state = result.pipeline.estimator.estimate()
-    residuals = residuals_of(recording, state.x, craft)
+    residuals = residuals_of(inspection.usable, state.x, craft)
     print(_counts(recording, result))
     print(
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
         f"(noise floor {residuals.noise_floor:.1f} nT)"
     )
-    trust, model = result.pipeline.trust, result.pipeline.model_doubt
-    print(verdict_text(trust.verdict, trust.reasons, trust.remedy, model))
-    return DONE if trust.verdict == "trusted" else NOT_TRUSTED
+    print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
+    return DONE if result.verdict == "trusted" else NOT_TRUSTED
 
 
 def _speed(text: str) -> float:
@@ -81,5 +82,5 @@ def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
 def _counts(recording: Recording, result: Replay) -> str:
     counters = result.pipeline.ticks.counters + result.pipeline.counters
     kinds = ", ".join(f"{name} {count}" for name, count in sorted(counters.items()) if count)
-    lines = [*recording.report.lines(), *filter(None, [result.remark])]
+    lines = [*recording.report.lines(), *result.inspection.lines(), *filter(None, [result.remark])]
     return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])

@@ -16,6 +16,7 @@ from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rm
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
@@ -90,5 +91,6 @@ def diagnose(
         accepted = "one is accepted; diagnose several one after another"
         raise InputRefusedError([Fault("number of recordings", len(given), accepted)])
     recording = given[0] if isinstance(given[0], Recording) else read_recording(given[0])
-    refuse_hopeless(recording)
-    return Answer.of(run(recording, simulation))
+    inspection = inspect(recording)
+    refuse_hopeless(inspection.to_diagnose, inspection.lines())
+    return Answer.of(run(recording, simulation, inspection=inspection))

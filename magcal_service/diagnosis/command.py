@@ -16,6 +16,7 @@ from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rm
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
 from magcal_service.errors import Fault, InputRefusedError, unwritable
+from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.usable import refuse_hopeless
 
@@ -70,8 +71,9 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     _prepare_folder(request.out)
     simulation = None if request.simulation is None else simulation_errors(request.simulation)
     recording = read_recording(request.recording, request.craft)
-    refuse_hopeless(recording)
-    diagnosis = diagnose(recording, simulation, progress=tell)
+    inspection = inspect(recording)
+    refuse_hopeless(inspection.to_diagnose, inspection.lines())
+    diagnosis = diagnose(recording, simulation, progress=tell, inspection=inspection)
     tell("writing the results")
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
@@ -79,7 +81,7 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     origin = _origin(request, recording.descriptor.path, recording.descriptor.samples)
     files.append(_write(request.out / REPORT, report(diagnosis, found, content, origin)))
     files.append(_write(request.out / PHYSICS, write_model(diagnosis, found, recording.name)))
-    lines = [*recording.report.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
+    lines = [*recording.report.lines(), *inspection.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
     return Outcome(diagnosis, found, tuple(files), tuple(lines))
 
 

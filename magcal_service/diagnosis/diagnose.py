@@ -23,7 +23,9 @@ from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
+from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
+from magcal_service.trust.reasons import Reason
 
 Progress = Callable[[str], None]
 
@@ -51,6 +53,7 @@ class Diagnosis:
 
     Parameters
     ----------
+    inspection: what is wrong with the recording itself.
     prepared: recording, problem and the nine errors alone.
     explained: with effects.
     findings: effects seen in samples, attitude or noise, by name.
@@ -64,6 +67,7 @@ class Diagnosis:
     seconds: what it took.
     """
 
+    inspection: Inspection
     prepared: Prepared
     explained: Explained
     search: Search
@@ -95,8 +99,12 @@ def diagnose(
     simulation_x: Array | None = None,
     effects: tuple[Effect, ...] | None = None,
     progress: Progress = lambda _: None,
+    inspection: Inspection | None = None,
 ) -> Diagnosis:
     """Compare a recording with its simulation and find what was left out.
+
+    Rows that are certainly none are left out before; while something has to be answered about the recording itself,
+    no physics is named.
 
     Parameters
     ----------
@@ -105,11 +113,13 @@ def diagnose(
         first half of the recording.
     effects: the catalogue; a test may pass its own.
     progress: told what is being done.
+    inspection: what was found on the recording, where that is known already.
     """
     began = time.monotonic()
-    effects = catalogue() if effects is None else effects
+    inspection = inspect(recording) if inspection is None else inspection
+    effects = () if inspection.open else catalogue() if effects is None else effects
     progress("simulating the recording with nine errors")
-    prepared = prepare(recording, effects)
+    prepared = prepare(inspection.to_diagnose, effects)
     problem, baseline = prepared.problem, prepared.baseline
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     progress(f"screening {len(effects)} effects")
@@ -134,6 +144,7 @@ def diagnose(
     verdict = _verdict(explained, findings, unexplained)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
+        inspection=inspection,
         prepared=prepared,
         explained=explained,
         search=search,
@@ -141,7 +152,7 @@ def diagnose(
         left=tuple(left),
         unexplained=unexplained,
         verdict=verdict,
-        reasons=_reasons(prepared, explained.fit, verdict),
+        reasons=_reasons(inspection, prepared, explained.fit, verdict),
         spin=spin,
         simulation_x=simulated[0],
         simulation_residual_nt=simulated[1],
@@ -260,9 +271,9 @@ def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained:
     return Verdict.NAMED if explained.fit.terms or findings else Verdict.NONE
 
 
-def _reasons(prepared: Prepared, fit: Fit, verdict: Verdict) -> tuple[str, ...]:
+def _reasons(inspection: Inspection, prepared: Prepared, fit: Fit, verdict: Verdict) -> tuple[str, ...]:
     """What speaks against acting on the result."""
-    reasons = []
+    reasons = [str(Reason.RECORDING_DOUBTFUL)] if inspection.open else []
     if is_collapsed(fit.x):
         reasons.append("collapsed")
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))

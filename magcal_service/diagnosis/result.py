@@ -283,6 +283,9 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     nearest = _nearest(diagnosis)
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
     says = f"Something that is in no catalogue is left, most like {structure.shape.says}."
+    if diagnosis.inspection.open:
+        asked = ", ".join(one.code for one in diagnosis.inspection.open)
+        says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
         says += f" Nearest is {nearest[0]}, which explains {100.0 * nearest[1]:.0f} % of it."
     where: dict[str, Any] = {
@@ -362,6 +365,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "seconds": round(diagnosis.seconds, 2),
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
+        "findings": [one.to_dict() for one in diagnosis.inspection.findings],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 

@@ -17,6 +17,7 @@ _MOST_LISTED: Final = 3
 """Names in one sentence; choice: more are a list, and it is elsewhere."""
 
 REASONS: Final[Mapping[str, str]] = {
+    "recording_doubtful": "what was found on the recording itself has to be answered before any physics is named",
     "collapsed": "the nine errors ended at values that no sensor has",
     "poor_coverage": "the field did not point in enough directions to fix the nine errors; record over more attitudes",
     "unexplained_structure": "a mismatch is left that nothing in the catalogue explains",
@@ -81,6 +82,10 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
             f"took no part in the fit, over a noise of {floor:.1f} nT."
         )
     if diagnosis.verdict is Verdict.UNKNOWN:
+        if diagnosis.inspection.open:
+            return (
+                "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
+            )
         besides = f" besides {listed}" if listed else ""
         return (
             f"Something without a name makes {percent(diagnosis.unexplained)} of the mismatch{besides}: no effect of "

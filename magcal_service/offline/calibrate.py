@@ -21,6 +21,8 @@ from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, d_matrix, scalar_residual
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.replay import craft_of, replay
+from magcal_service.recordings.inspect.finding import Finding
+from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
@@ -60,6 +62,7 @@ class Calibration(NineErrors):
     samples, ticks: rows in the recording, ticks used.
     counters: what happened to the samples, by kind.
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
+    findings: what is wrong with the recording itself.
     """
 
     method: str
@@ -72,6 +75,7 @@ class Calibration(NineErrors):
     residuals: Residuals
     counters: dict[str, int]
     model_doubt: str
+    findings: tuple[Finding, ...] = ()
 
     @property
     def trusted(self) -> bool:
@@ -104,6 +108,7 @@ class Calibration(NineErrors):
             },
             "counters": self.counters,
             "model_doubt": self.model_doubt,
+            "findings": [one.to_dict() for one in self.findings],
         }
 
     def as_json(self) -> str:
@@ -140,15 +145,18 @@ def calibrate(recording: Recording | Path | str, method: str = "ukf", config: Cr
     Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method.
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
-    craft = craft_of(recording, method) if config is None else config
-    refuse_hopeless(recording)
+    inspection = inspect(recording)
+    usable = inspection.usable
+    refuse_hopeless(usable, inspection.lines())
+    craft = craft_of(inspection.to_replay, method) if config is None else config
     refuse_without_channel(recording, find_method(craft.filter.method))
-    pipeline = replay(recording, craft).pipeline
+    result = replay(recording, craft, inspection=inspection)
+    pipeline = result.pipeline
     state = pipeline.estimator.estimate()
-    residuals = residuals_of(recording, state.x, craft)
-    reasons = list(pipeline.trust.reasons)
+    residuals = residuals_of(usable, state.x, craft)
+    reasons = list(result.reasons)
     reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]
-    verdict = pipeline.trust.verdict
+    verdict = result.verdict
     if verdict in (Verdict.TRUSTED, Verdict.CONVERGING) and Reason.STRUCTURED_RESIDUAL in reasons:
         verdict = Verdict.DOUBTFUL
     return Calibration(
@@ -161,7 +169,8 @@ def calibrate(recording: Recording | Path | str, method: str = "ukf", config: Cr
         ticks=pipeline.ticks.counters["ticks"],
         residuals=residuals,
         counters=dict(pipeline.ticks.counters + pipeline.counters),
-        model_doubt=pipeline.model_doubt,
+        model_doubt=result.model_doubt,
+        findings=inspection.findings,
     )
 
 

@@ -28,9 +28,10 @@ from magcal_service.daemon.service import Service
 from magcal_service.links.recording import RecordingLink
 from magcal_service.model import Array
 from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
-from magcal_service.trust.reasons import Reason
+from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Command, Estimate, Message, Verdict
 
 CRAFT: Final = "craft"
@@ -68,12 +69,14 @@ class Replay(NineErrors):
     Parameters
     ----------
     pipeline: the craft's, as the recording left it.
+    inspection: what was found on the recording, and the rows that were left out for it.
     estimates: how many were published.
     x, covariance: the last estimate (9,) and its covariance (9, 9) [nT, -].
     remark: what kept the replay from beginning as the session did, empty where nothing did.
     """
 
     pipeline: Pipeline
+    inspection: Inspection
     estimates: int
     x: Array
     covariance: Array
@@ -81,13 +84,28 @@ class Replay(NineErrors):
 
     @property
     def verdict(self) -> Verdict:
-        """How far the last estimate is to be trusted."""
-        return self.pipeline.trust.verdict
+        """How far the last estimate is to be trusted; not, while something has to be answered about the recording."""
+        verdict = self.pipeline.trust.verdict
+        believed = verdict in (Verdict.TRUSTED, Verdict.CONVERGING)
+        return Verdict.DOUBTFUL if believed and self.inspection.open else verdict
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
-        """Why it is not trusted, where it is not."""
-        return tuple(self.pipeline.trust.reasons)
+        """Why it is not trusted, where it is not; a doubtful recording is the first reason, and no physics is named."""
+        reasons = tuple(self.pipeline.trust.reasons)
+        if not self.inspection.open:
+            return reasons
+        return (Reason.RECORDING_DOUBTFUL, *(reason for reason in reasons if reason is not Reason.MODEL_DOUBTFUL))
+
+    @property
+    def model_doubt(self) -> str:
+        """What the model seems to leave out, in words; empty while the recording itself is in doubt."""
+        return "" if self.inspection.open else self.pipeline.model_doubt
+
+    @property
+    def remedy(self) -> str:
+        """What to do about the first reason, empty where there is none."""
+        return REMEDIES[self.reasons[0]] if self.reasons else ""
 
     @property
     def counters(self) -> dict[str, int]:
@@ -105,6 +123,7 @@ class Replay(NineErrors):
             "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
             "counters": self.counters,
             "remark": self.remark,
+            "findings": [one.to_dict() for one in self.inspection.findings],
         }
 
     def __repr__(self) -> str:
@@ -120,8 +139,9 @@ def replay(
     sink: Callable[[Message], None] | None = None,
     *,
     as_recorded: bool = False,
+    inspection: Inspection | None = None,
 ) -> Replay:
-    """Send a recording through the service, the same way a live link's samples go.
+    """Send a recording through the service, the same way a live link's samples go, but for rows that are none.
 
     Parameters
     ----------
@@ -130,9 +150,12 @@ def replay(
     speed: times real time; 0 as fast as it goes.
     csv: where each tick's estimate is written.
     sink: is called with every message that the service publishes.
+    inspection: what was found on the recording, where that is known already.
     as_recorded: begin with the state that a session began with, where it is replayed under its own configuration.
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
+    inspection = inspect(recording) if inspection is None else inspection
+    recording = inspection.to_replay
     craft = craft_of(recording) if config is None else config
     estimates = Counter[str]()
 
@@ -152,7 +175,7 @@ def replay(
         raise service.csv_error
     pipeline = service.pipelines[craft.name]
     state = pipeline.estimator.estimate()
-    return Replay(pipeline, estimates["all"], state.x, state.covariance, remark)
+    return Replay(pipeline, inspection, estimates["all"], state.x, state.covariance, remark)
 
 
 def _commanded(recording: Recording) -> bool:

@@ -31,6 +31,7 @@ class Reason(StrEnum):
     SATURATED = "saturated"
     FROZEN = "frozen"
     STALE = "stale"
+    RECORDING_DOUBTFUL = "recording_doubtful"
 
 
 REMEDIES: Final = {
@@ -62,6 +63,8 @@ REMEDIES: Final = {
     Reason.SATURATED: "the field exceeds the sensor's full scale (range_nt): find what magnetises it",
     Reason.FROZEN: "nothing is learned since the command freeze: resume",
     Reason.STALE: "the estimate has met no sample for more than an orbit: resume, or look after sensor and reference",
+    Reason.RECORDING_DOUBTFUL: "the recording itself is in doubt: answer in its descriptor what was found on it "
+    "(magcal inspect shows it)",
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
     Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, so it is not compensated: bring "
     "the channel, position or reference back, or take the effect out of the file",

@@ -225,7 +225,8 @@ def _rows(diagnosis: Diagnosis) -> list[str]:
     """The account of the rows, by kind."""
     counts = dict(diagnosis.prepared.counts)
     counts.pop("rows", None)
-    left_out = [f"{name}: {count}" for name, count in counts.items() if count]
+    left_out = [f"{one.code}: {one.rows}" for one in diagnosis.inspection.findings if one.certain]
+    left_out += [f"{name}: {count}" for name, count in counts.items() if count]
     return [*diagnosis.prepared.recording.report.lines(), *left_out]
 
 

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.errors import printable
+from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.orbits import heights_and_times, longitude_sign
 from magcal_service.recordings.inspect.places import position_jump, position_still, position_zero
+from magcal_service.recordings.inspect.ranges import saturated, start_transient, stuck_axis, wrapped
 from magcal_service.recordings.inspect.readings import held_readings, sentinels, zero_rows
+from magcal_service.recordings.inspect.references import field_scale, reference_repeats, shifted_columns
 from magcal_service.recordings.inspect.times import shared_times, time_epoch, time_order, time_unit
 from magcal_service.recordings.recording import Recording, Reference
 from magcal_service.recordings.specs import ModelReference
@@ -26,6 +29,7 @@ Check = Callable[[Log], Iterator[Seen]]
 CHECKS: Final[tuple[Check, ...]] = (
     zero_rows,
     sentinels,
+    wrapped,
     time_epoch,
     time_order,
     time_unit,
@@ -35,7 +39,15 @@ CHECKS: Final[tuple[Check, ...]] = (
     position_still,
     heights_and_times,
     longitude_sign,
+    shifted_columns,
+    field_scale,
     held_readings,
+    reference_repeats,
+    saturated,
+    stuck_axis,
+    start_transient,
+    axes_by_gyro,
+    axes_by_attitude,
 )
 """In this order: what a later one looks at has no rows that an earlier one is certain of."""
 
@@ -70,6 +82,11 @@ class Inspection:
     def usable(self) -> Recording:
         """The recording without what is certainly none; the same object where that is nothing."""
         return self._without(self.left_out | self.clipped)
+
+    @property
+    def to_replay(self) -> Recording:
+        """What goes through the service: a recorded session's messages as they were, for the service judges itself."""
+        return self.recording if self.recording.stream is not None else self.usable
 
     @cached_property
     def to_diagnose(self) -> Recording:

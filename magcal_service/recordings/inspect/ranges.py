@@ -1,0 +1,143 @@
+"""Readings at the end of a sensor's or a number's range, axes that stand still, and a recorder that begins badly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.log import Log, runs
+from magcal_service.recordings.table import FloatArray
+
+_AXES: Final = "xyz"
+_WORD: Final = 65_536.0
+"""Values of 16 bits."""
+
+_FEWEST_CLIPPED: Final = 8
+_FLAT_TO_NEXT: Final = 5.0
+"""As the effect ``saturation`` has them: an end of the range comes far oftener than the values beside it."""
+
+_SHORTEST_STUCK: Final = 60
+_OTHERS_MOVE: Final = 30.0
+"""Times its own usual step that an axis would have moved, going by the others."""
+
+_LONGEST_START: Final = 30
+_SHARE_OF_START: Final = 0.02
+_OUT: Final = 30.0
+"""Robust sigmas that every row of a bad start lies off, and hardly a row after it."""
+
+
+def wrapped(log: Log) -> Iterator[Seen]:
+    """A component jumps by all 65536 values of 16 bits and back: the number was too small for the field."""
+    values = log.field_as_written
+    for axis in range(3):
+        column = values[:, axis]
+        for unit in {1.0, float(log.resolution[axis])}:
+            at = _wrapped(column, _WORD * unit) if unit > 0.0 else None
+            if at is None:
+                continue
+            says = (
+                f"{_AXES[axis]} jumps by {_WORD * unit:g} {log.recording.descriptor.magnetometer.unit} and back: "
+                f"{rows_text(len(at))} of {len(log)} have wrapped round 16 bits"
+            )
+            remedy = "they are left out; log the sensor's values in a wider number"
+            yield Seen(Code.WRAPPED, True, log.rows[at], says, remedy, Spoils.ROW)
+            break
+
+
+def _wrapped(column: FloatArray, width: float) -> NDArray[np.intp] | None:
+    """Rows on the smaller side of jumps by ``width``; None where the jumps are no wraps."""
+    if not 0.8 * width < np.ptp(column) <= width or np.abs(column).max() > 0.5 * width:
+        return None
+    steps = np.diff(column)
+    turns = np.where(np.abs(steps) > 0.5 * width, -np.sign(steps), 0.0)
+    if np.count_nonzero(turns) < 2:
+        return None
+    turn = np.concatenate([[0.0], np.cumsum(turns)])
+    smooth = np.abs(np.diff(column + width * turn))
+    levels, counts = np.unique(turn, return_counts=True)
+    if smooth.max() > 0.3 * width or len(levels) > 3:
+        return None
+    return np.flatnonzero(turn != levels[np.argmax(counts)])
+
+
+def saturated(log: Log) -> Iterator[Seen]:
+    """The largest value of an axis comes again and again, far oftener than the values beside it."""
+    field = log.field_nt
+    for axis in range(3):
+        column = field[:, axis]
+        for end in (float(column.max()), float(column.min())):
+            at = column == end
+            count = int(np.count_nonzero(at))
+            if count < _FEWEST_CLIPPED or count == len(log):
+                continue
+            inside = np.abs(column[~at] - end)
+            _, counts = np.unique(inside, return_counts=True)
+            if count > _FLAT_TO_NEXT * float(counts[:5].max()):
+                says = f"{rows_text(count)} of {len(log)} stop at {end:g} nT on {_AXES[axis]}: the end of the range"
+                remedy = "they are left out; choose a wider range of the sensor"
+                yield Seen(Code.SATURATED, True, log.rows[at], says, remedy, Spoils.SAMPLES)
+
+
+def stuck_axis(log: Log) -> Iterator[Seen]:
+    """One axis repeats its value while the others move as they do when it moves too."""
+    steps = np.abs(np.diff(log.field_as_written, axis=0))
+    usual = np.array([np.median(column[column > 0.0]) if column.any() else 0.0 for column in steps.T])
+    for axis in range(3):
+        still = steps[:, axis] == 0.0
+        first, end = runs(still)
+        long = end - first >= _SHORTEST_STUCK
+        if not long.any() or len(log) < 2 * _SHORTEST_STUCK:
+            continue
+        at = [np.arange(a, b + 1) for a, b in zip(first[long], end[long], strict=True) if _others_move(log, axis, a, b)]
+        if not at:
+            continue
+        rows = np.concatenate(at)
+        whole = len(rows) == len(log)  # dead from the beginning, or coarse and along the axis of a spin
+        if usual[axis] <= 1.1 * log.resolution[axis] and not whole:
+            continue
+        value = log.field_nt[rows[0], axis]
+        says = f"{_AXES[axis]} repeats {value:g} nT over {rows_text(len(rows))} of {len(log)} while the others move"
+        remedy = "they cannot be used; power-cycle the sensor, and check magnetometer.columns"
+        yield Seen(Code.STUCK_AXIS, not whole, log.rows[rows], says, remedy, Spoils.SAMPLES)
+
+
+def _others_move(log: Log, axis: int, first: int, end: int) -> bool:
+    """Whether another axis moves over the stretch by a good part of the whole field, far more than its resolution."""
+    others = np.delete(log.field_as_written[first : end + 1], axis, axis=1)
+    resolution = np.delete(log.resolution, axis)
+    length = float(np.median(np.linalg.norm(log.field_as_written, axis=1)))
+    moved = np.ptp(others, axis=0)
+    return bool(np.any((moved > 0.3 * length) & (moved > _OTHERS_MOVE * resolution)))
+
+
+def start_transient(log: Log) -> Iterator[Seen]:
+    """The first rows lie far off what all others agree on: a sensor that had not settled, a filter that filled."""
+    known = np.flatnonzero(np.isfinite(log.magnitude_nt))
+    if len(known) < 200 or known[0] != 0:
+        return
+    field, magnitude = log.field_nt[known], log.magnitude_nt[known]
+    off = np.abs(_nine_errors_residual(field, magnitude))
+    sigma = 1.4826 * float(np.median(off))
+    most = min(_LONGEST_START, int(_SHARE_OF_START * len(known)))
+    count = int(np.argmin(np.append(off[: most + 1] > _OUT * sigma, False)))
+    if not 1 <= count <= most or np.count_nonzero(off[count:] > _OUT * sigma) > 0.001 * len(known):
+        return
+    worst = float(off[:count].max())
+    says = f"the first {rows_text(count)} lie up to {worst:.0f} nT off what the rest agree on to {sigma:.0f} nT"
+    remedy = "they are left out; begin the log when the sensor has settled"
+    yield Seen(Code.START_TRANSIENT, True, log.rows[known[:count]], says, remedy, Spoils.ROW)
+
+
+def _nine_errors_residual(field_nt: FloatArray, magnitude_nt: FloatArray) -> FloatArray:
+    """|B| calibrated less |H| (n,) [nT] of the ellipsoid that fits best, the first rows taking no part."""
+    begin = min(_LONGEST_START, len(field_nt) // 4)
+    scale = float(np.mean(magnitude_nt))
+    x, y, z = (field_nt / scale).T
+    columns = np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(x))], axis=1)
+    squares = (magnitude_nt / scale) ** 2
+    solution = np.linalg.lstsq(columns[begin:], squares[begin:], rcond=None)[0]
+    return np.asarray((columns @ solution - squares) / (2.0 * np.sqrt(squares)) * scale)

@@ -1,0 +1,86 @@
+"""Field against reference, gyro and attitude: scales, held references, shifted columns, axes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.recordings.inspect.finding import Code
+from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
+
+TURNING = Kind(step_s=0.5, rates_deg_s=(6.0, 2.0), reference="vector", place="none")
+GYRO = '[channels]\ngyro = { columns = ["wx", "wy", "wz"], unit = "rad/s" }'
+ATTITUDE = '[channels]\nattitude = {{ columns = ["q0", "q1", "q2", "q3"], order = "wxyz", from = "{}", to = "{}" }}'
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.1, 10.0])
+def test_a_field_of_another_scale_is_asked_about(factor: float, tmp_path: Path) -> None:
+    finding = clean_log().spoiled("mx my mz", lambda column: column * factor).found(tmp_path)[Code.FIELD_SCALE]
+    assert not finding.certain
+    assert f"about {factor:g} times" in finding.says
+    assert "[magnetometer]" in finding.remedy
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.1, 10.0])
+def test_a_reference_of_another_scale_is_asked_about(factor: float, tmp_path: Path) -> None:
+    finding = clean_log().spoiled("F", lambda column: column * factor).found(tmp_path)[Code.FIELD_SCALE]
+    assert not finding.certain
+    assert "[reference]" in finding.remedy
+
+
+@pytest.mark.parametrize("repeats", [5, 30])
+@pytest.mark.parametrize("reference", ["magnitude", "vector"])
+def test_a_reference_that_is_held_is_used_where_it_is_renewed(repeats: int, reference: str, tmp_path: Path) -> None:
+    held = np.arange(1800) // repeats * repeats
+    log = clean_log(Kind(reference=reference, rates_deg_s=(1.0, 0.3)))
+    inspection = log.spoiled("F hx hy hz", lambda column: column[held]).inspected(tmp_path)
+    (finding,) = inspection.findings
+    assert (finding.code, finding.certain) == (Code.REFERENCE_REPEATS, True)
+    assert finding.rows == 1800 - 1800 // repeats
+    assert len(inspection.usable) == 1800
+    assert np.count_nonzero(np.isfinite(inspection.usable.reference.magnitude_nt)) == 1800 // repeats
+
+
+def test_a_rounded_reference_is_not_held(tmp_path: Path) -> None:
+    log = clean_log(Kind(step_s=0.1, rates_deg_s=(6.0, 2.0)))
+    assert log.spoiled("F", lambda column: np.round(column, -2)).found(tmp_path) == {}
+
+
+def test_a_column_that_is_a_clock_is_asked_about(tmp_path: Path) -> None:
+    log = clean_log().changed(mx=1000.0 + 10.0 * np.arange(1800.0))
+    assert log.found(tmp_path)[Code.SHIFTED_COLUMNS].certain is False
+
+
+def test_a_header_that_is_shifted_against_its_data_is_asked_about(tmp_path: Path) -> None:
+    log = clean_log(Kind(place="none", channels=False))
+    columns = log.columns
+    shifted = log.changed(mx=columns["my"], my=columns["mz"], mz=columns["F"])
+    finding = shifted.found(tmp_path)[Code.SHIFTED_COLUMNS]
+    assert "column mz" in finding.says
+
+
+def swapped(log: CleanLog) -> CleanLog:
+    return log.changed(mx=log.columns["my"], my=log.columns["mx"])
+
+
+def flipped(log: CleanLog) -> CleanLog:
+    return log.changed(mz=-log.columns["mz"])
+
+
+def turned(log: CleanLog) -> CleanLog:
+    return log.changed(mx=log.columns["my"], my=-log.columns["mx"])
+
+
+@pytest.mark.parametrize("spoil", [swapped, flipped, turned])
+@pytest.mark.parametrize("channels", [GYRO, ATTITUDE.format("eci", "body")])
+def test_axes_that_are_others_are_asked_about(spoil, channels: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    log = spoil(clean_log(TURNING)).described(channels=channels)
+    (finding,) = log.inspected(tmp_path).findings
+    assert (finding.code, finding.certain) == (Code.AXES, False)
+
+
+def test_an_attitude_that_is_the_other_way_round_is_asked_about(tmp_path: Path) -> None:
+    log = clean_log(TURNING).described(channels=ATTITUDE.format("body", "eci"))
+    (finding,) = log.inspected(tmp_path).findings
+    assert finding.code is Code.AXES
+    assert "exchange from and to" in finding.remedy
