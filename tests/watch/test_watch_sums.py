@@ -25,7 +25,16 @@ from magcal_service.watch.evidence import (
     spectral,
     without,
 )
-from magcal_service.watch.residual_watch import ALARM_NATS, BLOCK, CHUNK, FIRST_LOOK, TICKS, Finding, ModelWatch, likely
+from magcal_service.watch.residual_watch import (
+    ALARM_NATS,
+    BLOCK,
+    CHUNK,
+    FIRST_EVALUATION,
+    TICKS,
+    Finding,
+    ModelWatch,
+    likely,
+)
 from magcal_service.wire.messages import Clock, TelemetrySample
 
 # Evidence
@@ -49,7 +58,7 @@ def test_the_significance_is_that_of_twice_the_gain() -> None:
 def test_an_alarm_is_false_once_in_ten_years() -> None:
     """98 617 looks a year of 150 tests each."""
     assert math.exp(ALARM_NATS) == pytest.approx(31_557_600.0 / 320.0 * 150.0 / 0.1, rel=1e-12)
-    assert (CHUNK, BLOCK, TICKS, FIRST_LOOK) == (64, 320, 5120, 960)
+    assert (CHUNK, BLOCK, TICKS, FIRST_EVALUATION) == (64, 320, 5120, 960)
 
 
 def squares(seed: int, columns: int, rows: int = 50) -> np.ndarray:
@@ -421,11 +430,11 @@ def test_the_reference_states_own_uncertainty_widens_the_gate() -> None:
 
 def test_blocks_make_a_window_and_the_first_look_is_after_three() -> None:
     """The sums of 5 chunks are a block; blocks of nine errors and residual are kept with their times."""
-    watch, stream = ModelWatch(6.0), ticks(FIRST_LOOK)
+    watch, stream = ModelWatch(6.0), ticks(FIRST_EVALUATION)
     looks: list[float] = []
-    watch._look = lambda minutes, *, walks: bool(looks.append(minutes))  # type: ignore[method-assign]
+    watch._evaluate = lambda minutes, *, walks: bool(looks.append(minutes))  # type: ignore[method-assign]
     pushed(watch, stream)
-    assert looks == [pytest.approx((FIRST_LOOK - 1) / 60.0)]
+    assert looks == [pytest.approx((FIRST_EVALUATION - 1) / 60.0)]
     assert (len(watch._blocks), watch._times) == (3, [1000.0 + BLOCK * k - 1 for k in (1, 2, 3)])
     table = by_hand(stream[:BLOCK], X)[:, [*range(9), -1]]
     scale = np.sqrt(np.diagonal(table.T @ table))
@@ -466,7 +475,7 @@ def test_a_finding_gives_way_to_a_better_or_an_older_one(
     watch._samples = ticks_seen
     watch.finding = None if before is None else Finding((before[0],), "", before[1], 10.0)
     watch.explanations = lambda *, walks: [explained(now[0], now[1])]  # type: ignore[method-assign]
-    assert watch._look(12.0, walks=False) is changed
+    assert watch._evaluate(12.0, walks=False) is changed
     assert watch.finding is not None
     assert watch.finding.effects == (kept,)
     took = kept == now[0] and (before is None or now[1] > before[1] or before[0] != kept)
