@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import lines as module
 from magcal_service.diagnosis.lines import body_spectrum, is_red, strongest
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
@@ -100,3 +101,93 @@ def test_an_oscillation_is_not_red() -> None:
     coming = np.exp(-(((scene().time_s - 3000.0) / 1500.0) ** 2))
     swings = [noise(seed) + coming * line(0.045, 6.0) for seed in range(8)]
     assert not any(is_red(scene(), swing, scene().unit) for swing in swings)
+
+
+# Limits, on a spectrum that is made here
+
+STEP_HZ = 1e-4
+
+
+def found_in(
+    monkeypatch: pytest.MonkeyPatch,
+    peaks: dict[int, float],
+    span_s: float,
+    count: int = 9,
+    spin_hz: float | None = None,
+) -> list[int]:
+    """Bins of ``STEP_HZ`` that are found where the spectrum has these peaks; samples come every 2 s."""
+    power = np.zeros(2600)
+    for number, size in peaks.items():
+        power[number] = size
+    monkeypatch.setattr(module, "body_spectrum", lambda *_: (STEP_HZ * np.arange(2600.0), power))
+    time_s = np.arange(0.0, span_s + 1.0, 2.0)
+    field = np.ones((len(time_s), 3))
+    of = Scene(time_s, 0, True, field, field, field, field[:, 0])
+    return [round(line / STEP_HZ) for line in strongest(of, time_s, field, count, spin_hz).tolist()]
+
+
+@pytest.mark.parametrize(("span_s", "slowest"), [(2000.0, 40.0), (1000.0, 80.0), (20_000.0, 1e4 / 900.0)])
+def test_a_line_has_eight_periods_and_fifteen_minutes_at_most(
+    monkeypatch: pytest.MonkeyPatch, span_s: float, slowest: float
+) -> None:
+    below, above = math.ceil(slowest) - 1, math.floor(slowest) + 1
+    assert found_in(monkeypatch, {below: 5.0}, span_s) == []
+    assert found_in(monkeypatch, {above: 5.0}, span_s) == [above]
+
+
+@pytest.mark.parametrize(("number", "found"), [(2469, True), (2471, False)])
+def test_a_line_keeps_three_bins_off_half_the_rate(monkeypatch: pytest.MonkeyPatch, number: int, found: bool) -> None:
+    """Of 1000 s: 0.003 Hz below 0.25."""
+    assert bool(found_in(monkeypatch, {number: 5.0}, 1000.0)) is found
+
+
+def test_lines_come_by_their_size_and_not_within_four_bins_of_a_larger_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    peaks = {500: 9.0, 504: 8.0, 496: 8.0, 505: 7.0, 495: 6.0, 900: 8.5}
+    assert found_in(monkeypatch, peaks, 2000.0) == [500, 900, 505, 495]
+    assert found_in(monkeypatch, peaks, 2000.0, count=2) == [500, 900]
+
+
+@pytest.mark.parametrize(("span_s", "width"), [(20_000.0, 12.0), (2000.0, 30.0)])
+def test_lines_at_the_spin_and_its_double_are_left_out_with_the_orbits_side_lines(
+    monkeypatch: pytest.MonkeyPatch, span_s: float, width: float
+) -> None:
+    """Twelve ten-thousandths of a hertz to either side, or six bins of a short recording; folded where need be."""
+    near, far = int(width) - 1, int(width) + 1
+    for spin, line in ((1000, 1000), (1000, 2000), (4200, 800), (4200, 1600)):
+        for sign in (1, -1):
+            assert found_in(monkeypatch, {line + sign * near: 5.0}, span_s, spin_hz=spin * STEP_HZ) == []
+            beyond = line + sign * far
+            assert found_in(monkeypatch, {beyond: 5.0}, span_s, spin_hz=spin * STEP_HZ) == [beyond]
+    assert found_in(monkeypatch, {1000: 5.0}, span_s) == [1000]
+
+
+def red_with(monkeypatch: pytest.MonkeyPatch, power: Array) -> bool:
+    monkeypatch.setattr(module, "body_spectrum", lambda *_: (np.arange(float(len(power))), power))
+    return is_red(scene(), noise(1), scene().unit)
+
+
+@pytest.mark.parametrize(("height", "red"), [(1.9, True), (2.1, False)])
+def test_a_hump_twice_what_lies_below_it_is_an_oscillation(
+    monkeypatch: pytest.MonkeyPatch, height: float, red: bool
+) -> None:
+    """Means of a sixtieth of the spectrum; below is what lies under half of the hump's frequency."""
+    power = np.where(np.arange(6000) < 1600, 1.0, 0.2)
+    power[3000:3100] = height
+    assert red_with(monkeypatch, power) is red
+
+
+@pytest.mark.parametrize(("first", "red"), [(190, True), (320, False)])
+def test_a_hump_within_two_widths_of_nought_is_red_whatever_lies_below(
+    monkeypatch: pytest.MonkeyPatch, first: int, red: bool
+) -> None:
+    power = np.full(6000, 0.01)
+    power[first : first + 100] = 5.0
+    assert red_with(monkeypatch, power) is red
+
+
+def test_a_short_spectrum_is_looked_at_in_means_of_eight(monkeypatch: pytest.MonkeyPatch) -> None:
+    power = np.full(120, 1.0)
+    power[60] = 8.0 * 1.5  # alone it is twelve times what lies below, among eight less than three
+    assert not red_with(monkeypatch, power)
+    power[60] = 8.0 * 0.5
+    assert red_with(monkeypatch, power)
