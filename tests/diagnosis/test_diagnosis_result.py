@@ -222,6 +222,7 @@ def made() -> Any:
     explained = search.run(fit, FLOOR_NT)
     left = structures(search, explained.fit, None, FLOOR_NT)
     return SimpleNamespace(
+        inspection=SimpleNamespace(open=(), findings=()),
         search=search,
         explained=explained,
         fit=explained.fit,
@@ -381,6 +382,14 @@ def test_what_has_no_name_is_described_with_the_nearest_that_has() -> None:
     assert 0 < len(entry.where["correlates_with"]) <= 6
     assert entry.nats == of.left[0].nats
     assert entry.probability == pytest.approx(1.0 - math.exp(-min(entry.nats, 50.0)))
+
+
+def test_while_the_recording_is_in_doubt_what_was_found_on_it_is_asked_for() -> None:
+    asked = SimpleNamespace(open=(SimpleNamespace(code="wraps"), SimpleNamespace(code="clipped")), findings=())
+    (entry,) = entries(SimpleNamespace(**{**vars(unknown()), "inspection": asked}))
+    assert entry.says.startswith(
+        "Recording and reference disagree; no physics is named before the recording is answered for: wraps, clipped."
+    )
 
 
 def test_what_nothing_comes_near_has_no_nearest() -> None:

@@ -104,7 +104,10 @@ def test_a_result_has_the_reasons_against_it(
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
     fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2))
     prepared: Any = SimpleNamespace(problem=SimpleNamespace(scene=range(rows)))
-    assert _reasons(prepared, fit, verdict) == reasons
+    sound: Any = SimpleNamespace(open=())
+    assert _reasons(sound, prepared, fit, verdict) == reasons
+    doubtful: Any = SimpleNamespace(open=("wraps",))
+    assert _reasons(doubtful, prepared, fit, verdict) == ("recording_doubtful", *reasons)
 
 
 # Attitude

@@ -28,13 +28,16 @@ HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48
 TITLES = {"a": "heat", "b": "currents", "c": "a step", "d": "a tone"}
 
 
-def diagnosis(verdict: Verdict, *, terms: int = 0, unexplained: float = 0.0, reasons: tuple[str, ...] = ()) -> Any:
+def diagnosis(
+    verdict: Verdict, *, terms: int = 0, unexplained: float = 0.0, reasons: tuple[str, ...] = (), doubts: str = ""
+) -> Any:
     """As much of a diagnosis as words are made of: a bias that moved by 3, 4 and 12 nT."""
     before = np.array([10.0, 20.0, 30.0, *[0.0] * 6])
     return SimpleNamespace(
         verdict=verdict,
         unexplained=unexplained,
         reasons=reasons,
+        inspection=SimpleNamespace(open=tuple(doubts), findings=()),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
         fit=SimpleNamespace(terms=(None,) * terms, x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6])),
         prepared=SimpleNamespace(problem=SimpleNamespace(noise_nt=100.04), baseline=SimpleNamespace(x=before)),
@@ -138,6 +141,12 @@ def test_a_clean_recording_agrees_to_the_noise() -> None:
     assert verdict_sentence(diagnosis(Verdict.NONE), [], HELD_OUT) == (
         "Simulation and recording agree to the noise: 101.5 nT are left on data that took no part in the fit, "
         "over a noise of 100.0 nT."
+    )
+
+
+def test_while_the_recording_is_in_doubt_no_physics_is_named() -> None:
+    assert verdict_sentence(diagnosis(Verdict.UNKNOWN, unexplained=0.9, doubts="x"), [], HELD_OUT) == (
+        "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
     )
 
 
