@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from magcal_service.cli.calibrate import add_calibrate
-from magcal_service.cli.common import DONE
+from magcal_service.cli.common import DONE, Parser
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.record import add_record
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="magcal", description="Real-time magnetometer calibration without attitude.")
     parser.add_argument("--version", action="version", version=f"magcal {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     add_run(commands.add_parser("run", help="the daemon: samples in, calibrated vectors and estimates out"))
     add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))

@@ -6,30 +6,32 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, verdict_text
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, Parser, methods_text, verdict_text
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
 
 
-def add_calibrate(parser: argparse.ArgumentParser) -> None:
+def add_calibrate(parser: Parser) -> None:
     """The arguments of ``magcal calibrate``."""
     parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
-    parser.add_argument("--method", default="ukf", help="estimator (default: ukf, the daemon's own)")
+    parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
+    parser.more = methods_text
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
     parser.set_defaults(command=_calibrate)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
+    from magcal_service.config.settings import DEFAULT_METHOD
     from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
     from magcal_service.offline.calibrate import calibrate
     from magcal_service.recordings.reader import read_recording
 
-    find_method(options.method)
+    method = find_method(options.method or DEFAULT_METHOD)
     recording = read_recording(options.recording, options.craft)
-    result = calibrate(recording, options.method)
+    result = calibrate(recording, method.name)
     print("\n".join([*recording.report.lines(), *(f"found: {one}" for one in result.findings)]))
     print(_table(result))
     if options.json is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,24 @@ DONE: Final = 0  # of the contract, as the other two
 REFUSED: Final = 2  # what argparse ends with for a wrong argument
 NOT_TRUSTED: Final = 3  # done, but the reason not to use the result is in the output
 CRAFT_HELP: Final = "which craft of a session that holds several"
+
+
+class Parser(argparse.ArgumentParser):
+    """A command's parser; ``more`` gives the text below its options, worked out only when the help is asked for."""
+
+    more: Callable[[], str] | None = None
+
+    def format_help(self) -> str:
+        """The help of argparse, and ``more``."""
+        return super().format_help() + (self.more() if self.more is not None else "")
+
+
+def methods_text() -> str:
+    """Every method with its one line, for a command's help."""
+    from magcal_service.estimators import methods
+
+    width = max(len(method.name) for method in methods())
+    return "\nmethods:\n" + "".join(f"  {method.name:<{width}}  {method.summary}\n" for method in methods())
 
 
 def check_method(config: Path, name: str) -> None:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import DONE
+from magcal_service.cli.common import DONE, Parser, methods_text
 
 
-def add_study(parser: argparse.ArgumentParser) -> None:
+def add_study(parser: Parser) -> None:
     """The arguments of ``magcal study``."""
     parser.add_argument("name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, blind")
     parser.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the whole study (default: 1)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write tables, figures and curves here")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write NAME.md, NAME.json and NAME.png here")
-    parser.add_argument("--methods", default="", metavar="A,B", help="estimators to compare (default: the study's own)")
+    parser.add_argument("--methods", default="", metavar="A,B", help="of those below (default: the study's own)")
+    parser.more = methods_text
     parser.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.set_defaults(command=_study)

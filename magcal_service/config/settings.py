@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Final
 
 from magcal_service.config import rules
 from magcal_service.config.physics_file import PhysicsConfig, physics_setting
@@ -112,6 +113,15 @@ class SpinConfig:
     window_samples: int | None = special(_window_samples, None, limits=WINDOW_SAMPLES, unit="samples")
     fourth: bool = flag(False)
 
+    @property
+    def window_s(self) -> float:
+        """Length of a window of whole turns [s]."""
+        return self.window_turns * 60.0 / abs(self.rate_rpm)
+
+
+DEFAULT_METHOD: Final = "ukf"
+"""The estimator that runs where none is named."""
+
 
 @dataclass(frozen=True, slots=True)
 class FilterConfig:
@@ -131,7 +141,7 @@ class FilterConfig:
     adaptive: look for jumps of the errors and follow them by process noise at the jump alone.
     """
 
-    method: str = text("ukf", check=rules.check_method)
+    method: str = text(DEFAULT_METHOD, check=rules.check_method)
     prior_bias_nt: float = number(30_000.0, 1.0, 200_000.0, unit="nT")
     prior_D: float = number(0.2, 1e-4, 1.0)
     process_noise_bias_nt: Vector = numbers(3, (0.0, 0.0, 0.0), 0.0, 1000.0, unit="nT/sqrt(s)")

@@ -64,8 +64,6 @@ WATCHED: Final = {
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 """Reasons under which ticks are kept from the watch.  Its window outlives a new start: it fits errors separately."""
 
-_WITHOUT_PROCESS_NOISE: Final = ("two-step", "sliding-batch")
-
 CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
 """Carries out a command of the daemon's for a craft; None where the craft does."""
 
@@ -401,7 +399,7 @@ class Pipeline(Stateful, PipelineMemory):
     def _process_noise_command(self, command: Command) -> str:
         """Set the random walk by ``bias_nt`` and ``D``, 0 where not given; why that is refused, or empty."""
         given, limits = command.arguments, PROCESS_NOISE_LIMITS
-        if self.estimator.name in _WITHOUT_PROCESS_NOISE:
+        if not find_method(self.estimator.name).has_process_noise:
             return f"method {self.estimator.name} has no process noise"
         if not given or not set(given) <= set(limits):
             return f"arguments {dict(given)!r}: bias_nt (nT/sqrt(s)) and D (1/sqrt(s)) are accepted"
@@ -456,4 +454,4 @@ CRAFT_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
 def _walk_of(settings: FilterConfig) -> Array | None:
     """Covariance that the random walk adds per second (9, 9); None where there is none, or the method has none."""
     walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
-    return np.diag(walk**2) if walk.any() and settings.method not in _WITHOUT_PROCESS_NOISE else None
+    return np.diag(walk**2) if walk.any() and find_method(settings.method).has_process_noise else None

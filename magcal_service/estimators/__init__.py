@@ -1,6 +1,7 @@
 """The estimators, one method a file, found by its presence.
 
 A file of this package that defines ``METHOD`` (an ``interface.Method``) is a method; nothing has to be registered.
+One that is no ``interface.Estimator``, or is named otherwise than its file, is refused before it is run.
 Method ``two-step`` is in ``two_step.py``: one that is asked for by name is imported without the others.
 """
 
@@ -10,25 +11,32 @@ import importlib
 import pkgutil
 from functools import cache
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.estimators.interface import Method
 from magcal_service.typed_toml import nearest
 
 
 @cache
 def methods() -> tuple[Method, ...]:
-    """Every method there is, by name."""
+    """Every method there is, by name; MagcalError where a file's ``METHOD`` cannot be run."""
     found = [_method_in(entry.name) for entry in pkgutil.iter_modules(__path__)]
     return tuple(sorted((method for method in found if method is not None), key=lambda method: method.name))
 
 
 def _method_in(file: str) -> Method | None:
     method = getattr(importlib.import_module(f"{__name__}.{file}"), "METHOD", None)
-    return method if isinstance(method, Method) else None
+    if not isinstance(method, Method):
+        return None
+    if method.name.replace("-", "_") != file:
+        raise MagcalError(f"method {method.name}: its file is named {file}.py, not as the method, with _ for -")
+    if method.missing():
+        missing = ", ".join(method.missing())
+        raise MagcalError(f"method {method.name}: {missing} is missing (estimators/interface.py)")
+    return method
 
 
 def find_method(name: str) -> Method:
-    """The method of that name; ConfigError with the nearest name where there is none."""
+    """The method of that name; ConfigError with the nearest where there is none, MagcalError if it can't be run."""
     file = name.replace("-", "_")
     if file in {entry.name for entry in pkgutil.iter_modules(__path__)}:
         method = _method_in(file)

@@ -118,4 +118,9 @@ class Ekf(Stateful, EkfMemory):
         return residual, innovation**2 / spread
 
 
-METHOD = Method("ekf", "nine-state EKF with the scalar measurement alone, from the prior, as published", Ekf)
+METHOD = Method(
+    "ekf",
+    "nine-state EKF with the scalar measurement alone, from the prior, as published",
+    Ekf,
+    takes_wide_prior=False,
+)

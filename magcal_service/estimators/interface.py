@@ -83,6 +83,15 @@ class StateEstimate:
     spin_given_up: bool
 
 
+class InformationSet(StrEnum):
+    """What is known beside the measured vectors (``studies.bounds`` has what each is worth)."""
+
+    SCALAR = "scalar"
+    SCALAR_SPIN = "scalar_spin"
+    VECTOR_SPIN = "vector_spin"
+    VECTOR_ATTITUDE = "vector_attitude"
+
+
 class Estimator(Protocol):
     """A calibration method in real time: ticks in, an estimate at any moment; no clock, file or socket inside."""
 
@@ -108,13 +117,32 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """An entry of the registry: the method's name, one line about it, and how one is made for a craft.
+    """An entry of the registry.
 
-    ``needs`` is the quantity (``units.CHANNEL_UNITS``) of a telemetry channel of three values without which the method
-    learns nothing; empty where it needs none.
+    Parameters
+    ----------
+    name: as in configurations and messages; its file is named like it, with ``_`` for ``-``.
+    summary: one line about it.
+    build: the class of its estimators, which takes a craft's configuration.
+    needs: quantity (``units.CHANNEL_UNITS``) of a telemetry channel of three values without which the method learns
+        nothing; empty where it needs none.
+    has_process_noise: whether the random walk of the settings is used, so that the ``process_noise`` command applies.
+    estimates_matrix: whether it estimates D; without, D is zero and its sigma stays the prior's.
+    takes_wide_prior: whether it finds errors of tens of percent of the field from a prior as wide; without, the prior
+        has to be one that the tangent at zero still fits.
+    bound: the information set whose Cramer-Rao bound its results are held against.
     """
 
     name: str
     summary: str
     build: Callable[[CraftConfig], Estimator]
     needs: str = ""
+    has_process_noise: bool = True
+    estimates_matrix: bool = True
+    takes_wide_prior: bool = True
+    bound: InformationSet = InformationSet.SCALAR
+
+    def missing(self) -> tuple[str, ...]:
+        """Members of ``Estimator`` that ``build`` does not have."""
+        members = (name for name in vars(Estimator) if not name.startswith("_"))
+        return tuple(name for name in members if not hasattr(self.build, name))

@@ -55,7 +55,6 @@ class Plkf(Stateful, PlkfMemory):
     def __init__(self, config: CraftConfig) -> None:
         self._spin = _spin_of(config)
         self.config = config
-        self._span_s = self._spin.window_turns * 60.0 / abs(self._spin.rate_rpm)
         self.reset()
 
     def reset(self) -> None:
@@ -104,7 +103,7 @@ class Plkf(Stateful, PlkfMemory):
     def _variance(self, window: Window) -> float:
         """Variance [nT^2] of one component of the window's mean, with the leak's lasting sign."""
         noise_nt = self._state.noise.white_nt or self._state.noise.total_nt
-        windows = max(1.0, _LEAK_MEMORY_S / self._span_s)
+        windows = max(1.0, _LEAK_MEMORY_S / self._spin.window_s)
         noise = noise_nt**2 * float(window.weights @ window.weights) * window.share
         return noise + window.leak_nt**2 * windows
 
@@ -116,4 +115,9 @@ def _spin_of(config: CraftConfig) -> SpinConfig:
     return config.spin
 
 
-METHOD = Method("plkf", "pseudo-linear Kalman filter: bias across the spin axis, from spin windows", Plkf)
+METHOD = Method(
+    "plkf",
+    "pseudo-linear Kalman filter: bias across the spin axis, from spin windows",
+    Plkf,
+    estimates_matrix=False,
+)

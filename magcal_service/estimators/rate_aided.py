@@ -244,4 +244,10 @@ class RateAided(Stateful, RateAidedMemory):
             self._state.phase = Phase.RUNNING
 
 
-METHOD = Method("rate-aided", "bias from magnetometer and gyro: dB/dt = -w x (B - b)", RateAided, "angular rate")
+METHOD = Method(
+    "rate-aided",
+    "bias from magnetometer and gyro: dB/dt = -w x (B - b)",
+    RateAided,
+    needs="angular rate",
+    estimates_matrix=False,
+)

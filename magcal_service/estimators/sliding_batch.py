@@ -95,4 +95,9 @@ class SlidingBatch(TwoStep, SlidingBatchMemory):
         self._covariance = 0.5 * (covariance + covariance.T)
 
 
-METHOD = Method("sliding-batch", "TWO-STEP on a sliding, re-weighted window, for errors that change", SlidingBatch)
+METHOD = Method(
+    "sliding-batch",
+    "TWO-STEP on a sliding, re-weighted window, for errors that change",
+    SlidingBatch,
+    has_process_noise=False,
+)

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
-from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.spin_window import across_axis
 from magcal_service.estimators.steady_spin.fit import AxisTie, Prior
 from magcal_service.estimators.steady_spin.search import SpinSearch, SpinStart
@@ -270,5 +270,8 @@ class SpinFilter(Stateful, SpinFilterMemory):
 
 
 METHOD: Final = Method(
-    "spin", "nine errors with attitude and rate of a free spin, from the reference vector", SpinFilter
+    "spin",
+    "nine errors with attitude and rate of a free spin, from the reference vector",
+    SpinFilter,
+    bound=InformationSet.VECTOR_SPIN,
 )

@@ -376,4 +376,9 @@ def published(config: CraftConfig) -> TwoStep:
     return TwoStep(config, corrected=False)
 
 
-METHOD = Method("two-step", "TWO-STEP batch of all samples: centred linear start, then Gauss-Newton", TwoStep)
+METHOD = Method(
+    "two-step",
+    "TWO-STEP batch of all samples: centred linear start, then Gauss-Newton",
+    TwoStep,
+    has_process_noise=False,
+)

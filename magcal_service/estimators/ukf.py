@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
-from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
+from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.adaptive import ChangeDetector
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import StartCollector, prior_sigma
@@ -360,4 +360,9 @@ class Ukf(Stateful, UkfMemory):
             self._begin()
 
 
-METHOD = Method("ukf", "nine-state UKF: scalar measurement and two spin pseudo-measurements, in real time", Ukf)
+METHOD = Method(
+    "ukf",
+    "nine-state UKF: scalar measurement and two spin pseudo-measurements, in real time",
+    Ukf,
+    bound=InformationSet.SCALAR_SPIN,
+)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.config.settings import (
+    DEFAULT_METHOD,
     CraftConfig,
     PhysicsConfig,
 )
@@ -133,7 +134,9 @@ def refuse_without_channel(recording: Recording, method: Method) -> None:
         raise RecordingError([Fault(f"{recording.name}: channels", "missing", accepted)])
 
 
-def calibrate(recording: Recording | Path | str, method: str = "ukf", config: CraftConfig | None = None) -> Calibration:
+def calibrate(
+    recording: Recording | Path | str, method: str = DEFAULT_METHOD, config: CraftConfig | None = None
+) -> Calibration:
     """Run a method over a recording and judge the result on the whole of it.
 
     Parameters

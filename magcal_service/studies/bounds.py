@@ -23,11 +23,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
 
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.estimators.parts.spin_window import (
     LEO_FIELD_RATE_RAD_S,
     across_axis,
@@ -35,15 +35,6 @@ from magcal_service.estimators.parts.spin_window import (
     harmonic_weights,
 )
 from magcal_service.model import STATE_SIZE, Array, field_jacobian, measure
-
-
-class InformationSet(StrEnum):
-    """What is known beside the measured vectors."""
-
-    SCALAR = "scalar"
-    SCALAR_SPIN = "scalar_spin"
-    VECTOR_SPIN = "vector_spin"
-    VECTOR_ATTITUDE = "vector_attitude"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +49,7 @@ class Flight:
     noise_nt: white noise, 1 sigma per axis [nT].
     spin_axis: unit vector in the body (3,); needed by the two sets with spin.
     spin_rate_rad_s: rate about +axis [rad/s].
-    window_turns: length of a spin window [turns].
+    window_s: length of a spin window (``SpinConfig.window_s``) [s]; needed by ``SCALAR_SPIN``.
     """
 
     times_s: Array
@@ -67,7 +58,7 @@ class Flight:
     noise_nt: float
     spin_axis: Array | None = None
     spin_rate_rad_s: float = 0.0
-    window_turns: int = 2
+    window_s: float = 0.0
 
     def jacobian(self) -> Array:
         """J(B) (n, 3, 9) at the noise-free measured vectors."""
@@ -175,8 +166,9 @@ def _window_information(flight: Flight, jacobian: Array, counts: Sequence[int]) 
     """
     axis, rate = flight.spin()
     across = across_axis(axis)
-    span_s = flight.window_turns * 2.0 * np.pi / abs(rate)
-    number = np.floor((flight.times_s - flight.times_s[0]) / span_s + 1e-9).astype(int)
+    if not flight.window_s > 0.0:
+        raise ValueError(f"window_s = {flight.window_s}: this information set needs the length of a spin window")
+    number = np.floor((flight.times_s - flight.times_s[0]) / flight.window_s + 1e-9).astype(int)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), len(number))
     magnitude = np.linalg.norm(flight.field_body_nt, axis=1)
     unit = flight.field_body_nt / magnitude[:, None]

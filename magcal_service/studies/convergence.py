@@ -13,10 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.config.settings import FilterConfig
+from magcal_service.config.settings import DEFAULT_METHOD, FilterConfig
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import BIAS, STATE_SIZE, Array
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import CRAFT, START_UTC_NS, FlightPlan, Flown, Nine, fly
 from magcal_service.studies.montecarlo import seeds_of
 from magcal_service.studies.progress import progress
@@ -237,7 +238,7 @@ _WRONG: Final = np.repeat([WRONG_BIAS_NT, WRONG_D], [3, 6])
 
 def run(request: Request) -> Findings:
     """Random flights through the pipeline, for each method asked for."""
-    names = request.methods or ("ukf",)
+    names = request.methods or (DEFAULT_METHOD,)
     seeds = seeds_of(request.seed, request.runs or STUDY.runs)
     tables: list[Table] = []
     figures: dict[str, Cell] = {}

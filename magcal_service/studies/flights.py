@@ -168,6 +168,7 @@ class Flown:
             noise_nt=self.plan.noise_nt,
             spin_axis=_unit(self.plan.spin_body),
             spin_rate_rad_s=self.plan.rate_rpm * 2.0 * math.pi / 60.0,
+            window_s=SpinConfig(rate_rpm=self.plan.rate_rpm).window_s,
         )
 
 

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Phase
+from magcal_service.estimators.scalar_ukf import ScalarUkf
+from magcal_service.estimators.spin import SpinFilter
+from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.batched.spin import BatchedSpin
 from magcal_service.studies.batched.ukf import BatchedScalarUkf, BatchedUkf
@@ -49,9 +52,9 @@ class Batch(Protocol):
 
 
 _BATCHES: Final[dict[str, type[BatchedUkf] | type[BatchedSpin]]] = {
-    "ukf": BatchedUkf,
-    "scalar-ukf": BatchedScalarUkf,
-    "spin": BatchedSpin,
+    Ukf.name: BatchedUkf,
+    ScalarUkf.name: BatchedScalarUkf,
+    SpinFilter.name: BatchedSpin,
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from magcal_service.config.settings import FilterConfig
+from magcal_service.config.settings import DEFAULT_METHOD, FilterConfig
 from magcal_service.model import BIAS
 from magcal_service.studies.flights import FlightPlan
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
@@ -17,7 +17,7 @@ LEVELS_NT: Final = (50.0, 100.0, 200.0, 300.0, 500.0, 1000.0, 2000.0)
 
 def run(request: Request) -> Findings:
     """The paper's flight at each level, for each method asked for."""
-    names = request.methods or ("ukf",)
+    names = request.methods or (DEFAULT_METHOD,)
     duration_s = request.duration_s or FlightPlan().duration_s
     tables: list[Table] = []
     panels: list[Panel] = []

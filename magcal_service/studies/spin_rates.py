@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from magcal_service.config.settings import FilterConfig
+from magcal_service.config.settings import DEFAULT_METHOD, FilterConfig
 from magcal_service.estimators import find_method
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import BIAS
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import seeds_of
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
@@ -21,7 +22,7 @@ RATES_RPM: Final = (0.5, 1.0, 2.0, 4.0, 7.5, 12.0, 15.0, 20.0, 25.0, 28.0, 29.0,
 
 def run(request: Request) -> Findings:
     """The paper's flight at each rate, for each method asked for."""
-    names = request.methods or ("ukf",)
+    names = request.methods or (DEFAULT_METHOD,)
     duration_s = request.duration_s or FlightPlan().duration_s
     tables: list[Table] = []
     panels: list[Panel] = []

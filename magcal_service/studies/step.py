@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, FilterConfig
-from magcal_service.errors import ConfigError
-from magcal_service.estimators import find_method
+from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.model import Array
 from magcal_service.studies.flights import FlightPlan
 from magcal_service.studies.montecarlo import Ensemble, seeds_of, simulate
@@ -90,11 +89,7 @@ def _followers(plan: FlightPlan, methods: tuple[str, ...]) -> list[Follower]:
     for walk in WALKS_NT:
         settings = FilterConfig(process_noise_bias_nt=(walk, walk, walk), process_noise_D=(WALK_D,) * 6)
         followers.append(Follower(f"ukf, {walk:g} nT/sqrt(s)", plan.craft(settings)))
-    try:
-        find_method("sliding-batch")
-    except ConfigError:
-        return followers
-    return [*followers, Follower("sliding-batch", plan.craft(FilterConfig(method="sliding-batch")))]
+    return [*followers, Follower(SlidingBatch.name, plan.craft(FilterConfig(method=SlidingBatch.name)))]
 
 
 _COLUMNS: Final = (

@@ -10,8 +10,9 @@ import numpy as np
 from magcal_service.config.settings import FilterConfig
 from magcal_service.errors import ConfigError
 from magcal_service.estimators import find_method, methods
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import BIAS, STATE_NAMES, Array
-from magcal_service.studies.bounds import InformationSet, bound_over_time
+from magcal_service.studies.bounds import bound_over_time
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import Ensemble, Statistics, in_batch, seeds_of, simulate, statistics
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
@@ -27,10 +28,6 @@ PAPER_3_SIGMA: Final = {
 }
 """Cetin, Soken, Tekinalp 2020, Table 2, 1000 runs; the spin axis they used is not known."""
 
-KNOWN: Final = {"spin": InformationSet.VECTOR_SPIN, "ukf": InformationSet.SCALAR_SPIN}
-"""What a method makes use of, where that is more than the magnitude."""
-
-BIAS_ONLY: Final = ("plkf", "rate-aided")
 RUNS_ALONE: Final = 50
 """Runs of a method that goes one run at a time, unless the method is asked for by name."""
 
@@ -93,10 +90,11 @@ def run(request: Request) -> Findings:
 
 def _refusal(name: str) -> str:
     """Why a method can't fly this experiment, empty where it can."""
-    if name == "rate-aided":
-        return "it needs a gyro, which the experiment has not"
+    method = find_method(name)
+    if method.needs:
+        return f"it needs a channel of {method.needs}, which the experiment has not"
     try:
-        find_method(name).build(FlightPlan().craft(FilterConfig(method=name)))
+        method.build(FlightPlan().craft(FilterConfig(method=name)))
     except ConfigError as error:
         return str(error)
     return ""
@@ -110,7 +108,7 @@ def _outcome(case: Case, name: str, request: Request) -> Outcome:
     at_s = np.geomspace(plan.duration_s / 60.0, plan.duration_s - 1.0, _TIMES)
     seeds = seeds_of(request.seed, runs)
     ensemble = simulate(plan, config, seeds, request.executor, at_s.tolist(), f"{name}, {case.name}")
-    bound = bound_over_time(fly(plan).for_bounds(), KNOWN.get(name, InformationSet.SCALAR), at_s)
+    bound = bound_over_time(fly(plan).for_bounds(), find_method(name).bound, at_s)
     return Outcome(case, name, ensemble, bound, statistics(ensemble))
 
 
@@ -133,7 +131,7 @@ def _summaries(outcomes: list[Outcome]) -> list[Table]:
 
 def _bounds_of(outcomes: list[Outcome]) -> dict[InformationSet, Outcome]:
     """One outcome for each information set, of which it has the bound."""
-    return {KNOWN.get(outcome.method, InformationSet.SCALAR): outcome for outcome in outcomes}
+    return {find_method(outcome.method).bound: outcome for outcome in outcomes}
 
 
 def _summary(outcome: Outcome) -> tuple[Cell, ...]:
@@ -141,13 +139,13 @@ def _summary(outcome: Outcome) -> tuple[Cell, ...]:
     ratio = float((end.spread / outcome.bound[-1])[part].max())
     error = float(np.abs(end.mean_error_sigmas[part]).max())
     three_sigma: list[Cell] = [float(value) for value in 3.0 * end.spread]
-    if outcome.method in BIAS_ONLY:
+    if not find_method(outcome.method).estimates_matrix:
         three_sigma[BIAS.stop :] = [None] * 6
     return outcome.method, end.runs, end.started, end.nees, *three_sigma, ratio, error
 
 
 def _meaningful(method: str) -> slice:
-    return BIAS if method in BIAS_ONLY else slice(None)
+    return slice(None) if find_method(method).estimates_matrix else BIAS
 
 
 def _nine(outcome: Outcome) -> Table:
@@ -183,7 +181,8 @@ def _panels(outcomes: list[Outcome]) -> tuple[Panel, ...]:
     for case in dict.fromkeys(outcome.case for outcome in outcomes):
         own = [outcome for outcome in outcomes if outcome.case == case]
         for index in (0, 2, 5):
-            lines = [_line(outcome, index) for outcome in own if index < BIAS.stop or outcome.method not in BIAS_ONLY]
+            shown = own if index < BIAS.stop else [each for each in own if find_method(each.method).estimates_matrix]
+            lines = [_line(outcome, index) for outcome in shown]
             lines += [
                 Line(f"bound: {known}", _floats(each.ensemble.at_s), _floats(3.0 * each.bound[:, index]), limit=True)
                 for known, each in _bounds_of(own).items()

@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import BIAS, Array
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import Ensemble, Statistics, seeds_of, simulate, statistics
 from magcal_service.studies.report import Cell

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from magcal_service.config.settings import FilterConfig, SpinConfig, SpinWindow
-from magcal_service.studies.bounds import InformationSet
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.studies.flights import FlightPlan
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study

@@ -25,14 +25,14 @@ from scipy.optimize import least_squares
 
 from magcal_service.config.settings import FilterConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.interface import Phase
+from magcal_service.estimators.interface import InformationSet, Phase
 from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, two_step
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES, Array, calibrate, field_jacobian, measure
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import FlightPlan, Flown, fly
 
 AXES = {"(1, 1, 1)": (1.0, 1.0, 1.0), "near the orbit normal": (0.64, -0.73, 0.25)}

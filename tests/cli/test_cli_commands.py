@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from magcal_service.daemon.estimate_csv import COLUMNS
-from magcal_service.estimators import methods
+from magcal_service.estimators import find_method, methods
 from magcal_service.trust.reasons import Reason
 from magcal_service.version import __version__
 from sim_sensor.recorder import record_simulation
@@ -129,11 +129,20 @@ def test_every_method_runs_on_a_recording_and_names_itself_or_says_what_is_missi
     method: str, short: Path, tmp_path: Path
 ) -> None:
     done = run("calibrate", short, "--method", method, "--json", tmp_path / "result.json")
-    if method == "rate-aided":
-        assert (done.code, "a channel of three columns with a unit of angular rate" in done.err) == (2, True)
+    needs = find_method(method).needs
+    if needs:
+        assert (done.code, f"a channel of three columns with a unit of {needs}" in done.err) == (2, True)
         return
     assert done.code in (0, 3), done.err
     assert json.loads((tmp_path / "result.json").read_text())["method"] == method
+
+
+@pytest.mark.parametrize("command", ["calibrate", "study"])
+def test_the_help_lists_every_method_with_its_line(command: str) -> None:
+    done = run(command, "--help")
+    lines = done.out.partition("\nmethods:\n")[2].splitlines()
+    assert done.code == 0
+    assert [tuple(line.strip().split(None, 1)) for line in lines] == [(m.name, m.summary) for m in methods()]
 
 
 def test_an_unknown_method_is_refused_with_the_nearest(short: Path) -> None:

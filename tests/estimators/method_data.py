@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from magcal_service.config.settings import SpinConfig
 from magcal_service.estimators.interface import Estimator, TickOutcome
 from magcal_service.model import Array, measure
 from magcal_service.studies.bounds import Flight
@@ -50,7 +51,8 @@ class Field:
 
     def flight(self, x: Array = PAPER_X, noise_nt: float = PAPER_NOISE_NT) -> Flight:
         """The same for the bounds."""
-        return Flight(self.times_s, self.field_body_nt, x, noise_nt, self.spin_axis, self.spin_rate_rad_s)
+        window_s = SpinConfig(rate_rpm=self.spin_rate_rad_s * 60.0 / (2.0 * np.pi)).window_s
+        return Flight(self.times_s, self.field_body_nt, x, noise_nt, self.spin_axis, self.spin_rate_rad_s, window_s)
 
     def measured(self, rng: np.random.Generator, x: Array = PAPER_X, noise_nt: float = PAPER_NOISE_NT) -> Array:
         """Measured vectors B (n, 3) [nT] with the errors x and fresh noise."""

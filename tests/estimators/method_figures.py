@@ -23,6 +23,7 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.ekf import Ekf
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
@@ -33,7 +34,7 @@ from magcal_service.estimators.two_step import Solution, TwoStep, two_step
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import STATE_NAMES, d_matrix
 from magcal_service.recordings.reader import read_recording
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.ticks.assembler import Tick
 from tests.estimators.method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play
 

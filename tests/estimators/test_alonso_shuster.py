@@ -16,13 +16,13 @@ import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
 from magcal_service.estimators import find_method
-from magcal_service.estimators.interface import StateEstimate
+from magcal_service.estimators.interface import InformationSet, StateEstimate
 from magcal_service.estimators.parts.magnitude_sums import MagnitudeSums
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, two_step
 from magcal_service.model import Array
-from magcal_service.studies.bounds import Flight, InformationSet, bound_sigma
+from magcal_service.studies.bounds import Flight, bound_sigma
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.ticks.assembler import Tick
 

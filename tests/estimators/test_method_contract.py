@@ -6,6 +6,7 @@ import importlib
 import re
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -14,31 +15,27 @@ import pytest
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
-from magcal_service.model import Array
+from magcal_service.model import BIAS, STATE_NAMES, Array
 from tests.estimators.method_data import PAPER_X, RateTick, paper_field, play
 
 NAMES = [method.name for method in methods()]
-BIAS_ONLY = ("plkf", "rate-aided")
-COLD = ("ekf",)
-"""Methods without a start of their own: they are given errors, and a prior, that a tangent still fits."""
-
 NOISE_NT = 30.0
 SECONDS = 1500
 
 every_method = pytest.mark.parametrize("name", NAMES)
 
 
-def craft(name: str) -> CraftConfig:
-    """A craft with everything a method may want, its errors within the prior."""
-    bias_nt, d = (300.0, 0.01) if name in COLD else (8000.0, 0.1)
-    settings = FilterConfig(method=name, prior_bias_nt=bias_nt, prior_D=d)
+def craft(name: str, **walk: Any) -> CraftConfig:
+    """A craft with everything a method may want, its errors within a prior that the method takes."""
+    bias_nt, d = (8000.0, 0.1) if find_method(name).takes_wide_prior else (300.0, 0.01)
+    settings = FilterConfig(name, bias_nt, d, **walk)
     return CraftConfig("craft", sensor=SensorConfig(noise_nt=NOISE_NT), spin=SpinConfig(), filter=settings)
 
 
 def truth(name: str) -> Array:
     """Table 1, at half of its size; without D for the methods that take it as zero."""
-    x = (0.05 if name in COLD else 0.5) * PAPER_X
-    if name in BIAS_ONLY:
+    x = (0.5 if find_method(name).takes_wide_prior else 0.05) * PAPER_X
+    if not find_method(name).estimates_matrix:
         x[3:] = 0.0
     return x
 
@@ -65,6 +62,13 @@ def final(name: str) -> StateEstimate:
     return estimator.estimate()
 
 
+def assert_within(state: StateEstimate, name: str, sigmas: float, part: slice = slice(None)) -> None:
+    """Each error of the estimate is below its 1 sigma times a factor; a failure names both, state by state."""
+    errors, sigma = np.abs(state.x - truth(name)), np.sqrt(np.diagonal(state.covariance))
+    message = f"{name}: error of {', '.join(STATE_NAMES[part])} [nT, -] against {sigmas} sigma"
+    np.testing.assert_array_less(errors[part], sigmas * sigma[part], err_msg=message)
+
+
 def same(one: StateEstimate, other: StateEstimate) -> bool:
     arrays = np.array_equal(one.x, other.x) and np.array_equal(one.covariance, other.covariance)
     plain = replace(one, x=other.x, covariance=other.covariance) == other
@@ -84,14 +88,35 @@ def test_it_reports_under_its_own_name(name: str) -> None:
 @every_method
 def test_its_file_names_its_source(name: str) -> None:
     module = importlib.import_module(find_method(name).build.__module__)
-    assert re.search(r"^Source: \S.*\b(19|20)\d\d\b", module.__doc__ or "", re.MULTILINE)
+    found = re.search(r"^Source: \S.*\b(19|20)\d\d\b", module.__doc__ or "", re.MULTILINE)
+    assert found, f"the docstring of {module.__name__} needs a line that begins with 'Source: ' and holds a year"
 
 
 @every_method
 def test_its_summary_is_one_line(name: str) -> None:
     summary = find_method(name).summary
-    assert 10 < len(summary) < 120
+    assert 10 < len(summary) < 120, "one line of 11 to 119 characters, for `magcal calibrate --help`"
     assert "\n" not in summary
+
+
+@every_method
+def test_it_uses_process_noise_or_says_that_it_does_not(name: str) -> None:
+    """``has_process_noise`` decides whether the daemon's command is taken, and whether vectors age."""
+    walked = find_method(name).build(craft(name, process_noise_bias_nt=(1.0,) * 3, process_noise_D=(1e-5,) * 6))
+    play(walked, ticks(name))
+    assert same(walked.estimate(), final(name)) != find_method(name).has_process_noise
+
+
+@every_method
+def test_it_estimates_d_or_says_that_it_does_not(name: str) -> None:
+    """``estimates_matrix`` decides what a table shows: without it x has no D, and its sigma stays the prior's."""
+    state, prior = final(name), craft(name).filter.prior_D
+    sigma = np.sqrt(np.diagonal(state.covariance))[BIAS.stop :]
+    if find_method(name).estimates_matrix:
+        np.testing.assert_array_less(sigma, prior, err_msg=f"{name}: sigma of D against the prior's")
+    else:
+        np.testing.assert_allclose(sigma, prior, rtol=1e-12)
+        np.testing.assert_array_equal(state.x[BIAS.stop :], 0.0)
 
 
 @every_method
@@ -187,7 +212,7 @@ def test_its_covariance_is_symmetric_and_positive_at_any_time(name: str) -> None
         sigma = np.sqrt(np.diagonal(covariance))
         correlation = covariance / np.outer(sigma, sigma)
         np.testing.assert_allclose(correlation, correlation.T, rtol=0.0, atol=1e-9)
-        assert np.linalg.eigvalsh(correlation)[0] > 0.0
+        assert np.linalg.eigvalsh(correlation)[0] > 0.0, f"{name}: not positive after {count + 1} ticks"
 
 
 @every_method
@@ -196,14 +221,13 @@ def test_the_bias_of_a_clean_case_is_found_to_its_stated_sigma(name: str) -> Non
     state = final(name)
     sigma = np.sqrt(np.diagonal(state.covariance))
     assert state.phase is Phase.RUNNING
-    assert np.all(np.abs(state.x - truth(name))[:3] < 4.0 * sigma[:3])
-    assert np.all(sigma[:2] < 30.0)
+    assert_within(state, name, 4.0, BIAS)
+    np.testing.assert_array_less(sigma[:2], 30.0, err_msg=f"{name}: 1 sigma of bx, by [nT]")
 
 
 @every_method
 def test_no_state_of_a_clean_case_is_off_by_more_than_its_sigma_allows(name: str) -> None:
-    state = final(name)
-    assert np.all(np.abs(state.x - truth(name)) < 4.5 * np.sqrt(np.diagonal(state.covariance)))
+    assert_within(final(name), name, 4.5)
 
 
 @every_method
@@ -215,11 +239,11 @@ def test_ticks_of_one_to_five_samples_are_taken(name: str) -> None:
         tick = field.tick(measured(name), index, slice(first, first + size))
         outcome = estimator.handle(tick)
         assert outcome.residual_nt.shape == tick.times_s.shape
-        assert outcome.used + outcome.rejected == len(tick.times_s)
+        assert outcome.used + outcome.rejected == len(tick.times_s), "each sample is used or rejected, in its own tick"
         first, index, used = first + size, index + 1, used + outcome.used
     state = estimator.estimate()
     assert (state.samples, state.phase) == (used, Phase.RUNNING)
-    assert np.all(np.abs(state.x - truth(name)) < 4.5 * np.sqrt(np.diagonal(state.covariance)))
+    assert_within(state, name, 4.5)
 
 
 @every_method
@@ -233,7 +257,7 @@ def test_a_gap_of_ten_minutes_does_no_harm(name: str) -> None:
         estimator.handle(field.tick(values, index, slice(row, row + 1), after_gap=row == 1500))
     state = estimator.estimate()
     assert state.phase is Phase.RUNNING
-    assert np.all(np.abs(state.x - truth(name)) < 4.5 * np.sqrt(np.diagonal(state.covariance)))
+    assert_within(state, name, 4.5)
 
 
 @every_method
@@ -241,5 +265,4 @@ def test_a_reference_without_direction_is_enough(name: str) -> None:
     """Every method can be run where only |H| is known."""
     estimator = build(name)
     play(estimator, [replace(tick, reference_eci_nt=None) for tick in ticks(name)])
-    state = estimator.estimate()
-    assert np.all(np.abs(state.x - truth(name)) < 4.5 * np.sqrt(np.diagonal(state.covariance)))
+    assert_within(estimator.estimate(), name, 4.5)

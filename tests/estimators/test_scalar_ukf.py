@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.estimators.scalar_ukf import ScalarUkf
 from magcal_service.estimators.ukf import Ukf
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from tests.estimators.method_data import PAPER_X, paper_field, play, sigmas_off
 
 SPINNING = CraftConfig("craft", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig
-from magcal_service.estimators.interface import Phase, StartGate
+from magcal_service.estimators.interface import InformationSet, Phase, StartGate
 from magcal_service.estimators.parts.magnitude_sums import (
     MagnitudeSums,
     coefficient_jacobian,
@@ -21,7 +21,7 @@ from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.two_step import Solution, TwoStep, published, two_step
 from magcal_service.model import Array, measure, predicted_scalar, scalar_measurement
-from magcal_service.studies.bounds import InformationSet, bound_sigma
+from magcal_service.studies.bounds import bound_sigma
 from magcal_service.ticks.assembler import Tick
 from tests.estimators.method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play, sigmas_off
 

@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import Array
-from magcal_service.studies.bounds import Flight, InformationSet, _spin_rows, bound_over_time, bound_sigma
+from magcal_service.studies.bounds import Flight, _spin_rows, bound_over_time, bound_sigma
 from tests.estimators.method_data import NEAR_NORMAL, paper_field
 
 DIAGONAL = (1.0, 1.0, 1.0)

@@ -48,7 +48,7 @@ def test_table2_states_nine_parameters_for_each_method_and_axis() -> None:
 
 def test_table2_says_which_method_it_did_not_run() -> None:
     findings = small("table2", methods=("rate-aided", "ekf")).findings
-    assert any("`rate-aided` was not run" in note and "gyro" in note for note in findings.notes)
+    assert any("`rate-aided` was not run" in note and "angular rate" in note for note in findings.notes)
 
 
 def test_noise_has_a_row_for_each_level() -> None:
@@ -147,7 +147,8 @@ def test_the_command_refuses_an_unknown_study_with_one_line(capsys) -> None:
 
 
 def test_the_scalar_bound_of_the_paper_s_flight_has_the_proportions_of_its_two_step() -> None:
-    from magcal_service.studies.bounds import InformationSet, bound_sigma
+    from magcal_service.estimators.interface import InformationSet
+    from magcal_service.studies.bounds import bound_sigma
 
     plan = FlightPlan()
     sigma = 3.0 * bound_sigma(fly(plan).for_bounds(), InformationSet.SCALAR)

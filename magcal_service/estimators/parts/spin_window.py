@@ -186,7 +186,7 @@ class SpinWindows(Stateful, SpinWindowsMemory):
         self._noise_nt = noise_nt
         self._across = across_axis(np.array(spin.axis))
         self._rate_rad_s = abs(spin.rate_rpm) * 2.0 * math.pi / 60.0
-        self._span_s = spin.window_turns * 60.0 / abs(spin.rate_rpm)
+        self._span_s = spin.window_s
         self._ticks = deque()
         self._first_s = 0.0
         self._samples = 0

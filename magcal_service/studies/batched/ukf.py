@@ -218,5 +218,4 @@ def _longest_window(config: CraftConfig) -> int:
     """Samples to keep for spin windows at one sample a second."""
     if config.spin is None:
         return 1
-    turns_s = config.spin.window_turns * 60.0 / abs(config.spin.rate_rpm)
-    return max(int(turns_s) + 2, config.spin.window_samples or 0)
+    return max(int(config.spin.window_s) + 2, config.spin.window_samples or 0)
