@@ -389,3 +389,8 @@ def test_configuration_imports_neither_numpy_nor_an_extra() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_length_of_a_spin_window_is_that_of_its_turns_either_way() -> None:
+    assert SpinConfig(rate_rpm=7.5).window_s == 16.0
+    assert SpinConfig(rate_rpm=-2.0, window_turns=3).window_s == 90.0

@@ -93,6 +93,12 @@ def test_a_set_with_spin_refuses_a_flight_without(known: InformationSet) -> None
         bound_sigma(flight, known)
 
 
+def test_a_set_with_spin_windows_refuses_a_flight_without_their_length() -> None:
+    flight = replace(paper_field().until(600.0).flight(), window_s=0.0)
+    with pytest.raises(ValueError, match="needs the length of a spin window"):
+        bound_sigma(flight, InformationSet.SCALAR_SPIN)
+
+
 def rotation(vector: Array) -> Array:
     """exp([v]x) by the eigenvectors of [v]x, independent of Rodrigues' formula."""
     x, y, z = vector
