@@ -113,4 +113,4 @@ def test_an_effect_of_the_field_or_the_reference_can_be_compensated_live() -> No
     ],
 )
 def test_the_watch_asks_the_effects_what_it_may_be_seeing(kind: Watched, quantity: str, names: tuple[str, ...]) -> None:
-    assert watched_as(kind, quantity) == names
+    assert watched_as(kind, quantity) == names, "an effect with this in `watched` is new: add the name to its row here"
