@@ -15,13 +15,13 @@ from magcal_service.recordings.scene_of import recorded_attitude
 from magcal_service.recordings.table import FloatArray
 from magcal_service.units import CHANNEL_UNITS
 
-_FEWEST: Final = 200
+_FEWEST: Final = 200  # differences: 24 hypotheses are compared, and each is free in three numbers
 _LONGEST_TURN: Final = 0.35
 """Radians between rows: beyond, a difference is no derivative."""
 
-_EXPLAINS: Final = 0.3
-_BETTER: Final = 3.0
-_MOST: Final = 3000
+_EXPLAINS: Final = 0.3  # of the change may be left: scale errors of a fifth, and noise
+_BETTER: Final = 3.0  # choice: times less is left than as declared, far beyond what scale errors do
+_MOST: Final = 3000  # rows: more only take time
 
 
 def axes_by_gyro(log: Log) -> Iterator[Seen]:
@@ -57,7 +57,7 @@ def _is_gyro(channel: Channel) -> bool:
 
 
 _Signs = tuple[tuple[int, int], ...]
-_SAME: Final[_Signs] = ((0, 1), (1, 1), (2, 1))
+_SAME: Final[_Signs] = ((0, 1), (1, 1), (2, 1))  # each axis is itself
 
 
 def _turns() -> Iterator[_Signs]:

@@ -16,16 +16,16 @@ _AXES: Final = "xyz"
 _WORD: Final = 65_536.0
 """Values of 16 bits."""
 
-_FEWEST_CLIPPED: Final = 8
+_FEWEST_CLIPPED: Final = 8  # as the effect ``saturation`` has it
 _FLAT_TO_NEXT: Final = 5.0
 """As the effect ``saturation`` has them: an end of the range comes far oftener than the values beside it."""
 
-_SHORTEST_STUCK: Final = 60
+_SHORTEST_STUCK: Final = 60  # rows; as the daemon's watch over axes has it
 _OTHERS_MOVE: Final = 30.0
 """Times its own usual step that an axis would have moved, going by the others."""
 
-_LONGEST_START: Final = 30
-_SHARE_OF_START: Final = 0.02
+_LONGEST_START: Final = 30  # rows; choice: half a minute at 1 Hz, settling and not physics
+_SHARE_OF_START: Final = 0.02  # choice: of the log; longer is no start
 _OUT: Final = 30.0
 """Robust sigmas that every row of a bad start lies off, and hardly a row after it."""
 

@@ -12,14 +12,14 @@ from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.specs import ConstantReference
 from magcal_service.recordings.table import FloatArray
 
-_TOO_LARGE: Final = 3.0
-_TOO_SMALL: Final = 0.25
+_TOO_LARGE: Final = 3.0  # the scatter of B about its mean is at most |H| (1 + D); a coil that sweeps gives 2.5
+_TOO_SMALL: Final = 0.25  # |B| stays below that only if the bias cancels the field all the time
 _EARTH_NT: Final = (15_000.0, 70_000.0)
 """The Earth's field from the ground to 1000 km."""
 
-_FEWEST: Final = 50
-_HELD: Final = 0.3
-_STEADY: Final = 0.002
+_FEWEST: Final = 50  # rows: fewer are refused anyway
+_HELD: Final = 0.3  # of the rows: a receiver that misses a few values now and then is no holder
+_STEADY: Final = 0.002  # of |H|: a reference that hardly changes may well repeat
 
 
 def field_scale(log: Log) -> Iterator[Seen]:
