@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import runpy
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConf
 from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.residuals import white_floor
 from magcal_service.ticks.assembler import Tick
+from magcal_service.trust import modes
 from magcal_service.trust.modes import MODES, markdown
 from magcal_service.trust.monitor import NOT_STARTED, Moments, TrustMonitor, reason_of
 from magcal_service.trust.reasons import REMEDIES, Reason
@@ -496,3 +498,11 @@ def test_each_mode_has_its_row_on_the_page() -> None:
         reason, counter = f"`{row.reason}`" if row.reason else "-", f"`{row.counter}`" if row.counter else "-"
         expected = [row.when, row.vectors, row.covariance, f"`{row.verdict}`", reason, counter, f"{row.after} |"]
         assert cells[1:] == expected
+
+
+@pytest.mark.parametrize(("name", "printed"), [("__main__", True), ("modes", False)])
+def test_the_page_is_printed_where_it_is_asked_for(
+    name: str, printed: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runpy.run_path(modes.__file__, run_name=name)
+    assert capsys.readouterr().out == (markdown() if printed else "")
