@@ -9,7 +9,7 @@ import numpy as np
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.recording import Recording
-from magcal_service.recordings.report import RowReport
+from magcal_service.recordings.report import RowFault, RowReport
 from magcal_service.recordings.row_arrays import RowArrays
 from magcal_service.recordings.specs import (
     SESSION_SUFFIX,
@@ -118,10 +118,23 @@ def _check_columns(descriptor: Descriptor, table: TextTable) -> None:
 def _check_usable(recording: Recording) -> None:
     """At least one row has a time, a magnetometer vector and a reference."""
     report, descriptor = recording.report, recording.descriptor
-    account = "; ".join(report.lines())
+    account = "; ".join([*report.lines(), *_guesses(recording)])
     if report.used == 0:
         accepted = f"at least one row with a time and three magnetometer values is needed ({account})"
         raise RecordingError([Fault(str(descriptor.samples), "no usable row", accepted)])
     if not np.isfinite(recording.reference.magnitude_nt).any():
         accepted = f"at least one row with a reference is needed; check [reference], [position] and [time] ({account})"
         raise RecordingError([Fault(f"{descriptor.path.name}: reference", "no usable value", accepted)])
+
+
+def _guesses(recording: Recording) -> list[str]:
+    """What may be meant where most values of a part are beyond anything that it can be: mostly another unit."""
+    kind = recording.descriptor.time.format.kind
+    guesses = {
+        "time": f'are the times in ms, us or ns? then write format = "{kind}_ms", "{kind}_us" or "{kind}_ns"',
+        "magnetometer": "is the field in another unit? check magnetometer.unit, and that its columns hold the field",
+        "position": "is the place in another unit? km and m are accepted",
+        "reference": "is its unit, place or year mistaken? check [reference], [position] and [time]",
+    }
+    absurd = {e.part: e.count for e in recording.report.entries if e.fault is RowFault.ABSURD}
+    return [guess for part, guess in guesses.items() if 2 * absurd.get(part, 0) > recording.report.rows]

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
+from magcal_service.recordings.reader import read_recording
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
 
 PLACE = "lat lon alt"
@@ -102,3 +104,14 @@ def test_what_was_accepted_is_said_and_open_no_more(tmp_path: Path) -> None:
     assert [one.code for one in log.inspected(tmp_path / "a").open] == [Code.LONGITUDE_SIGN]
     inspection = log.described(inspect='[inspect]\naccept = ["longitude_sign"]').inspected(tmp_path / "b")
     assert (len(inspection.findings), inspection.open) == (1, ())
+
+
+def test_a_height_beyond_the_moon_is_refused_with_a_guess(tmp_path: Path) -> None:
+    log = igrf().spoiled("alt", lambda column: column * 1e5)
+    with pytest.raises(RecordingError, match="is the place in another unit"):
+        read_recording(log.write(tmp_path))
+
+
+def test_a_height_in_metres_declared_as_km_is_refused_with_a_guess(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"check \[reference\], \[position\]"):
+        read_recording(igrf().spoiled("alt", lambda column: column * 1e3).write(tmp_path))

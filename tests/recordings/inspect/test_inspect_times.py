@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
+from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.timestamps import ns_to_iso8601
 from tests.recordings.inspect.clean_logs import START_NS, Kind, clean_log
 
@@ -88,3 +90,11 @@ def test_times_that_go_back(wrap_s: int, certain: bool, tmp_path: Path) -> None:
     finding = log.at(times + 7200 * SECOND).found(tmp_path)[Code.TIME_ORDER]
     assert finding.certain is certain
     assert finding.first == 1002
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
+def test_times_since_1970_in_another_unit_are_refused_by_that(name: str, unit: int, tmp_path: Path) -> None:
+    log = clean_log()
+    path = log.at(log.time_ns, [str(value * unit // SECOND) for value in log.time_ns.tolist()]).write(tmp_path)
+    with pytest.raises(RecordingError, match=f'"unix_{name}"'):
+        read_recording(path)
