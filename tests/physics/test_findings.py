@@ -61,6 +61,8 @@ def test_an_axis_is_stuck_from_25_samples_on(length: int, found: bool) -> None:
             "to_s": 248.0,
         }
         assert (finding.nats, finding.share, finding.time_s) == (25.0, 1.0, (200.0, 248.0))
+        assert all(not value.sigma.any() for value in finding.parameters.values())
+        assert all(value.sigma.shape == value.value.shape for value in finding.parameters.values())
 
 
 @pytest.mark.parametrize(("moved_sigmas", "found"), [(19.0, False), (21.0, True)])
@@ -106,6 +108,7 @@ def test_an_end_that_comes_eight_times_is_a_stop(clipped: int, found: bool) -> N
         rows = np.sort(order[:clipped])
         assert np.flatnonzero(finding.spoiled).tolist() == rows.tolist()
         assert finding.parameters["axis"].value.tolist() == [0.0, 0.0, 1.0]
+        assert finding.parameters["axis"].sigma.tolist() == [0.0, 0.0, 0.0]
         assert float(finding.parameters["limit_nt"].value) == pytest.approx(-float(field[order[0], 2]))
         assert float(finding.parameters["share_of_samples"].value) == 0.008
         assert finding.time_s == (TIME_S[rows[0]], TIME_S[rows[-1]])
