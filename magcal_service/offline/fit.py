@@ -47,7 +47,7 @@ class Fit(NineErrors):
     x, covariance: state (9,) and covariance (9, 9) in the order of ``model.STATE_NAMES`` [nT, -].
     noise_nt: white noise, 1 sigma per axis [nT]: as given, or as the residual shows it.
     residual_rms_nt: rms of |(I+D)B - b| - |H| over the samples used [nT].
-    samples, left_out: rows used, and rows without three finite components and a reference.
+    samples, left_out: rows used, and rows without three finite components and a reference, or with B = 0.
     """
 
     x: Array
@@ -82,7 +82,7 @@ def fit(B: npt.ArrayLike, H: npt.ArrayLike, noise_nt: float | None = None) -> Fi
     H: reference field [nT]: vectors (n, 3) in any axes, or magnitudes (n,); only the magnitude is used.
     noise_nt: white noise of the sensor, 1 sigma per axis [nT]; None: taken from the residual.
 
-    Returns a ``Fit``.  Rows that are not finite are left out and counted.
+    Returns a ``Fit``.  Rows that are not finite, and zeros of a failed read, are left out and counted.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def fit(B: npt.ArrayLike, H: npt.ArrayLike, noise_nt: float | None = None) -> Fi
         accepted = f"as many rows as B are accepted; B has {len(field)}"
         raise InputRefusedError([Fault("rows of H", len(magnitude), accepted)])
     _check_noise(noise_nt)
-    usable = np.isfinite(field).all(axis=1) & np.isfinite(magnitude)
+    usable = np.isfinite(field).all(axis=1) & field.any(axis=1) & np.isfinite(magnitude)
     field, magnitude = field[usable], magnitude[usable]
     _check_sizes(field, magnitude)
     solution = batch_start(field, magnitude, (), noise_nt, FilterConfig())

@@ -139,3 +139,12 @@ def test_on_a_real_recording_it_agrees_with_the_batch_method() -> None:
     other = magcal.calibrate(recording, method="two-step")
     found = magcal.fit(recording.field_body_nt, recording.reference.magnitude_nt)
     assert found.residual_rms_nt == pytest.approx(other.residuals.after, rel=0.02)
+
+
+def test_rows_of_zeros_are_left_out_and_counted() -> None:
+    _, B, H = flight()
+    spoiled = np.where(np.arange(len(B))[:, None] % 3 == 1, 0.0, B)
+    found = magcal.fit(spoiled, H, noise_nt=NOISE_NT)
+    kept = np.arange(len(B)) % 3 != 1
+    assert (found.left_out, found.samples) == (3000, 6000)
+    assert np.array_equal(found.x, magcal.fit(B[kept], H[kept], noise_nt=NOISE_NT).x)
