@@ -427,6 +427,13 @@ def test_a_tick_that_is_learned_from_ends_silence_freeze_and_staleness() -> None
     assert monitor.judge(SETTLED).reasons == ()
 
 
+def test_silence_begins_with_the_first_tick_without_reference_after_a_frozen_one() -> None:
+    monitor = observed([outcome()] * 300)
+    monitor.observe_frozen()
+    monitor.observe_skipped(0.5)
+    assert Reason.NO_REFERENCE in reasons(monitor)
+
+
 def test_silence_adds_up() -> None:
     monitor = observed([outcome()] * 300)
     for _ in range(3):
