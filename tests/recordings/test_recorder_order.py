@@ -194,3 +194,14 @@ def test_a_source_time_is_published_where_it_is_utc_and_mcap_can_hold_it(
     session.add(77, replace(SAMPLES[0], **changes))
     session.close()
     assert [raw.publish_time_ns for raw in read(path)[1]] == [published]
+
+
+def test_files_are_deleted_oldest_first_and_only_beyond_the_limit(tmp_path: Path) -> None:
+    paths = [tmp_path / f"0000000{number}-20260101T000000Z.mcap" for number in (1, 2, 3)]
+    for path in paths:
+        path.write_bytes(bytes(100))
+    folder = SessionFolder(tmp_path)
+    assert folder.delete_oldest(300, None) == []
+    assert folder.delete_oldest(299, paths[0]) == [paths[1]]
+    assert folder.delete_oldest(199, None) == [paths[0]]
+    assert folder.files() == [paths[2]]
