@@ -21,6 +21,8 @@ that reject it):
 ``axis_stuck``     one component is constant while noise or the others should change it: rejected until it changes.
 ``zero``           all three components are 0, as of a sensor that has not measured yet: rejected.
 ``crowded``        its second holds ``_MOST_IN_TICK`` samples already: rejected.
+``held``           the vector of the sample before, where noise would have changed each axis: the sensor had no new one;
+                   it is calibrated, but not used by the estimator.
 ``no_reference``   no reference at its time when its tick closes: it is calibrated, but not used by the estimator.
 =================  ===================================================================================================
 
@@ -190,7 +192,10 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         elif elapsed_ns - self._newest_ns > self._gap_ns:
             self.counters["gap"] += 1
         self._newest_ns = max(self._newest_ns, elapsed_ns)
-        insort(self._open, (elapsed_ns, corrected), key=_elapsed)
+        if self._same > 1 and self._axes.is_fine:
+            self.counters["held"] += 1
+        else:
+            insort(self._open, (elapsed_ns, corrected), key=_elapsed)
         self._recent[sample.time_ns] = sample.field_body_nt
         if len(self._recent) > _REMEMBERED:
             del self._recent[next(iter(self._recent))]

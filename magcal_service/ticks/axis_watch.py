@@ -56,6 +56,11 @@ class AxisWatch(Stateful, AxisWatchMemory):
         self._last, self._count, self._since_ns = [0.0] * 3, [0] * 3, [0] * 3
         self._low, self._high = [[], [], []], [[], [], []]  # of the vectors since each axis took its value
 
+    @property
+    def is_fine(self) -> bool:
+        """Whether noise is known to change every axis from one reading to the next."""
+        return all(self._fine)
+
     def stands_still(self, elapsed_ns: int, field_nt: Vector) -> bool:
         """Take one vector [nT] with its elapsed time [ns], in order; whether an axis has been constant for too long."""
         least_nt = _MOVED * max(map(abs, field_nt))

@@ -564,3 +564,19 @@ def test_8192_rates_are_kept_and_the_oldest_go(more: int, oldest: int) -> None:
     assert len(target._times) == len(target._rates) == 8192
     assert target.at(START_NS + oldest * SECOND_NS, Clock.UTC) == (float(oldest), 0.0, 0.0)
     assert target.at(ns(oldest - 0.5), Clock.UTC) is None
+
+
+@pytest.mark.parametrize(("noise_nt", "held"), [(50.0, True), (0.5, False), (None, False)])
+def test_a_reading_that_is_held_is_answered_and_not_learned_from_again(noise_nt: float | None, held: bool) -> None:
+    """Values 5 nT apart: noise of 50 nT changes them all, noise of half a nanotesla would not."""
+    target = TickAssembler(CONFIG, SensorConfig(noise_nt=noise_nt, stuck_samples=30))
+    for number in range(90):
+        value = 5.0 * (number // 3 % 7) + 1000.0
+        field = (value, value + 1.0, value + 2.0)
+        assert answered(target, replace(at(number / 3.0), field_body_nt=field)) == ""
+        target.add_reference(referred(number / 3.0))
+    learned = sum(len(tick.times_s) for tick in target.flush())
+    assert target.counters["accepted"] == 90
+    assert learned == 90 - target.counters["held"]
+    assert (55 <= target.counters["held"] <= 60) is held
+    assert (target.counters["held"] == 0) is not held
