@@ -10,12 +10,17 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.diagnosis.belief import reasons
+from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.field_error import SCALES, FieldError
+from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.prepare import Prepared, prepare
-from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed, solve
+from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue
@@ -37,6 +42,15 @@ UNKNOWN_SHARE: Final = 0.2
 
 NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 """Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
+
+
+_LONGEST_MEMORY: Final = 20.0
+"""Samples over which noise may remember itself: a correlation of 0.9 from one to the next.  What lasts longer is
+structure, until physics and shapes without a name have had their turn."""
+
+
+_FLOOR: Final = 0.3
+"""Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
 
 
 class Verdict(StrEnum):
@@ -120,27 +134,25 @@ def diagnose(
     effects = () if inspection.open else catalogue() if effects is None else effects
     progress("simulating the recording with nine errors")
     prepared = prepare(inspection.to_diagnose, effects)
-    problem, baseline = prepared.problem, prepared.baseline
-    spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     progress(f"screening {len(effects)} effects")
-    search = Search(problem, hypotheses_of(effects, problem), effects, spin_hz=spin_hz)
-    floor = 0.3 * problem.noise_nt
-    explained = search.run(baseline, floor)
+    prepared, search, explained = _searched(prepared, effects)
+    problem, baseline = prepared.problem, prepared.baseline
+    floor = _FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
     left = structures(search, explained.fit, phase, floor)
     coefficients = _memory(prepared, search.problem, explained.fit)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        search = search.with_noise(problem, coefficients)
-        explained = search.run(search.refreshed(baseline), 0.3 * floor)
-        left = structures(search, explained.fit, phase, 0.3 * floor)
-    elif left and significant(left[0]):
+        search, floor = search.with_noise(problem, coefficients), 0.3 * floor
+        explained = search.run(search.refreshed(baseline), floor)
+        left = structures(search, explained.fit, phase, floor)
+    if left and significant(left[0]):
         explained = _outdone(search, baseline, explained, phase, floor)
         left = structures(search, explained.fit, phase, floor)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
-    unexplained = _unexplained(prepared, explained.fit, left, findings.get(COLOURED_NOISE))
+    unexplained = _unexplained(prepared, explained.fit, left)
     verdict = _verdict(explained, findings, unexplained)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -152,7 +164,15 @@ def diagnose(
         left=tuple(left),
         unexplained=unexplained,
         verdict=verdict,
-        reasons=_reasons(inspection, prepared, explained.fit, verdict),
+        reasons=_doubts(inspection)
+        + reasons(
+            baseline,
+            explained,
+            unexplained,
+            verdict is Verdict.UNKNOWN,
+            floor,
+            prepared.view.stated_noise_nt is not None,
+        ),
         spin=spin,
         simulation_x=simulated[0],
         simulation_residual_nt=simulated[1],
@@ -160,6 +180,31 @@ def diagnose(
         effects=effects,
         seconds=time.monotonic() - began,
     )
+
+
+def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained]:
+    """A search under the field-model errors that the recording needs, and what it was prepared as for it."""
+    spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
+    usual, taken = prepared.problem.field_error, min(SCALES)
+    if usual is not None:
+        prepared = _at_scale(prepared, usual, taken)
+    while True:
+        search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
+        explained = search.run(prepared.baseline, _FLOOR * prepared.problem.noise_nt)
+        if usual is None:
+            return prepared, search, explained
+        scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
+        if scale <= taken:
+            return prepared, search, explained
+        taken, prepared = scale, _at_scale(prepared, usual, scale)
+        if names_hold or not explained.fit.terms:  # wider noise brings no new names
+            floor = _FLOOR * prepared.problem.noise_nt
+            return prepared, search, search.again(prepared.problem, explained.fit, floor)
+
+
+def _at_scale(prepared: Prepared, usual: FieldError, scale: float) -> Prepared:
+    problem = at_scale(prepared.problem, usual, scale)
+    return replace(prepared, problem=problem, baseline=solve(problem, prepared.baseline.x))
 
 
 def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
@@ -174,18 +219,21 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     _, nats = autoregression(fit.residual, scene.pauses, scene.unit)
     if nats < ACCEPTED_NATS or not is_red(scene, fit.residual, fit.unit):
         return np.zeros(0)
+    if correlation_samples(problem.white(fit.residual)) > _LONGEST_MEMORY:
+        return np.zeros(0)
     if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
         return np.zeros(0)
     return long_memory(fit.residual, scene.unit)
 
 
 def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
-    """No effects, where a family without a name holds clearly more than all of them together: names that merely fit.
+    """Without names that merely fit: a family without a name holds clearly more than they do.
 
     One product of two components, with one amplitude, is enough to do so if it holds more than all of them.
     One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
-    first stay if they pass without the later ones.
+    first stay if they pass without the later ones; a later one has to hold its own against what is left without it.
     """
+    explained = _each_its_own(search, explained, phase, floor)
     fit = explained.fit
     if not fit.terms:
         return explained
@@ -196,10 +244,29 @@ def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array |
         fewer = (
             fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
         )
-        named = float(baseline.residual @ baseline.residual) - float(fewer.residual @ fewer.residual)
+        named = _squares(search, baseline) - _squares(search, fewer)
         if named > max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product):
             return explained if fewer is fit else search.compared(fewer, floor)
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
+
+
+def _each_its_own(search: Search, explained: Explained, phase: Array | None, floor: float) -> Explained:
+    """Without the later effects that hold less than a family without a name would in their place, the weakest first."""
+    while len(explained.fit.terms) > 1:
+        fit = explained.fit
+        weakest = int(np.argmin(explained.nats))
+        without = solve(search.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
+        best = structures(search, without, phase, floor)[0]
+        if _squares(search, without) - _squares(search, fit) > NEEDED_SHARES[0] * best.squares:
+            break
+        explained = search.compared(without, floor)
+    return explained
+
+
+def _squares(search: Search, fit: Fit) -> float:
+    """Sum of squares of a fit's residual through the whitening of its noise [nT^2]."""
+    white = search.white(fit.residual)
+    return float(white @ white)
 
 
 def _other_findings(
@@ -216,7 +283,8 @@ def _other_findings(
         scene = replace(scene, calibrated_nt=clean)
     if not prepared.problem.is_vector:
         view = replace(view, scene=scene, residual_nt=fit.residual, spin=spin)
-        wanted = (ActsOn.ATTITUDE, *([ActsOn.NOISE] if coloured else []))
+        # how a craft turns is only doubted where somebody said how it does
+        wanted = (*([ActsOn.ATTITUDE] if view.nominal_axis is not None else []), *([ActsOn.NOISE] if coloured else []))
         for effect in effects:
             if effect.find is None or effect.acts_on not in wanted:
                 continue
@@ -251,39 +319,25 @@ def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolutio
     return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2))
 
 
-def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure], memory: Finding | None) -> float:
-    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise.
-
-    What noise with a memory explains counts as explained.
-    """
+def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure]) -> float:
+    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise."""
     if not left or not significant(left[0]):
         return 0.0
     before, after = prepared.baseline.residual, fit.residual
     explained = max(float(before @ before) - float(after @ after), 0.0)
-    if memory is not None:
-        explained += float(after @ after) * memory.share
     return left[0].squares / max(left[0].squares + explained, 1e-12)
 
 
 def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
     if unexplained > UNKNOWN_SHARE:
         return Verdict.UNKNOWN
-    return Verdict.NAMED if explained.fit.terms or findings else Verdict.NONE
+    named = explained.fit.terms or any(name != COLOURED_NOISE for name in findings)  # noise explains no mismatch
+    return Verdict.NAMED if named else Verdict.NONE
 
 
-def _reasons(inspection: Inspection, prepared: Prepared, fit: Fit, verdict: Verdict) -> tuple[str, ...]:
-    """What speaks against acting on the result."""
-    reasons = [str(Reason.RECORDING_DOUBTFUL)] if inspection.open else []
-    if is_collapsed(fit.x):
-        reasons.append("collapsed")
-    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
-    if float(sigma[:3].max()) > 1000.0 or float(sigma[3:].max()) > 0.05:
-        reasons.append("poor_coverage")
-    if verdict is Verdict.UNKNOWN:
-        reasons.append("unexplained_structure")
-    if len(prepared.problem.scene) < 300:
-        reasons.append("not_enough_data")
-    return tuple(reasons)
+def _doubts(inspection: Inspection) -> tuple[str, ...]:
+    """What speaks against the recording itself."""
+    return (str(Reason.RECORDING_DOUBTFUL),) if inspection.open else ()
 
 
 def _simulation(prepared: Prepared, given: Array | None) -> tuple[Array, Array]:
@@ -307,5 +361,5 @@ def _simulation(prepared: Prepared, given: Array | None) -> tuple[Array, Array]:
         body_from_eci=None,
     )
     room = None if problem.room_from_body is None else problem.room_from_body[:half]
-    x = solve(replace(problem, scene=first, room_from_body=room), prepared.baseline.x).x
+    x = solve(replace(problem, scene=first, room_from_body=room, field_error=None), prepared.baseline.x).x
     return x[:STATE_SIZE], evaluate(problem, x, (), derivatives=False).residual

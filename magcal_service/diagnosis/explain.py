@@ -11,10 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from magcal_service.diagnosis.blocks import Gain, gain_over, numbered
 from magcal_service.diagnosis.linear import Workspace
-from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, solve
-from magcal_service.diagnosis.screen import ACCEPTED_NATS, WHOLE, Candidate, Screen, hypotheses_of, search_cost
+from magcal_service.diagnosis.plausible import within_physics
+from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array, measure
 
 HELD_OUT_SHARE: Final = 0.3
@@ -23,14 +27,11 @@ HELD_OUT_SHARE: Final = 0.3
 MOST_EFFECTS: Final = 3
 """Effects in one recording: beyond three they explain one another on the recordings tried."""
 
+_WORTH_TEMPERING: Final = 5000.0
+"""Nats behind the best from which on no scatter that was ever seen would bring a rival back; choice: saves time."""
+
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
-
-_CANCELLING: Final = 3.0
-"""Times its largest size that an effect's field may have where parts of it cancel in the residual.
-
-Choice: cancelling parts are known badly, so their sum needs room; a much larger factor lets them diverge unseen.
-"""
 
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
@@ -50,12 +51,14 @@ class Explained:
     ----------
     fit: nine errors and effects.
     rivals: for each term, effect names with their best evidence in its place [nats], itself included, best first.
-    nats: for each term, evidence for it over its absence.
+    nats: for each term, evidence for it over its absence that survives the blocks' scatter.
+    gains: for each term, what it gains over the blocks.
     """
 
     fit: Fit
     rivals: tuple[tuple[Candidate, ...], ...] = ()
     nats: tuple[float, ...] = ()
+    gains: tuple[Gain, ...] = ()
 
 
 @dataclass(eq=False)
@@ -86,9 +89,16 @@ class Search(Screen):
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
-        final = self.refreshed(fit)
+        final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
-        return self.compared(self._by_channel(final if pruned is final else self.refreshed(pruned), floor_nt), floor_nt)
+        settled = final if pruned is final else self._bounded(self.refreshed(pruned))
+        return self.compared(self._bounded(self._by_channel(settled, floor_nt)), floor_nt)
+
+    def again(self, problem: Problem, fit: Fit, floor_nt: float) -> Explained:
+        """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful."""
+        self.look_at(problem, hypotheses_of(self.effects, problem))
+        fit = self._bounded(self.refreshed(solve(problem, fit.x, fit.terms)))
+        return self.compared(self._pruned(fit, floor_nt), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
         """Fit once more with all columns made of vectors that the fit has calibrated; the search continues there.
@@ -158,36 +168,26 @@ class Search(Screen):
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
     def _is_sized(self, fit: Fit) -> bool:
-        """Whether every term, refitted with the errors, is still no larger than its physics ever is.
+        """Whether every term, refitted with the errors, is still within its physics."""
+        return all(within_physics(fit, index) for index in range(len(fit.terms)))
 
-        That holds for its part in the residual and, by ``_CANCELLING`` more, for the field itself, of which parts that
-        cancel in the residual could be of any size.
-        """
-        for term in fit.terms:
-            columns = term.hypothesis.columns(term.theta)
-            rows = self.problem.rows(columns, fit.unit)
-            largest = self.problem.largest(term.hypothesis)
-            if rows is None or float(np.sqrt(np.mean((rows @ term.amplitudes) ** 2))) > largest:
-                return False
-            if term.hypothesis.is_whole and abs(float(term.amplitudes[0]) - 1.0) > WHOLE:
-                return False
-            field_nt, growth_nt = columns.field(term.amplitudes), columns.growth(term.amplitudes)
-            squares = float((field_nt**2).sum()) + float(np.sum(np.square(growth_nt)))
-            if math.sqrt(squares / len(field_nt)) > _CANCELLING * largest:
-                return False
-        return True
+    def _bounded(self, fit: Fit) -> Fit:
+        """Without the terms that a refit has taken out of their physics, the weakest of them first."""
+        while not self._is_sized(fit):
+            beyond = [index for index in range(len(fit.terms)) if not within_physics(fit, index)]
+            weakest = min(beyond, key=lambda index: self._worth(fit, index, fit.white_rms_nt))
+            fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
+        return fit
 
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
-        inside = float(before.residual @ before.residual) - float(after.residual @ after.residual)
-        outside = float(before.held_out_residual @ before.held_out_residual)
-        outside -= float(after.held_out_residual @ after.held_out_residual)
-        return inside > 0.0 and outside > HELD_OUT_SHARE * inside
+        inside = float((before.white_residual**2).sum() - (after.white_residual**2).sum())
+        return inside > 0.0 and _held_out(before) - _held_out(after) > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
         """Without the terms that are redundant beside the others."""
         while fit.terms:
-            sigma = max(fit.rms_nt, floor_nt)
+            sigma = max(fit.white_rms_nt, floor_nt)
             nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
             weakest = int(np.argmin(nats))
             inexact = [
@@ -196,7 +196,7 @@ class Search(Screen):
             if nats[weakest] > max(ACCEPTED_NATS, _INEXACT * max(inexact, default=0.0)):
                 return fit
             terms = tuple(term for index, term in enumerate(fit.terms) if index != weakest)
-            fit = solve(self.problem, fit.x, terms)
+            fit = self._bounded(solve(self.problem, fit.x, terms))
         return fit
 
     def _worth(self, fit: Fit, index: int, sigma: float) -> float:
@@ -208,9 +208,9 @@ class Search(Screen):
         return self.workspace(fit, index).gain(rows, sigma).nats - cost - math.log(self._forms[term.hypothesis.effect])
 
     def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
-        """Each term but the newest replaced by a rival that does better in its place, now that the newest is there."""
-        for index in range(len(fit.terms) - 1):
-            sigma = max(fit.rms_nt, floor_nt)
+        """Each term replaced by a rival that does better in its place, now that the others are there."""
+        for index in range(len(fit.terms)):
+            sigma = max(fit.white_rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
             own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
             if not ranked or ranked[0].nats < own + CLASS_NATS:
@@ -219,7 +219,7 @@ class Search(Screen):
             terms = list(fit.terms)
             terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
             trial = solve(self.problem, fit.x, tuple(terms))
-            if trial.held_out_rms_nt <= fit.held_out_rms_nt:
+            if self._is_sized(trial) and _held_out(trial) <= _held_out(fit):
                 fit = trial
         return fit
 
@@ -236,7 +236,7 @@ class Search(Screen):
                 for hypothesis in self.hypotheses
                 if hypothesis.effect == term.hypothesis.effect and hypothesis.driver.startswith("channel")
             ]
-            space, sigma = self.workspace(fit, index), max(fit.rms_nt, floor_nt)
+            space, sigma = self.workspace(fit, index), max(fit.white_rms_nt, floor_nt)
             ranked = self.screen(space, fit, sigma, among=[*recorded, term.hypothesis])
             own = next((c.nats for c in ranked if c.hypothesis is term.hypothesis), math.inf)
             best = next((c for c in ranked if c.hypothesis is not term.hypothesis), None)
@@ -257,13 +257,59 @@ class Search(Screen):
         return self.screen(space, fit, sigma, sorted(others), close)
 
     def compared(self, fit: Fit, floor_nt: float) -> Explained:
-        """A fit with the rivals of each of its terms."""
-        sigma = max(fit.rms_nt, floor_nt)
-        rivals, nats = [], []
-        for index in range(len(fit.terms)):
-            rivals.append(_best_of_each(self._rivals(fit, index, sigma)))
-            nats.append(self._worth(fit, index, sigma))
-        return Explained(fit, tuple(rivals), tuple(nats))
+        """A fit with the rivals of each of its terms, as far as their differences stand out of the blocks' scatter.
+
+        Terms whose own evidence does not are left out.
+        """
+        while True:
+            sigma = max(fit.white_rms_nt, floor_nt)
+            gains = [self._gain(fit, index, sigma) for index in range(len(fit.terms))]
+            worth = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
+            nats = [one / gain.dispersion for one, gain in zip(worth, gains, strict=True)]
+            if not nats or min(nats) > ACCEPTED_NATS:
+                break
+            weakest = int(np.argmin(nats))
+            fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
+        rivals = [self._tempered(self._rivals(fit, index, sigma), fit, index, sigma) for index in range(len(fit.terms))]
+        return Explained(fit, tuple(_best_of_each(ranked) for ranked in rivals), tuple(nats), tuple(gains))
+
+    def _gain(self, fit: Fit, index: int, sigma: float) -> Gain:
+        """What a term gains over the blocks."""
+        space = self.workspace(fit, index)
+        after = self.workspace(fit).residual
+        return gain_over(space.residual, after, self._blocks(fit), sigma**2)
+
+    def _blocks(self, fit: Fit) -> NDArray[np.intp]:
+        return numbered(self.white(fit.residual), 3 if self.problem.is_vector else 1)
+
+    def _tempered(self, ranked: Sequence[Candidate], fit: Fit, index: int, sigma: float) -> list[Candidate]:
+        """Candidates in a term's place, best first, each as far from the term's own as the blocks bear out."""
+        mine = fit.terms[index].hypothesis
+        own = next((c for c in ranked if c.hypothesis is mine), None)
+        if own is None:
+            return list(ranked)
+        space, blocks = self.workspace(fit, index), self._blocks(fit)
+
+        def left(candidate: Candidate) -> Array:
+            rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
+            assert rows is not None
+            found: Array = space.residual - space.projected(rows @ candidate.gain.amplitudes)
+            return found
+
+        best = left(own)
+        found = []
+        for candidate in ranked:
+            nats = candidate.nats
+            if candidate is not own and nats > own.nats - _WORTH_TEMPERING:
+                dispersion = gain_over(left(candidate), best, blocks, sigma**2).dispersion
+                nats = own.nats + (nats - own.nats) / dispersion
+            found.append(replace(candidate, nats=nats))
+        return sorted(found, key=lambda candidate: -candidate.nats)
+
+
+def _held_out(fit: Fit) -> float:
+    """Sum of squares on rows that took no part, white [nT^2]."""
+    return float((fit.held_out_white**2).sum())
 
 
 def _best_of_each(ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:

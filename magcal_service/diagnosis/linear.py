@@ -140,8 +140,8 @@ def folds(time_s: Array) -> NDArray[np.intp]:
     return (rank % FOLDS).astype(np.intp)
 
 
-def held_out(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array | None = None) -> Array:
-    """(m,) residual of every row under the fit to the other folds.
+def fold_solutions(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array) -> list[Array]:
+    """For each fold the solution (p,) of the rows outside of it: what their fit would take off the residual.
 
     Parameters
     ----------
@@ -156,10 +156,9 @@ def held_out(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array
     parts = [scaled[fold == number] for number in range(FOLDS)]
     normals = np.stack([part.T @ part for part in parts])
     rights = np.stack([part.T @ residual[fold == number] for number, part in enumerate(parts)])
-    weak = np.eye(len(scale)) * 1e-9 if tie is None else np.diag(tie / scale**2)
-    left = np.array(residual)
+    weak = np.diag(tie / scale**2)
+    found = []
     for number in range(FOLDS):
         normal = normals.sum(axis=0) - normals[number] + weak
-        solution = np.linalg.lstsq(normal, rights.sum(axis=0) - rights[number], rcond=1e-12)[0]
-        left[fold == number] -= parts[number] @ solution
-    return left
+        found.append(np.linalg.lstsq(normal, rights.sum(axis=0) - rights[number], rcond=1e-12)[0] / scale)
+    return found

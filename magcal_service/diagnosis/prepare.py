@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import FilterConfig
-from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed, solve
+from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed
+from magcal_service.diagnosis.solution import solve
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
-from magcal_service.model import STATE_SIZE, Array, calibrate
+from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.scene import Scene
@@ -26,6 +28,10 @@ from magcal_service.residuals import noise_floor
 
 MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
+
+_SHRUNK: Final = 0.35
+"""Determinant of I + D, 0.7 cubed: half-collapsed minima of short arcs have 0.2, sensors told in the wrong scale too,
+but those have no second solution."""
 
 _SPIKE: Final = 8.0
 """Robust sigmas by which a single sample stands out of its neighbourhood and of the whole: noise does once in 10^15.
@@ -93,7 +99,8 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         rate = np.gradient(alone.phase_rad, scene.time_s)
         scene = replace(scene, turning_rad_s=rate[:, None] * alone.axis_body)
     largest_nt = {effect.name: effect.prior[1] for effect in effects}
-    problem = Problem(scene, level, room, largest_nt)
+    error = None if room is not None else FieldError.of(scene, max(level, _white(scene, x)))
+    problem = Problem(scene, level, room, largest_nt, error)
     start = x if room is None else np.concatenate([x, _room_field(scene, room)])
     baseline = solve(problem, start)
     nominal = usable.descriptor.spin
@@ -121,16 +128,35 @@ def _usable(recording: Recording) -> tuple[Recording, dict[str, int]]:
 
 
 def baseline_start(scene: Scene, noise_nt: float | None) -> Array:
-    """The nine errors (9,) by linear least squares, then jointly; from zero as well, and the better of the two."""
+    """The nine errors (9,) from several starts: linear least squares, the best sphere, and zero; the best that arrived.
+
+    From one start alone a short arc ends in a half-collapsed false minimum.
+    """
     prior = prior_sigma(FilterConfig(prior_bias_nt=PRIOR_BIAS_NT, prior_D=PRIOR_D))
     magnitude = scene.magnitude_nt
     sigma = max(noise_nt or 0.0, 0.01 * float(magnitude.mean()))
     linear = BatchProblem(scene.field_nt, magnitude, WindowMeans.of(()), prior, sigma, noise_nt or 0.0)
     first, positive = linear_states(linear)
-    starts = [first, np.zeros(STATE_SIZE)] if bool(positive) else [np.zeros(STATE_SIZE)]
+    starts = [_sphere(scene), np.zeros(STATE_SIZE)]
+    if bool(positive) and not is_collapsed(first):
+        starts.insert(0, first)
     problem = Problem(scene, noise_nt or 0.0)
     fits = [solve(problem, start) for start in starts]
-    return min(fits, key=lambda fit: (is_collapsed(fit.x), fit.rms_nt)).x
+    return min(fits, key=lambda fit: (is_collapsed(fit.x), _is_shrunk(fit.x), not fit.converged, fit.rms_nt)).x
+
+
+def _is_shrunk(x: Array) -> bool:
+    """Whether I + D makes vectors shorter on the whole: of several solutions, one that makes them fit by that."""
+    return bool(np.linalg.det(np.eye(3) + d_matrix(x)) < _SHRUNK)
+
+
+def _sphere(scene: Scene) -> Array:
+    """The bias alone by linear least squares in (b, |b|^2), the matrix as it is: (9,)."""
+    columns = np.concatenate([2.0 * scene.field_nt, -np.ones((len(scene), 1))], axis=1)
+    magnitude = np.maximum(scene.magnitude_nt, 1.0)
+    right = (scene.field_nt**2).sum(axis=1) - scene.magnitude_nt**2
+    solution = np.linalg.lstsq(columns / magnitude[:, None], right / magnitude, rcond=1e-12)[0]
+    return np.concatenate([solution[:3], np.zeros(STATE_SIZE - 3)])
 
 
 def _white(scene: Scene, x: Array) -> float:

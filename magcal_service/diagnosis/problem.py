@@ -11,14 +11,15 @@ residual's noise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.diagnosis.linear import folds, held_out
+from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.linear import fold_solutions, folds
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
 from magcal_service.physics.interface import Columns, Hypothesis
 from magcal_service.physics.scene.scene import Scene
@@ -31,16 +32,6 @@ PRIOR_D: Final = 0.5
 
 HELD: Final = ("instant", "held")
 """Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
-
-_ITERATIONS: Final = 12
-"""Most steps; the fit is taken as it is then.
-
-Choice: a step that lowers the cost is always kept, so more would only polish; the search solves one for each candidate
-that it tries.
-"""
-
-_CONVERGED: Final = 1e-4
-"""Squared length of a step, in sigmas, below which it is not taken any more: a hundredth of a sigma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +53,14 @@ class Problem:
     noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is subtracted from the scalar residual.
     room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: the scalar form.
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
+    field_error: errors of the field model itself, part of the scalar residual's noise; None: there is none.
     """
 
     scene: Scene
     noise_nt: float
     room_from_body: Array | None = None
     largest_nt: Mapping[str, float] = field(default_factory=dict)
+    field_error: FieldError | None = None
 
     @property
     def is_vector(self) -> bool:
@@ -94,6 +87,10 @@ class Problem:
         """rms that a hypothesis may have [nT]."""
         return min(hypothesis.largest_nt, self.largest_nt.get(hypothesis.effect, np.inf))
 
+    def white(self, rows: Array) -> Array:
+        """Rows (m,) or (m, k) of the residual in which the noise is white."""
+        return rows if self.field_error is None else self.field_error.whitened(rows)
+
     def rows(self, columns: Columns, unit: Array) -> Array | None:
         """Columns as rows of the residual (m, k), or None where they are zero in this form."""
         if not self.is_vector:
@@ -115,6 +112,7 @@ class Fit:
     unit: (n, 3) direction of the calibrated field in the body.
     calibrated_nt: (n, 3) w.
     tie: (p,) inverse prior variances.
+    converged: whether ``solve`` has arrived here, by its own test.
     """
 
     problem: Problem
@@ -125,11 +123,27 @@ class Fit:
     unit: Array
     calibrated_nt: Array
     tie: Array
+    converged: bool = False
 
     @property
     def rms_nt(self) -> float:
         """rms of the residual [nT]."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    @cached_property
+    def white_residual(self) -> Array:
+        """(m,) residual through the whitening of its noise [nT]."""
+        return self.problem.white(self.residual)
+
+    @cached_property
+    def white_columns(self) -> Array:
+        """(m, p) columns through the same."""
+        return self.problem.white(self.columns)
+
+    @cached_property
+    def white_rms_nt(self) -> float:
+        """rms of the white residual [nT]: what evidence is counted in."""
+        return float(np.sqrt(np.mean(self.white_residual**2)))
 
     @property
     def linear_size(self) -> int:
@@ -152,13 +166,13 @@ class Fit:
 
         Block sums of the score stand for its variance (Liang & Zeger 1986); never smaller than for white noise.
         """
-        sigma2 = max(float(self.residual @ self.residual) / len(self.residual), 1e-12)
-        scale = np.linalg.norm(self.columns, axis=0)
+        sigma2 = max(self.white_rms_nt**2, 1e-12)
+        scale = np.linalg.norm(self.white_columns, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = self.columns / scale
+        scaled = self.white_columns / scale
         inverse = np.linalg.pinv(scaled.T @ scaled + np.diag(sigma2 * self.tie / scale**2), rcond=1e-12)
         white = sigma2 * inverse
-        score = scaled * self.residual[:, None]
+        score = scaled * self.white_residual[:, None]
         count = max(30, len(score) // 400)
         sums = np.add.reduceat(score, np.arange(0, len(score), max(1, len(score) // count)))
         robust = inverse @ (sums.T @ sums) @ inverse
@@ -167,20 +181,45 @@ class Fit:
         return np.asarray(white * np.outer(grow, grow) / np.outer(scale, scale))
 
     @cached_property
+    def _held_out(self) -> tuple[Array, Array]:
+        """(m,) residuals of each row under the fit to the other folds: as it is, and white."""
+        solutions = fold_solutions(
+            self.white_residual, self.white_columns, self.problem.fold, self.tie * self.white_rms_nt**2
+        )
+        found = []
+        for residual, columns in ((self.residual, self.columns), (self.white_residual, self.white_columns)):
+            left = np.array(residual)
+            for number, solution in enumerate(solutions):
+                inside = self.problem.fold == number
+                left[inside] -= columns[inside] @ solution
+            found.append(left)
+        return found[0], found[1]
+
+    @property
     def held_out_residual(self) -> Array:
-        """(m,) residual of each row under the fit to the other folds."""
-        return held_out(self.residual, self.columns, self.problem.fold, self.tie * self.rms_nt**2)
+        """(m,) residual of each row under the fit to the other folds [nT]."""
+        return self._held_out[0]
+
+    @property
+    def held_out_white(self) -> Array:
+        """(m,) the same through the whitening of its noise [nT]."""
+        return self._held_out[1]
 
     @cached_property
     def held_out_rms_nt(self) -> float:
-        """rms of that [nT]."""
+        """rms of the residual on rows that took no part [nT]."""
         return float(np.sqrt(np.mean(self.held_out_residual**2)))
 
 
+COLLAPSED: Final = (0.4, 2.5)
+"""Range of the eigenvalues of I + D of a sensor; false minima of the scalar cost lie at 0.25 and below (Alonso &
+Shuster 2002 on the centred cost), and flight sensors with their axes 30 deg askew at 0.5."""
+
+
 def is_collapsed(x: Array) -> bool:
-    """Whether nine errors (9 or more,) are no sensor's: an eigenvalue of I + D outside 0.5 to 2."""
+    """Whether nine errors (9 or more,) are no sensor's: an eigenvalue of I + D outside ``COLLAPSED``."""
     values = np.linalg.eigvalsh(np.eye(3) + d_matrix(x[:STATE_SIZE]))
-    return bool(values[0] < 0.5 or values[-1] > 2.0)
+    return bool(values[0] < COLLAPSED[0] or values[-1] > COLLAPSED[1])
 
 
 def _tie(problem: Problem) -> Array:
@@ -274,87 +313,3 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
 def free_numbers(term: Term) -> list[int]:
     """Indices of the nonlinear numbers that a refit moves."""
     return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role not in HELD]
-
-
-def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
-    """All unknowns jointly by damped Gauss-Newton from ``start``.
-
-    The nonlinear numbers move along, inside their searched range; a step that does not lower the sum of squares is
-    shortened.
-    """
-    fit = evaluate(problem, start, terms)
-    for _ in range(_ITERATIONS):
-        sigma2 = max(float(fit.residual @ fit.residual) / len(fit.residual), 1e-12)
-        scale = np.linalg.norm(fit.columns, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = fit.columns / scale
-        tie = fit.tie * sigma2
-        normal = scaled.T @ scaled + np.diag(tie / scale**2)
-        right = scaled.T @ fit.residual - tie * fit.unknowns / scale
-        step = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
-        free = ~_blocked(fit, step / scale)
-        if not free.all():
-            step = np.zeros(len(scale))
-            step[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free], rcond=1e-13)[0]
-        if float(step @ normal @ step) < _CONVERGED * sigma2:
-            break
-        better = _line_search(fit, step / scale, tie)
-        if better is None:
-            break
-        fit = better
-    return fit
-
-
-def _line_search(fit: Fit, step: Array, tie: Array) -> Fit | None:
-    """The fit a share of the step on that costs no more: squares of the residual and, by ``tie`` (p,), of unknowns."""
-
-    def cost_of(trial: Fit) -> float:
-        return float(trial.residual @ trial.residual) + float(tie @ trial.unknowns**2)
-
-    cost = cost_of(fit)
-    for share in (1.0, 0.5, 0.2, 0.05):
-        x, terms = _moved(fit, share * step)
-        if is_collapsed(x) and not is_collapsed(fit.x):
-            continue
-        trial = evaluate(fit.problem, x, terms, derivatives=False)
-        if cost_of(trial) <= cost * (1.0 + 1e-9):
-            return evaluate(fit.problem, x, terms)
-    return None
-
-
-def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
-    size = fit.problem.size
-    x = fit.x + step[:size]
-    terms, at, free = [], size, fit.linear_size
-    for term in fit.terms:
-        count = term.hypothesis.size
-        theta = np.array(term.theta)
-        for index in free_numbers(term):
-            theta[index] = _inside(term.hypothesis, index, float(theta[index] + step[free]))
-            free += 1
-        terms.append(replace(term, amplitudes=term.amplitudes + step[at : at + count], theta=theta))
-        at += count
-    return x, tuple(terms)
-
-
-def _blocked(fit: Fit, step: Array) -> NDArray[np.bool_]:
-    """Which unknowns (p,) are nonlinear numbers that the step would move out of their range.
-
-    They stay for this step: amplitudes that were to go along with them would be wrong.
-    """
-    blocked, at = np.zeros(len(step), dtype=bool), fit.linear_size
-    for term in fit.terms:
-        for index in free_numbers(term):
-            value = float(term.theta[index] + step[at])
-            blocked[at] = _inside(term.hypothesis, index, value) != value
-            at += 1
-    return blocked
-
-
-def _inside(hypothesis: Hypothesis, index: int, value: float) -> float:
-    """The value kept within the range that the grid spans; lines are free."""
-    number = hypothesis.nonlinear[index]
-    if number.role or len(number.grid) < 2:
-        return value
-    low, high = float(number.grid.min()), float(number.grid.max())
-    return float(np.clip(value, low, high))

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.explain import CLASS_NATS
 from magcal_service.diagnosis.leftover import fitted_terms, significant
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
@@ -42,6 +42,7 @@ class Entry:
     where: the contract's place: time_s, axis, frequency_hz, share_of_mismatch.
     nats: evidence over its absence.
     constants: what belongs to the form.
+    seen_in_blocks: blocks of the recording that gain by it, of those that should; empty for what is no field.
     """
 
     effect: str
@@ -56,6 +57,7 @@ class Entry:
     where: Mapping[str, Any]
     nats: float
     constants: Mapping[str, float]
+    seen_in_blocks: tuple[int, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -74,6 +76,7 @@ class Entry:
             },
             "where": dict(self.where),
             "evidence_nats": round(self.nats, 2),
+            "seen_in_blocks": list(self.seen_in_blocks),
         }
 
 
@@ -110,32 +113,23 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
     fit, term = diagnosis.fit, diagnosis.fit.terms[index]
     effect = _effect(diagnosis, term.hypothesis.effect)
     parameters = parameters_of(fit, index, effect)
-    ranked = diagnosis.explained.rivals[index]
-    own = next((c.nats for c in ranked if c.hypothesis.effect == effect.name), diagnosis.explained.nats[index])
-    weights = {c.hypothesis.effect: math.exp(min(max(c.nats - own, -700.0), 700.0)) for c in ranked}
-    weights[effect.name] = 1.0
-    total = sum(weights.values())
-    rivals = sorted(((n, w / total) for n, w in weights.items() if n != effect.name), key=lambda pair: -pair[1])
-    rivals = [pair for pair in rivals if pair[1] >= _LEAST_PROBABILITY or pair is rivals[0]][:_MOST_RIVALS]
-    members = [effect.name, *(c.hypothesis.effect for c in _close(ranked, own) if c.hypothesis.effect != effect.name)]
+    believed = posterior(diagnosis.explained, index)
+    rivals = [pair for pair in believed.rivals if pair[1] >= _LEAST_PROBABILITY or pair is believed.rivals[0]]
     return Entry(
         effect=effect.name,
         says=effect.sentence(parameters, term.hypothesis.driver),
         driver=term.hypothesis.driver,
         variant=term.hypothesis.variant,
-        probability=weights[effect.name] / total,
-        rivals=tuple(rivals),
-        members=tuple(members),
+        probability=believed.own,
+        rivals=tuple(rivals[:_MOST_RIVALS]),
+        members=believed.members,
         separated_by=effect.separated_by,
         parameters=parameters,
         where=_where_of_term(diagnosis, index),
         nats=diagnosis.explained.nats[index],
         constants=term.hypothesis.constants,
+        seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
     )
-
-
-def _close(ranked: Sequence[Candidate], own: float) -> list[Candidate]:
-    return [candidate for candidate in ranked if candidate.nats > own - CLASS_NATS]
 
 
 def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
@@ -197,7 +191,7 @@ def _where_of_term(diagnosis: Diagnosis, index: int) -> dict[str, Any]:
     rows = search.rows_of(term.hypothesis, term.theta, fit)
     assert rows is not None
     space = search.workspace(fit, index)
-    gain = space.gain(rows, max(fit.rms_nt, 1e-3))
+    gain = space.gain(rows, max(fit.white_rms_nt, 1e-3))
     signal = fit.problem.rows(term.hypothesis.columns(term.theta), fit.unit)
     assert signal is not None
     scene = fit.problem.scene
@@ -318,7 +312,7 @@ def _nearest(diagnosis: Diagnosis) -> tuple[str, float] | None:
     fit, search = diagnosis.fit, diagnosis.search
     present = {term.hypothesis.effect for term in fit.terms}
     space = search.workspace(fit)
-    ranked = search.screen(space, fit, max(fit.rms_nt, 1e-3), sorted(present))
+    ranked = search.screen(space, fit, max(fit.white_rms_nt, 1e-3), sorted(present))
     if not ranked or ranked[0].nats < ACCEPTED_NATS:
         return None
     best: Candidate = ranked[0]
@@ -363,6 +357,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "rows": dict(diagnosis.prepared.counts),
         "spin": _spin(diagnosis),
         "seconds": round(diagnosis.seconds, 2),
+        "converged": fit.converged,
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
         "findings": [one.to_dict() for one in diagnosis.inspection.findings],

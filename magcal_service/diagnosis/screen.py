@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.plausible import WHOLE
 from magcal_service.diagnosis.problem import Fit, Problem, free_numbers
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
@@ -24,10 +25,13 @@ ACCEPTED_NATS: Final = 12.0
 LEAST_VISIBLE: Final = 0.03
 """Of an effect's size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
-WHOLE: Final = 0.25
-"""A shift that is the whole of its field has the amplitude 1; a fit may be so far off, the screening twice as far."""
-
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which are another hypothesis
+_SLOWEST_TONE_SPUN_HZ: Final = 1.0 / 600.0
+"""Converters, wheels and heaters are faster, and what is slower follows the orbit or the attitude; a choice."""
+
+_SLOWEST_TONE_HZ: Final = 1.0 / 120.0
+"""On a craft that does not spin faster: what is slower may be the crust of the field model, degree 45 of an orbit."""
+
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
 _OF_LINES: Final = ("frequency", "period")
@@ -76,6 +80,7 @@ class Screen:
 
     def white(self, rows: Array) -> Array:
         """Rows (m,) or (m, k) through the noise's whitening filter."""
+        rows = self.problem.white(rows)
         if not len(self.whitening):
             return rows
         found = whitened(rows.reshape(len(rows), -1), self.whitening, self.problem.scene.unit)
@@ -238,7 +243,8 @@ def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Arra
     if lines is None or not len(lines):
         return np.zeros(0)
     if number.role == "frequency":
-        return lines
+        spins = spin_hz is not None and spin_hz > _SLOWEST_TONE_HZ  # it moves what is fixed in the body out of the way
+        return lines[lines > (_SLOWEST_TONE_SPUN_HZ if spins else _SLOWEST_TONE_HZ)]
     beside = [] if spin_hz is None else [np.abs(lines - spin_hz), lines + spin_hz]
     found = np.unique(np.round(np.concatenate([lines, *beside]), 7))
     return 1.0 / found[found > _SLOWEST_DUTY_HZ]
@@ -258,7 +264,11 @@ def search_cost(number: Nonlinear, problem: Problem) -> float:
 
 def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesis]:
     """Every way every effect may act on a problem's scene, in a form that its residual can see."""
-    found = [hypothesis for effect in effects for hypothesis in effect.hypotheses(problem.scene)]
+    scene = problem.scene
+    possible = [effect for effect in effects if scene.in_orbit or not effect.in_orbit_only]
+    found = [hypothesis for effect in possible for hypothesis in effect.hypotheses(scene)]
+    if not scene.in_orbit:  # what is inferred is inferred from an orbit: light, torquers that unload momentum
+        found = [hypothesis for hypothesis in found if not hypothesis.driver.startswith("inferred")]
     if not problem.is_vector:
         return found
     of_reference = {effect.name for effect in effects if effect.acts_on.is_reference}

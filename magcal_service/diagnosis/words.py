@@ -21,6 +21,10 @@ REASONS: Final[Mapping[str, str]] = {
     "collapsed": "the nine errors ended at values that no sensor has",
     "poor_coverage": "the field did not point in enough directions to fix the nine errors; record over more attitudes",
     "unexplained_structure": "a mismatch is left that nothing in the catalogue explains",
+    "not_converged": "the fit did not arrive at a solution; its numbers are where it stopped",
+    "name_uncertain": "another name does nearly as well; what would tell them apart stands beside it",
+    "rough_residual": "what changes from one sample to the next is larger than any sensor's noise; state noise_nt",
+    "gain_in_scatter": "what the effects gain on held-out blocks does not stand out of its scatter",
     "not_enough_data": "too few samples for held-out blocks; record longer",
 }
 """What each reason against trusting a result means."""

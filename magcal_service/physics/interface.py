@@ -16,7 +16,7 @@ import math
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,11 +87,17 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A named parameter made of consecutive amplitudes: name, unit and shape as the results give it."""
+    """A named parameter made of consecutive amplitudes: name, unit and shape as the results give it.
+
+    Parameters
+    ----------
+    most: absolute value that one of them has at most by its physics, in the unit; what goes beyond is no such effect.
+    """
 
     name: str
     unit: str
     shape: tuple[int, ...] = (3,)
+    most: float = math.inf
 
     @property
     def size(self) -> int:
@@ -257,6 +263,7 @@ class Effect:
     absorbed: what of it the nine errors absorb; empty where nothing.
     not_live: drivers and forms that no single moment determines, so that they are not compensated live.
     needs_rate: live, it needs the craft's rate.
+    in_orbit_only: it does not occur anywhere else.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
     """
@@ -278,6 +285,7 @@ class Effect:
     absorbed: str = ""
     not_live: tuple[str, ...] = ()
     needs_rate: bool = False
+    in_orbit_only: bool = False
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
 
@@ -330,6 +338,10 @@ def gains(field_nt: Array, signals: Array) -> Columns:
     """
     each = signals[None] if signals.ndim == 1 else signals.T
     return Columns(axes=-each[:, :, None] * field_nt[None])
+
+
+AFTER_BIAS: Final = "of the field alone"
+"""Form of a gain that acts on the calibrated field: the bias arises behind what changes, and is not amplified."""
 
 
 def common_gain(field_nt: Array, signals: Array) -> Columns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -10,12 +11,20 @@ from magcal_service import geomagnetic
 from magcal_service.errors import ExtraMissingError, InputRefusedError
 from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.smooth import smooth_course
 from magcal_service.physics.scene.sunlight import hold_over_nan
 from magcal_service.recordings.channels import Axes, QuaternionOrder
 from magcal_service.recordings.recording import Channel, Recording
+from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
+
+_EARTH_KM: Final = 6371.0
+"""Mean radius of the Earth."""
+
+_LEAST_ORBIT_KM: Final = 120.0
+"""Altitude below which nothing orbits."""
 
 
 def scene_of(recording: Recording) -> Scene:
@@ -39,16 +48,30 @@ def scene_of(recording: Recording) -> Scene:
         magnitude_nt=reference.magnitude_nt,
         reference_eci_nt=_reference_eci(recording, ecef),
         position_ecef_km=ecef,
+        in_orbit=is_in_orbit(recording, ecef),
         channels={
             name: telemetry(channel) for name, channel in recording.channels.items() if channel.spec.order is None
         },
     )
 
 
+def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
+    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference."""
+    stated = recording.descriptor.platform
+    if stated is not None:
+        return stated.kind is PlatformKind.ORBIT
+    if ecef is not None:
+        return float(np.median(np.linalg.norm(ecef, axis=1))) - _EARTH_KM > _LEAST_ORBIT_KM
+    return recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
+
+
 def telemetry(channel: Channel) -> Telemetry:
-    """A channel in its base unit, gaps filled."""
+    """A channel in its base unit, gaps filled, a temperature without the noise of its own sensor."""
     unit = CHANNEL_UNITS[channel.spec.unit]
-    return Telemetry(channel.spec.name, unit.quantity, hold_over_nan(unit.to_base(channel.values)))
+    values = hold_over_nan(unit.to_base(channel.values))
+    if unit.quantity == "temperature":
+        values = np.stack([smooth_course(column) for column in values.T], axis=1)
+    return Telemetry(channel.spec.name, unit.quantity, values)
 
 
 def _reference_eci(recording: Recording, ecef: FloatArray | None) -> Array | None:

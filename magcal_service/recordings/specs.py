@@ -148,6 +148,22 @@ class SpinSpec:
         return None if self.rate_rpm is None else self.rate_rpm * 2.0 * math.pi / 60.0
 
 
+class PlatformKind(StrEnum):
+    """Where a recording was made: what can disturb it there."""
+
+    ORBIT = "orbit"
+    GROUND = "ground"
+    AIR = "air"
+    BENCH = "bench"
+
+
+@dataclass(frozen=True, slots=True)
+class PlatformSpec:
+    """Where the recording was made, where the descriptor says so."""
+
+    kind: PlatformKind = choice(PlatformKind)
+
+
 @dataclass(frozen=True, slots=True)
 class Descriptor:
     """One RECORDING.toml, checked.
@@ -171,6 +187,7 @@ class Descriptor:
     spin: SpinSpec | None = section(SpinSpec, None, file_only=True)
     channels: tuple[ChannelSpec, ...] = special(read_channels)
     craft: str | None = None
+    platform: PlatformSpec | None = section(PlatformSpec, None)
     accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
 
     @property

@@ -80,7 +80,7 @@ class Outcome:
             false = [name for name in self.named if name not in self.also]
             right = self.verdict == self.expected or (self.expected == "none" and not false)
             return float(right)
-        if self.verdict != "named" or not self.named:
+        if self.verdict == "unknown" or not self.named:  # noise with a memory is named under the verdict none
             return 0.0
         first = next((name for name in self.named if name not in self.also or name in self.truth), "")
         if first in self.truth:

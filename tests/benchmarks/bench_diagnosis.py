@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
-from magcal_service.diagnosis.problem import Fit, Term, solve
+from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.errors import MagcalError
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue

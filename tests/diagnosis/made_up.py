@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.problem import Fit, Problem, solve
+from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis

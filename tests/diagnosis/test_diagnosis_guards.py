@@ -10,9 +10,10 @@ import pytest
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
-from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
+from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.result import parameters_of
 from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, along_axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.linear import BLOCKS, FOLDS, Workspace, evidence, folds, held_out
+from magcal_service.diagnosis.linear import BLOCKS, FOLDS, Workspace, evidence, fold_solutions, folds
 from magcal_service.model import Array
 
 SIGMA = 3.0
@@ -131,32 +131,34 @@ def test_folds_are_contiguous_blocks_dealt_out_in_turn() -> None:
     assert np.bincount(numbers).tolist() == [5000 // FOLDS] * FOLDS
 
 
-def test_held_out_residuals_are_those_of_refits() -> None:
-    """Each row's residual is what a fit to the other folds leaves of it."""
+def test_the_solution_of_a_fold_is_the_refit_without_it() -> None:
+    """Each fold's solution is the least-squares fit to the rows of the others."""
     residual, columns = drawn(13, 500, 4)
     residual = residual + columns @ np.array([5.0, 1.0, -2.0, 0.5])
     fold = folds(np.arange(500.0))
-    found = held_out(residual, columns, fold)
+    found = fold_solutions(residual, columns, fold, np.zeros(4))
     for number in range(FOLDS):
         out = fold == number
         solution = np.linalg.lstsq(columns[~out], residual[~out], rcond=None)[0]
-        assert found[out] == pytest.approx(residual[out] - columns[out] @ solution, abs=1e-6)
+        assert found[number] == pytest.approx(solution, abs=1e-9)
 
 
-def test_held_out_residuals_respect_the_tie() -> None:
+def test_the_solution_of_a_fold_respects_the_tie() -> None:
     """A tie is a ridge: refits with it in the normal matrix give the same rows."""
     residual, columns = drawn(14, 300, 3)
     residual, fold, tie = residual + columns @ np.ones(3), folds(np.arange(300.0)), np.array([50.0, 0.0, 500.0])
-    found = held_out(residual, columns, fold, tie)
+    found = fold_solutions(residual, columns, fold, tie)
     out = fold == 2
     part = columns[~out]
     solution = np.linalg.solve(part.T @ part + np.diag(tie), part.T @ residual[~out])
-    assert found[out] == pytest.approx(residual[out] - columns[out] @ solution, abs=1e-9)
+    assert found[2] == pytest.approx(solution, abs=1e-9)
 
 
-def test_held_out_rms_grows_with_idle_columns() -> None:
+def test_fold_solutions_rms_grows_with_idle_columns() -> None:
     """Columns that only fit noise lower the residual inside and raise it on held-out blocks."""
     residual, idle = drawn(15, 400, 40)
     inside = Workspace(residual, idle).squares
-    outside = held_out(residual, idle, folds(np.arange(400.0)))
+    fold = folds(np.arange(400.0))
+    solutions = np.stack(fold_solutions(residual, idle, fold, np.zeros(40)))
+    outside = residual - np.einsum("mp,mp->m", idle, solutions[fold])
     assert inside < float(residual @ residual) < float(outside @ outside)

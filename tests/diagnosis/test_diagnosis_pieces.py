@@ -13,8 +13,9 @@ import pytest
 from magcal_service.diagnosis.explain import _best_of_each
 from magcal_service.diagnosis.handover import model_term, terms_of
 from magcal_service.diagnosis.lines import _folded, _slots
-from magcal_service.diagnosis.problem import Problem, Term, _blocked, _inside, _moved, free_numbers, is_collapsed
+from magcal_service.diagnosis.problem import Problem, Term, free_numbers, is_collapsed
 from magcal_service.diagnosis.screen import Candidate, _columns_of, _grid, _product, search_cost
+from magcal_service.diagnosis.solution import _blocked, _inside, _moved
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.scene.scene import Scene
@@ -122,8 +123,8 @@ def test_a_number_stays_within_what_its_grid_spans(role: str, grid: Array, value
     assert _inside(form(3, number(role, grid)), 0, value) == kept
 
 
-@pytest.mark.parametrize(("d11", "collapsed"), [(-0.51, True), (-0.49, False), (0.99, False), (1.01, True)])
-def test_a_sensor_is_none_beyond_half_and_double(d11: float, collapsed: bool) -> None:
+@pytest.mark.parametrize(("d11", "collapsed"), [(-0.61, True), (-0.59, False), (1.49, False), (1.51, True)])
+def test_a_sensor_is_none_beyond_two_fifths_and_their_inverse(d11: float, collapsed: bool) -> None:
     for axis in range(3):
         x = np.zeros(9)
         x[3 + axis] = d11

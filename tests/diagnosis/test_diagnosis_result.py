@@ -14,7 +14,7 @@ import pytest
 
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.leftover import structures
-from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
+from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.result import (
     _direction,
     _instant_sigma,
@@ -29,6 +29,7 @@ from magcal_service.diagnosis.result import (
     parameters_of,
 )
 from magcal_service.diagnosis.screen import Candidate
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import (
@@ -279,7 +280,9 @@ def candidates(**nats: float) -> tuple[Candidate, ...]:
 
 
 def with_rivals(ranked: tuple[Candidate, ...]) -> Any:
-    explained = SimpleNamespace(fit=made().fit, rivals=(made().explained.rivals[0], ranked), nats=made().explained.nats)
+    base = made().explained
+    rivals = (base.rivals[0], ranked)
+    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains)
     return SimpleNamespace(**{**vars(made()), "explained": explained})
 
 

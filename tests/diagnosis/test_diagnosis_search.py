@@ -12,9 +12,9 @@ import pytest
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import BLOCKS, Workspace
-from magcal_service.diagnosis.problem import Fit, Problem, Term, solve
-from magcal_service.diagnosis.result import _close
+from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
@@ -82,7 +82,7 @@ def test_the_instant_of_a_change_is_found_between_those_that_were_tried_first(ro
     form = numbered("instant", TIME_S[100:1900:100], lambda at: (at <= TIME_S).astype(float))
     search, fit = searching(flown(along(0, 600.0 * (np.arange(COUNT) >= row))), form)
     (candidate,) = screened(search, fit)
-    assert float(candidate.theta[0]) == pytest.approx(TIME_S[row] - 2.0, abs=12.0)
+    assert float(candidate.theta[0]) == pytest.approx(TIME_S[row] - 2.0, abs=20.0)
 
 
 def test_a_lines_frequency_costs_one_place_a_sample() -> None:
@@ -196,7 +196,7 @@ def test_held_out_blocks_have_to_gain_a_third_of_what_the_fit_gains(
     inside: float, outside: float, agrees: bool
 ) -> None:
     def standing_for(squares: float, held_out: float) -> Fit:
-        return SimpleNamespace(residual=np.sqrt([squares]), held_out_residual=np.sqrt([held_out]))
+        return SimpleNamespace(white_residual=np.sqrt([squares]), held_out_white=np.sqrt([held_out]))
 
     search, _ = searching(flown(np.zeros((COUNT, 3))))
     assert search._agrees(standing_for(1000.0, 1100.0), standing_for(1000.0 - inside, 1100.0 - outside)) is agrees
@@ -247,7 +247,8 @@ def test_two_causes_are_taken_one_after_the_other_and_nothing_that_is_not_there(
     assert float(found.fit.terms[0].amplitudes[0]) == pytest.approx(300.0, abs=20.0)
     assert float(found.fit.terms[1].amplitudes[0]) == pytest.approx(-150.0, abs=20.0)
     assert [next(rival.hypothesis.effect for rival in of_term) for of_term in found.rivals] == ["one", "other"]
-    assert found.nats == pytest.approx([found.rivals[0][0].nats, found.rivals[1][0].nats], abs=1e-6)
+    worth = [nats * gain.dispersion for nats, gain in zip(found.nats, found.gains, strict=True)]
+    assert worth == pytest.approx([found.rivals[0][0].nats, found.rivals[1][0].nats], abs=1e-6)
 
 
 def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
@@ -267,8 +268,3 @@ def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
 
 def candidate(effect: str, nats: float) -> Candidate:
     return Candidate(body_form(effect, "", along(0, SLOW)), np.zeros(0), SimpleNamespace(), nats)  # type: ignore[arg-type]
-
-
-def test_rivals_within_odds_of_twenty_to_one_are_one_class() -> None:
-    ranked = [candidate("a", 50.0), candidate("b", 47.1), candidate("c", 46.9), candidate("d", 20.0)]
-    assert [close.hypothesis.effect for close in _close(ranked, 50.0)] == ["a", "b"]

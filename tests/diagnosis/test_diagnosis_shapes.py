@@ -17,7 +17,7 @@ from magcal_service.diagnosis.leftover import (
 )
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.locate import Place, _coincidence, locate
-from magcal_service.diagnosis.problem import Fit, Problem, solve
+from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.shapes import (
     Shape,
     _cosines,
@@ -29,6 +29,7 @@ from magcal_service.diagnosis.shapes import (
     products_of_two,
     shapes,
 )
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from tests.physics.scenes import COUNT, NOISE_NT, PERIOD_S, RATE_RAD_S, X, scene, spoiled

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.belief import reasons as reasons_of
 from magcal_service.diagnosis.diagnose import (
     NUTATION,
     SPIN_RATE,
     Verdict,
+    _doubts,
     _imitated,
     _is_coning,
     _memory,
     _outdone,
-    _reasons,
     _simulation,
     _unexplained,
     _verdict,
@@ -26,8 +27,9 @@ from magcal_service.diagnosis.diagnose import (
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.leftover import Structure
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
-from magcal_service.diagnosis.problem import Problem, Term, evaluate, solve
+from magcal_service.diagnosis.problem import Problem, Term, evaluate
 from magcal_service.diagnosis.shapes import Shape
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.interface import Finding, value_of
 from magcal_service.recordings.channels import Axes
@@ -60,6 +62,7 @@ def explained(terms: int) -> Any:
         (1, {}, 0.2, Verdict.NAMED),
         (1, {}, 0.201, Verdict.UNKNOWN),
         (0, {"nutation": None}, 0.0, Verdict.NAMED),
+        (0, {"coloured_noise": None}, 0.0, Verdict.NONE),
         (0, {}, 0.9, Verdict.UNKNOWN),
     ],
 )
@@ -77,13 +80,11 @@ def residuals(before: float, after: float) -> tuple[Any, Any]:
 
 def test_what_is_unexplained_is_the_best_structures_share_of_all_that_is_there() -> None:
     prepared, fit = residuals(1000.0, 400.0)
-    assert _unexplained(prepared, fit, [structure(7.0, 150.0)], None) == pytest.approx(150.0 / 750.0)
-    assert _unexplained(prepared, fit, [structure(5.9, 150.0)], None) == 0.0
-    assert _unexplained(prepared, fit, [], None) == 0.0
-    memory = replace(finding(), share=0.25)
-    assert _unexplained(prepared, fit, [structure(7.0, 150.0)], memory) == pytest.approx(150.0 / 850.0)
+    assert _unexplained(prepared, fit, [structure(7.0, 150.0)]) == pytest.approx(150.0 / 750.0)
+    assert _unexplained(prepared, fit, [structure(5.9, 150.0)]) == 0.0
+    assert _unexplained(prepared, fit, []) == 0.0
     worse, grown = residuals(400.0, 1000.0)
-    assert _unexplained(worse, grown, [structure(7.0, 150.0)], None) == pytest.approx(1.0)
+    assert _unexplained(worse, grown, [structure(7.0, 150.0)]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +95,7 @@ def test_what_is_unexplained_is_the_best_structures_share_of_all_that_is_there()
         (1.0, 0.051, 300, Verdict.NAMED, X, ("poor_coverage",)),
         (1.0, 0.001, 299, Verdict.NAMED, X, ("not_enough_data",)),
         (1.0, 0.001, 300, Verdict.UNKNOWN, X, ("unexplained_structure",)),
-        (1.0, 0.001, 300, Verdict.NONE, np.array([0, 0, 0, -0.6, 0, 0, 0, 0, 0.0]), ("collapsed",)),
+        (1.0, 0.001, 300, Verdict.NONE, np.array([0, 0, 0, -0.61, 0, 0, 0, 0, 0.0]), ("collapsed",)),
     ],
 )
 def test_a_result_has_the_reasons_against_it(
@@ -102,12 +103,16 @@ def test_a_result_has_the_reasons_against_it(
 ) -> None:
     """The largest sigma of bias and of D, the number of rows, the verdict, and whether it is a sensor at all."""
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
-    fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2))
-    prepared: Any = SimpleNamespace(problem=SimpleNamespace(scene=range(rows)))
+    problem = SimpleNamespace(scene=range(rows))
+    fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=())
+    explained: Any = SimpleNamespace(fit=fit)
+    assert reasons_of(fit, explained, 0.0, verdict is Verdict.UNKNOWN, FLOOR_NT) == reasons
+
+
+def test_a_doubtful_recording_is_a_reason_of_its_own() -> None:
     sound: Any = SimpleNamespace(open=())
-    assert _reasons(sound, prepared, fit, verdict) == reasons
     doubtful: Any = SimpleNamespace(open=("wraps",))
-    assert _reasons(doubtful, prepared, fit, verdict) == ("recording_doubtful", *reasons)
+    assert (_doubts(sound), _doubts(doubtful)) == ((), ("recording_doubtful",))
 
 
 # Attitude

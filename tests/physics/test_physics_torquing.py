@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.problem import Problem, solve
+from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
+from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis, Segments

@@ -77,7 +77,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
         effect,
         "inferred:temperature",
         columns,
-        (block, Block(f"start_{block.name}", block.unit, block.shape)),
+        (block, Block(f"start_{block.name}", block.unit, block.shape, block.most)),
         variant="answer to light",
         nonlinear=(
             Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S),

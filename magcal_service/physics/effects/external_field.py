@@ -65,6 +65,7 @@ EFFECT = Effect(
     title="currents above the craft: the ring current",
     equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials in time",
     units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s"},
+    in_orbit_only=True,
     prior=(5.0, 500.0),
     valid="below 60 degrees of dipole latitude; field-aligned currents are not in it",
     confused_with=("reference_epoch", "bias_drift", "position_offset"),

@@ -100,6 +100,7 @@ EFFECT = Effect(
         "ahead_s_per_h": "s/h",
         "share": "1",
     },
+    in_orbit_only=True,
     prior=(10.0, 30000.0),
     valid="to first order: below about 100 km; far along the orbit, up to 20 minutes",
     confused_with=("time_offset", "reference_epoch", "external_field"),

@@ -63,6 +63,7 @@ EFFECT = Effect(
     title="the reference comes from old coefficients or a truncated series",
     equation="|A H| = |H_ref| + years * d|H|/dt (secular variation); or the terms above a degree, times a share",
     units={"years": "a", "share": "1"},
+    in_orbit_only=True,
     prior=(5.0, 3000.0),
     valid="secular variation taken as linear over the years",
     confused_with=("external_field", "position_offset"),

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import Block, Effect, gains
+from magcal_service.physics.interface import AFTER_BIAS, Block, Effect, Hypothesis, gains
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield from drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
+    for hypothesis in drifts(scene, "scale_drift", lambda s: gains(scene.calibrated_nt, s), Block("per_s", "1/s")):
+        yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".strip(", "))
+
 
 EFFECT = Effect(
     name="scale_drift",
@@ -23,7 +34,5 @@ EFFECT = Effect(
         "The gain drifts by {per_s} per second.",
         "The gain relaxes by {end} with a time constant of {time_constant_s} s.",
     ),
-    hypotheses=lambda scene: tuple(
-        drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
-    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

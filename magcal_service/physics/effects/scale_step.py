@@ -8,12 +8,13 @@ import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.interface import AFTER_BIAS, Block, Effect, Hypothesis, Values, common_gain, gains, value_of
 from magcal_service.physics.scene.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield step(scene, "scale_step", lambda s: gains(scene.clean_field_nt, s), Block("step", "1"))
+    yield step(scene, "scale_step", lambda s: gains(scene.calibrated_nt, s), Block("step", "1"), AFTER_BIAS)
     common = Block("step_common", "1", ())
     yield step(scene, "scale_step", lambda s: common_gain(scene.clean_field_nt, s), common, "one gain")
 
@@ -29,7 +30,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.SCALE_STEP, ""),),
     title="the gain changes at one instant",
-    equation="D + diag(step) from t >= at, so d = -diag(step) B",
+    equation="D + diag(step) from t >= at, so d = -diag(step) B; or of w where the bias is not amplified",
     units={"step": "1", "step_common": "1", "at_s": "s"},
     prior=(10.0, 5000.0),
     valid="one instant; the change is over within a sample",

@@ -62,6 +62,7 @@ EFFECT = Effect(
     title="a disturbance locked to the Sun's direction in the body",
     equation="d = lit (F s + second-degree harmonics of s), s the Sun's direction in the body",
     units={"nt": "nT", "second_nt": "nT", "light_nt": "nT"},
+    in_orbit_only=True,
     prior=(1.0, 300.0),
     valid="no thermal delay: structure that follows the light within a sample",
     confused_with=("current_loop", "thermal_bias"),

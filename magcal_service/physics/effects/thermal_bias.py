@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
 from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
 from magcal_service.physics.scene.scene import Scene
 
+_MOST_PER_K_NT: Final = 300.0
+"""Bias per kelvin at most [nT/K]: six times what bridges of consumer grade have (5 to 50 nT/K)."""
+
+_MOST_SWING_NT: Final = 10_000.0
+"""Bias between light and shadow at most [nT]: 100 nT/K over 100 K."""
+
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield from recorded(scene, "thermal_bias", along_axes, Block("nt_per_k", "nT/K"))
-    yield from inferred(scene, "thermal_bias", along_axes, Block("nt_swing", "nT"))
+    yield from recorded(scene, "thermal_bias", along_axes, Block("nt_per_k", "nT/K", most=_MOST_PER_K_NT))
+    yield from inferred(scene, "thermal_bias", along_axes, Block("nt_swing", "nT", most=_MOST_SWING_NT))
 
 
 EFFECT = Effect(

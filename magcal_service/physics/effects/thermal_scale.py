@@ -4,14 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.interface import (
+    AFTER_BIAS,
+    Block,
+    Columns,
+    Effect,
+    Hypothesis,
+    Values,
+    common_gain,
+    gains,
+    value_of,
+)
 from magcal_service.physics.scene.scene import Scene
+
+_MOST_PER_K: Final = 0.01
+"""Gain per kelvin at most: three times the -0.3 %/K of a bridge driven by a constant voltage (Honeywell HMC1001)."""
+
+_MOST_SWING: Final = 0.35
+"""Gain between light and shadow at most: 0.3 %/K over 115 K, which no board inside a craft sees."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
@@ -21,12 +38,19 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     def common(signal: Array) -> Columns:
         return common_gain(scene.clean_field_nt, signal)
 
-    yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K"))
-    for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", ())):
+    def after(signal: Array) -> Columns:
+        return gains(scene.calibrated_nt, signal)
+
+    yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K", most=_MOST_PER_K))
+    for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", (), _MOST_PER_K)):
         yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
-    yield from inferred(scene, "thermal_scale", each, Block("swing", "1"))
-    for hypothesis in inferred(scene, "thermal_scale", common, Block("swing_common", "1", ())):
+    yield from inferred(scene, "thermal_scale", each, Block("swing", "1", most=_MOST_SWING))
+    for hypothesis in inferred(scene, "thermal_scale", common, Block("swing_common", "1", (), _MOST_SWING)):
         yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
+    for hypothesis in recorded(scene, "thermal_scale", after, Block("per_k", "1/K", most=_MOST_PER_K)):
+        yield replace(hypothesis, variant=f"{AFTER_BIAS} {hypothesis.variant}".strip())
+    for hypothesis in inferred(scene, "thermal_scale", after, Block("swing", "1", most=_MOST_SWING)):
+        yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}")
 
 
 def _derived(parameters: Values) -> Values:
@@ -40,7 +64,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.SCALE_BY, "temperature"), (Watched.SCALE_BY, WARMTH)),
     title="a gain that follows the sensor's temperature",
-    equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B",
+    equation="D(T) = D + diag(a) (T - T0), so d = -diag(a) (T - T0) B; or of w behind a bias that is not amplified",
     units={
         "per_k": "1/K",
         "per_k_common": "1/K",

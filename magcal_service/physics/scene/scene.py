@@ -82,6 +82,7 @@ class Scene:
     given: constants of a model that is applied here, which replace those of the scene; no effect is then
         left out for lack of change.  None while effects are searched.
     memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
+    in_orbit: whether the craft is in orbit: elsewhere sunlight, currents in space and torquers drive nothing.
     turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
     """
 
@@ -99,6 +100,7 @@ class Scene:
     given: Mapping[str, float] | None = None
     memory: Memory | None = None
     turning_rad_s: Array | None = None
+    in_orbit: bool = True
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:

@@ -1,0 +1,103 @@
+"""How far a diagnosis is believed: each name's probability among its rivals, and what speaks against acting on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.blocks import gain_over, numbered
+from magcal_service.diagnosis.explain import CLASS_NATS, Explained
+from magcal_service.diagnosis.problem import Fit, is_collapsed
+from magcal_service.model import STATE_SIZE
+
+SURE: Final = 0.95
+"""Probability from which on a name is acted on: of those said so, one in twenty may be false."""
+
+_MOST_NATS: Final = 700.0
+"""Largest exponent that a double takes."""
+
+_STANDS_OUT: Final = 3.0
+"""Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
+
+_LITTLE_LEFT: Final = 0.1
+"""Share of the mismatch without a name beside which names are still acted on: their numbers move by a few per cent."""
+
+_MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
+_MOST_D_SIGMA: Final = 0.05  # the same, by D
+"""Sigma of the nine errors from which on the field did not point in enough directions; a choice."""
+
+_MOST_NOISE: Final = 0.02
+"""Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
+1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
+
+_FEWEST_SAMPLES: Final = 300
+"""Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Names in one place.
+
+    Parameters
+    ----------
+    own: probability of the name that was fitted.
+    rivals: other names with theirs, most probable first.
+    members: names that this recording cannot tell apart, the fitted one first.
+    """
+
+    own: float
+    rivals: tuple[tuple[str, float], ...]
+    members: tuple[str, ...]
+
+
+def posterior(explained: Explained, index: int) -> Posterior:
+    """Of a term against its rivals, whose evidence the blocks' scatter has tempered."""
+    name = explained.fit.terms[index].hypothesis.effect
+    ranked = explained.rivals[index]
+    own = next((c.nats for c in ranked if c.hypothesis.effect == name), explained.nats[index])
+    weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
+    weights[name] = 1.0
+    total = sum(weights.values())
+    rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
+    close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
+    return Posterior(weights[name] / total, tuple(rivals), (name, *close))
+
+
+def reasons(
+    baseline: Fit, explained: Explained, unexplained: float, unknown: bool, floor_nt: float, stated: bool = True
+) -> tuple[str, ...]:
+    """What speaks against acting on a result, by the names of ``words.REASONS``.
+
+    Parameters
+    ----------
+    baseline: the nine errors alone.
+    explained: with effects.
+    unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
+    floor_nt: least noise that evidence is counted in [nT].
+    stated: whether the sensor's noise was stated, not estimated from the residual.
+    """
+    fit = explained.fit
+    magnitude_nt = float(np.mean(fit.problem.scene.magnitude_nt)) if fit.terms else np.inf
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
+    found = {
+        "not_converged": not fit.converged,
+        "collapsed": is_collapsed(fit.x),
+        "poor_coverage": float(sigma[:3].max()) > _MOST_BIAS_SIGMA_NT or float(sigma[3:].max()) > _MOST_D_SIGMA,
+        "unexplained_structure": unknown or (bool(fit.terms) and unexplained > _LITTLE_LEFT),
+        "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
+        "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
+        "rough_residual": not stated and fit.problem.noise_nt > _MOST_NOISE * magnitude_nt,
+        "gain_in_scatter": bool(fit.terms) and not _stands_out(baseline, fit, floor_nt),
+    }
+    return tuple(name for name, holds in found.items() if holds)
+
+
+def _stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
+    """Whether held-out blocks gain by the effects by more than their gains scatter."""
+    number = numbered(fit.white_residual, 3 if fit.problem.is_vector else 1)
+    sigma2 = max(fit.white_rms_nt, floor_nt) ** 2
+    gain = gain_over(baseline.held_out_white, fit.held_out_white, number, sigma2)
+    return gain.nats > _STANDS_OUT * math.sqrt(2.0 * max(gain.nats, 0.0) * gain.dispersion)

@@ -1,0 +1,47 @@
+"""How large the field model's errors are in a recording: as usual, unless the likelihood asks for more.
+
+A search first takes them as small as they ever are.  Where what it left, or what it named, is likelier under larger
+ones, it is made again at those: a name has to be likelier than nine errors under the errors that suit them best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from magcal_service.diagnosis.field_error import SCALES, FieldError
+from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.screen import ACCEPTED_NATS
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
+
+
+def at_scale(problem: Problem, usual: FieldError, scale: float) -> Problem:
+    """A problem with field-model errors ``scale`` times as large as usual."""
+    return replace(problem, field_error=usual.scaled(scale))
+
+
+def log_likelihood(fit: Fit) -> float:
+    """Of a fit's residual under white noise and the field model's errors [nats], but for a constant."""
+    error = fit.problem.field_error
+    assert error is not None
+    return -0.5 * float((fit.white_residual**2).sum()) / error.noise_nt**2 - error.log_volume()
+
+
+def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Term] = ()) -> tuple[float, float]:
+    """The scale at which unknowns fitted from ``x`` (9,) are likeliest, and the log-likelihood there [nats]."""
+    found = [
+        (log_likelihood(solve(at_scale(problem, usual, scale), x, terms)) + odds, scale)
+        for scale, odds in SCALES.items()
+    ]
+    nats, scale = max(found)
+    return scale, nats
+
+
+def needed_scale(usual: FieldError, baseline: Fit, named: Fit) -> tuple[float, bool]:
+    """The scale that suits the nine errors alone, or the names where those are likelier still; and whether they are."""
+    alone, nats_alone = likeliest(baseline.problem, usual, baseline.x)
+    if not named.terms:
+        return alone, False
+    scale, nats = likeliest(named.problem, usual, named.x, named.terms)
+    return (scale, True) if nats > nats_alone + ACCEPTED_NATS else (alone, False)

@@ -1,0 +1,150 @@
+"""The joint solution of nine errors, amplitudes and nonlinear numbers: damped steps to the zero of the score.
+
+The score is C'r with the columns C taken at noise-free vectors (``problem.evaluate``).  Its zero is where the noise in
+the measured vectors pulls no unknown; the least sum of squares lies several sigma beside it (errors in variables).
+So a step is judged by both: far from the solution the cost has to fall, near it the score.
+
+Source: Marquardt 1963 for the damping; Dennis & Schnabel 1996, chapter 6, for judging a step by the norm of the
+equations in the metric of their own derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_numbers, is_collapsed
+from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
+
+_ITERATIONS: Final = 60
+"""Steps, taken or refused; a sound start takes 3 to 8, a far one on real recordings up to 40."""
+
+_CONVERGED: Final = 1e-4
+"""Square of the step still to go, in sigmas of the solution: it ends a hundredth of a sigma from the zero."""
+
+_FIRST_DAMPING: Final = 1e-3  # of the diagonal: shortens the step hardly, Marquardt's own
+_LEAST_DAMPING: Final = 1e-9  # below it the step is that of Gauss and Newton
+_MOST_DAMPING: Final = 1e9  # above it a step moves nothing in double precision
+
+_EASED, _TIGHTENED = 0.1, 10.0
+"""Factors on the damping after a step that was taken, and one that was refused; the customary ones."""
+
+_MAY_COST: Final = 100.0
+"""Noise variances by which the cost may rise on the way to the zero of the score: ten sigma of what the noise in the
+vectors pulls, which is 4 to 6 sigma on recordings of a few orbits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """The equations of one point: scaled normal matrix (p, p), score (p,), scale (p,), and what is left to go."""
+
+    normal: Array
+    score: Array
+    scale: Array
+    free: NDArray[np.bool_]
+    cost: float
+    sigma2: float
+    to_go: float
+
+    @classmethod
+    def of(cls, fit: Fit, sigma2: float) -> _Step:
+        scale = np.linalg.norm(fit.white_columns, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = fit.white_columns / scale
+        tie = fit.tie * sigma2
+        normal = scaled.T @ scaled + np.diag(tie / scale**2)
+        score = scaled.T @ fit.white_residual - tie * fit.unknowns / scale
+        whole = np.linalg.lstsq(normal, score, rcond=1e-13)[0]
+        free = ~_blocked(fit, whole / scale)
+        cost = float(fit.white_residual @ fit.white_residual) + float(tie @ fit.unknowns**2)
+        step = cls(normal, score, scale, free, cost, sigma2, 0.0)
+        full = step.damped(0.0)
+        return replace(step, to_go=float(full @ normal @ full))
+
+    def damped(self, damping: float) -> Array:
+        """The scaled step (p,) with so much of the diagonal added; what is blocked stays."""
+        free = np.ix_(self.free, self.free)
+        normal = self.normal[free] + damping * np.diag(np.diagonal(self.normal)[self.free])
+        step = np.zeros(len(self.scale))
+        step[self.free] = np.linalg.lstsq(normal, self.score[self.free], rcond=1e-13)[0]
+        return step
+
+
+def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
+    """All unknowns jointly, from ``start`` (9,) or (12,); the nonlinear numbers move along inside their searched range.
+
+    ``Fit.converged`` says whether the step still to go was below a hundredth of a sigma at the end.
+    """
+    fit, damping = evaluate(problem, start, terms), 0.0
+    here = _Step.of(fit, _variance(fit))
+    for _ in range(_ITERATIONS):
+        if here.to_go < _CONVERGED * here.sigma2:
+            return replace(fit, converged=True)
+        trial = _moved(fit, here.damped(damping) / here.scale)
+        if not (is_collapsed(trial[0]) and not is_collapsed(fit.x)):
+            there = evaluate(problem, *trial)
+            next_ = _Step.of(there, here.sigma2)
+            if _is_better(here, next_):
+                fit, damping = there, damping * _EASED if damping > _LEAST_DAMPING else 0.0
+                here = _Step.of(fit, _variance(fit))
+                continue
+        damping = max(damping * _TIGHTENED, _FIRST_DAMPING)
+        if damping > _MOST_DAMPING:
+            break
+    return replace(fit, converged=here.to_go < _CONVERGED * here.sigma2)
+
+
+def _variance(fit: Fit) -> float:
+    return max(fit.white_rms_nt**2, 1e-12)
+
+
+def _is_better(here: _Step, there: _Step) -> bool:
+    """Whether a step is taken: the cost falls, or it hardly rises and the zero of the score is nearer."""
+    if not np.isfinite(there.cost):
+        return False
+    if there.cost < here.cost - _CONVERGED * here.sigma2 and here.to_go > _MAY_COST * here.sigma2:
+        return True
+    return there.cost < here.cost + _MAY_COST * here.sigma2 and there.to_go < here.to_go
+
+
+def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:
+    size = fit.problem.size
+    x = fit.x + step[:size]
+    terms, at, free = [], size, fit.linear_size
+    for term in fit.terms:
+        count = term.hypothesis.size
+        theta = np.array(term.theta)
+        for index in free_numbers(term):
+            theta[index] = _inside(term.hypothesis, index, float(theta[index] + step[free]))
+            free += 1
+        terms.append(replace(term, amplitudes=term.amplitudes + step[at : at + count], theta=theta))
+        at += count
+    return x, tuple(terms)
+
+
+def _blocked(fit: Fit, step: Array) -> NDArray[np.bool_]:
+    """Which unknowns (p,) are nonlinear numbers that the step would take out of their range.
+
+    They stay for this step: amplitudes that were to go along with them would be wrong.
+    """
+    blocked, at = np.zeros(len(step), dtype=bool), fit.linear_size
+    for term in fit.terms:
+        for index in free_numbers(term):
+            value = float(term.theta[index] + step[at])
+            blocked[at] = _inside(term.hypothesis, index, value) != value
+            at += 1
+    return blocked
+
+
+def _inside(hypothesis: Hypothesis, index: int, value: float) -> float:
+    """The value kept within the range that the grid spans; lines are free."""
+    number = hypothesis.nonlinear[index]
+    if number.role or len(number.grid) < 2:
+        return value
+    low, high = float(number.grid.min()), float(number.grid.max())
+    return float(np.clip(value, low, high))

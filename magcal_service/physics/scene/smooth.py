@@ -1,0 +1,65 @@
+"""A slow channel without its own noise: what drives physics is the temperature, not the sensor that reports it.
+
+A driver with noise is a worse regressor than the truth, and than any smooth course that happens to resemble it (errors
+in variables).  The values are taken as a smooth course under white noise, y = x + e, with white second differences of
+x; the ratio of the two variances is the likeliest (Whittle's likelihood on the cosine transform), and x its mean.
+
+Source: Whittaker 1923 and Wahba 1978 for the smoother, whose gain at a frequency w is 1 / (1 + lambda (2 - 2 cos w)^2).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+
+_RATIOS: Final = np.concatenate([[0.0], np.geomspace(1.0, 1e10, 41)])
+"""Variances of noise over those of second differences: no noise at all, to a course that bends once in 300 samples."""
+
+_MOST_TAKEN: Final = 1.3
+"""Times the noise that changes from sample to sample, what may be taken off: more is a course with jumps or kinks, as
+between sessions, that no smooth one follows.  White noise has 1 to a few per cent."""
+
+_FEWEST: Final = 32
+"""Samples below which nothing is told of a channel's noise."""
+
+
+def smooth_course(values: Array) -> Array:
+    """The likeliest smooth course (n,) under values (n,) at even times; as they are where they have no noise."""
+    if len(values) < _FEWEST or not np.isfinite(values).all() or float(np.ptp(values)) == 0.0:
+        return values
+    line = np.linspace(values[0], values[-1], len(values))  # what the transform would wrap around
+    transform = _cosine(values - line)
+    rough = (2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(values)) / len(values))) ** 2
+    power = transform[1:] ** 2
+    best = max(_RATIOS.tolist(), key=lambda ratio: _likelihood(power, rough, ratio))
+    if best == 0.0:
+        return values
+    gain = np.concatenate([[1.0], 1.0 / (1.0 + best * rough)])
+    course = np.asarray(_inverse_cosine(transform * gain) + line)
+    white = float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6.0))  # of a normal law, whatever jumps
+    return course if float(np.std(values - course)) < _MOST_TAKEN * white else values
+
+
+def _likelihood(power: Array, rough: Array, ratio: float) -> float:
+    """Whittle's log-likelihood of squares (k,) at squared roughness (k,), the level at its best."""
+    shape = 1.0 / rough if ratio == 0.0 else 1.0 + 1.0 / (ratio * rough)
+    level = float(np.mean(power / shape))
+    return float(-0.5 * np.log(shape).sum() - 0.5 * len(power) * np.log(max(level, 1e-300)))
+
+
+def _cosine(values: Array) -> Array:
+    """Type II cosine transform (n,), unscaled, by a transform of the mirrored values."""
+    count = len(values)
+    spectrum = np.fft.rfft(np.concatenate([values, values[::-1]]))[:count]
+    return np.asarray((spectrum * np.exp(-0.5j * np.pi * np.arange(count) / count)).real)
+
+
+def _inverse_cosine(transform: Array) -> Array:
+    """Inverse of ``_cosine``."""
+    count = len(transform)
+    spectrum = np.zeros(count + 1, dtype=complex)
+    spectrum[:count] = transform * np.exp(0.5j * np.pi * np.arange(count) / count)
+    return np.asarray(np.fft.irfft(spectrum, 2 * count)[:count])

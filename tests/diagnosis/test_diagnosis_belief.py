@@ -1,0 +1,123 @@
+"""How far a name is believed: probabilities among rivals, and each reason against acting on a result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.belief import posterior, reasons
+from magcal_service.diagnosis.blocks import Gain as BlockGain
+from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.linear import Gain
+from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import measure
+from magcal_service.physics.catalogue import catalogue, effect_named
+from magcal_service.physics.interface import Hypothesis
+from tests.physics.scenes import NOISE_NT, X, scene, spoiled
+
+STEP_NT = np.array([220.0, -140.0, 90.0])
+AT_S = 4100.0
+
+
+def form(name: str) -> Hypothesis:
+    """The first form of an effect on the scene."""
+    return effect_named(name).hypotheses(scene())[0]
+
+
+def problem() -> Problem:
+    """The scene with a step of the bias."""
+    late = (scene().time_s >= AT_S)[:, None]
+    noise = NOISE_NT * np.random.default_rng(31).normal(size=(len(scene()), 3))
+    return Problem(spoiled(measure(X, scene().calibrated_nt + STEP_NT * late + noise), scene()), NOISE_NT)
+
+
+@cache
+def fits() -> tuple[Fit, Fit]:
+    """Nine errors alone, and with the step."""
+    alone = solve(problem(), X)
+    return alone, solve(problem(), alone.x, [Term(form("bias_step"), np.array([AT_S]), STEP_NT)])
+
+
+def explained(rivals: Sequence[tuple[str, float]], own: float = 100.0) -> Explained:
+    """The step at ``own`` nats, and rivals at theirs."""
+    idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
+    ranked = [Candidate(form(name), np.zeros(0), idle, nats) for name, nats in [("bias_step", own), *rivals]]
+    return Explained(fits()[1], (tuple(ranked),), (own,), (BlockGain(own, 1.0, 10, 10),))
+
+
+def said(named: Explained, unexplained: float = 0.0, unknown: bool = False) -> tuple[str, ...]:
+    """The reasons against it."""
+    return reasons(fits()[0], named, unexplained, unknown, 0.3 * NOISE_NT)
+
+
+def test_probabilities_are_those_of_the_nats() -> None:
+    """e to the difference, over the sum; a class is within 3 nats."""
+    found = posterior(explained([("bias_drift", 99.0), ("thermal_bias", 96.5), ("tone", 90.0)]), 0)
+    weights = [1.0, math.exp(-1.0), math.exp(-3.5), math.exp(-10.0)]
+    assert found.own == pytest.approx(1.0 / sum(weights))
+    assert found.members == ("bias_step", "bias_drift")
+    assert [name for name, _ in found.rivals] == ["bias_drift", "thermal_bias", "tone"]
+    assert [p for _, p in found.rivals] == pytest.approx([weight / sum(weights) for weight in weights[1:]])
+
+
+def test_a_good_name_is_trusted() -> None:
+    """The right step, nothing left, no rival near."""
+    assert said(explained([("bias_drift", 60.0)])) == ()
+
+
+@pytest.mark.parametrize(("behind", "expected"), [(2.9, ("name_uncertain",)), (3.0, ())])
+def test_a_name_needs_ninety_five_per_cent(behind: float, expected: tuple[str, ...]) -> None:
+    """One rival 2.94 nats behind leaves 0.95."""
+    assert said(explained([("bias_drift", 100.0 - behind)])) == expected
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.099, ()), (0.101, ("unexplained_structure",))])
+def test_little_may_be_left_beside_names(share: float, expected: tuple[str, ...]) -> None:
+    """A tenth of the mismatch without a name; where that is the verdict, any share."""
+    assert said(explained([]), share) == expected
+    assert said(explained([]), 0.0, unknown=True) == ("unexplained_structure",)
+
+
+def test_what_did_not_arrive_or_collapsed_is_not_trusted() -> None:
+    """Both are asked of the fit itself."""
+    named = explained([])
+    assert said(replace(named, fit=replace(named.fit, converged=False))) == ("not_converged",)
+    shrunk = np.array(named.fit.x)
+    shrunk[3] = -0.7
+    assert "collapsed" in said(replace(named, fit=replace(named.fit, x=shrunk)))
+
+
+def test_a_gain_within_its_scatter_is_not_trusted() -> None:
+    """An effect that held-out blocks do not gain by: here one that was fitted to nothing."""
+    idle = solve(problem(), fits()[0].x, [Term(form("tone"), np.array([0.0213]), np.zeros(6))])
+    named = replace(explained([]), fit=idle)
+    assert "gain_in_scatter" in said(named)
+
+
+def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:
+    """On the step with its whole catalogue: the step alone, seen in most blocks, its rivals behind."""
+    search = Search(problem(), hypotheses_of(catalogue(), problem()), catalogue())
+    found = search.run(fits()[0], 0.3 * NOISE_NT)
+    assert [term.hypothesis.effect for term in found.fit.terms] == ["bias_step"]
+    gain = found.gains[0]
+    assert gain.dispersion < 1.8
+    assert gain.seen >= 0.8 * gain.expected > 0
+    assert posterior(found, 0).own > 0.95
+
+
+@pytest.mark.parametrize(
+    ("share", "stated", "expected"), [(0.019, False, ()), (0.021, False, ("rough_residual",)), (0.021, True, ())]
+)
+def test_noise_larger_than_any_sensors_is_none(share: float, stated: bool, expected: tuple[str, ...]) -> None:
+    """2 % of the field, where nobody stated it."""
+    named = explained([])
+    noise_nt = share * float(scene().magnitude_nt.mean())
+    rough = replace(named, fit=replace(named.fit, problem=replace(named.fit.problem, noise_nt=noise_nt)))
+    assert reasons(fits()[0], rough, 0.0, False, 0.3 * NOISE_NT, stated) == expected

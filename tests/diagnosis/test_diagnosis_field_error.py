@@ -1,0 +1,95 @@
+"""The field model's own errors as noise: variance by degree, whitening against the dense covariance, and its limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.field_error import FieldError, Lines, degree_variances
+from tests.physics.scenes import scene
+
+NOISE_NT = 5.0
+
+
+@pytest.fixture(scope="module")
+def error() -> FieldError:
+    """Of the flight that the physics' tests use."""
+    found = FieldError.of(scene(), NOISE_NT)
+    assert found is not None
+    return found
+
+
+def test_variances_add_up_to_their_sources() -> None:
+    """19 nT of the core field and 12 nT from outside; the crust fades with (a / r)^(2n + 4)."""
+    low, high = degree_variances(300.0), degree_variances(600.0)
+    assert float(low[:14].sum()) == pytest.approx(19.0**2 + 12.0**2)
+    assert low[0] == 0.0
+    for degree in (14, 30, 45):
+        upward = ((6371.2 + 300.0) / (6371.2 + 600.0)) ** (2 * degree + 4)
+        assert high[degree] / low[degree] == pytest.approx(upward)
+        assert low[degree] == pytest.approx(20.0 / 3.0 * (6371.2 / 6671.2) ** (2 * degree + 4))
+
+
+def test_the_whole_variance_is_kept_at_every_sample(error: FieldError) -> None:
+    """The diagonal of U diag(v) U' is the sum over degrees, but for what lies under the noise."""
+    place = scene().position_ecef_km
+    assert place is not None
+    altitude_km = float(np.median(np.linalg.norm(place, axis=1))) - 6371.2
+    diagonal = (error.basis**2 * error.variance).sum(axis=1)
+    assert float(diagonal.mean()) == pytest.approx(float(degree_variances(altitude_km).sum()), rel=0.02)
+    assert float(np.sqrt(diagonal.max())) < 24.0
+
+
+def test_whitening_is_the_inverse_root_of_the_covariance(error: FieldError) -> None:
+    """W'W = sigma^2 C^-1 with C = sigma^2 I + U diag(v) U', by solving with the dense matrix."""
+    count = 300
+    lines = Lines.between(np.linspace(0, count - 1, 14).astype(np.intp), count)
+    drawn = np.random.default_rng(8).normal(size=(len(lines.at), 6))
+    dense = np.linalg.cholesky(lines.carried_on(drawn).T @ lines.carried_on(drawn)).T
+    small = FieldError(lines, drawn @ np.linalg.inv(dense), error.variance[-6:], NOISE_NT)
+    assert np.abs(small.basis.T @ small.basis - np.eye(6)).max() < 1e-12
+    covariance = NOISE_NT**2 * np.eye(count) + (small.basis * small.variance) @ small.basis.T
+    white = small.whitened(np.eye(count))
+    assert np.abs(white.T @ white @ covariance / NOISE_NT**2 - np.eye(count)).max() < 1e-9
+    volume = 0.5 * (np.linalg.slogdet(covariance)[1] - count * np.log(NOISE_NT**2))
+    assert small.log_volume() == pytest.approx(volume)
+
+
+def test_what_the_model_may_err_by_weighs_less_and_a_spin_tone_as_before(error: FieldError) -> None:
+    """A course of an orbit is all but gone, a tone of a minute is untouched."""
+    elapsed = scene().time_s
+    slow, fast = np.sin(2.0 * np.pi * elapsed / 5600.0), np.sin(2.0 * np.pi * elapsed / 40.0)
+    assert np.linalg.norm(error.whitened(slow)) < 0.1 * np.linalg.norm(slow)
+    assert np.linalg.norm(error.whitened(fast)) > 0.98 * np.linalg.norm(fast)
+
+
+def test_twice_the_error_is_four_times_the_variance(error: FieldError) -> None:
+    """Scaling leaves the directions and the white noise as they are."""
+    twice = error.scaled(2.0)
+    assert twice.variance == pytest.approx(4.0 * error.variance)
+    assert twice.courses is error.courses
+    assert twice.noise_nt == error.noise_nt
+
+
+def test_there_is_none_on_the_ground_without_places_or_under_much_noise() -> None:
+    """Elsewhere than in orbit the crust is no small error, and a noise of 1 mT hides all."""
+    place = scene().position_ecef_km
+    assert place is not None
+    assert FieldError.of(replace(scene(), position_ecef_km=None), NOISE_NT) is None
+    assert (
+        FieldError.of(replace(scene(), position_ecef_km=place * (6371.2 / np.linalg.norm(place[0]))), NOISE_NT) is None
+    )
+    assert FieldError.of(scene(), 1e6) is None
+
+
+def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose() -> None:
+    """Against numpy's own interpolation, and (L a)'b = a'(L'b)."""
+    at = np.array([0, 3, 4, 11])
+    lines = Lines.between(at, 12)
+    rng = np.random.default_rng(4)
+    values, rows = rng.normal(size=(4, 2)), rng.normal(size=(12, 2))
+    for column in range(2):
+        assert lines.carried_on(values)[:, column] == pytest.approx(np.interp(np.arange(12), at, values[:, column]))
+    assert float((lines.carried_on(values) * rows).sum()) == pytest.approx(float((values * lines.gathered(rows)).sum()))

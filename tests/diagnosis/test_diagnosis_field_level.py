@@ -1,0 +1,73 @@
+"""How large the field model's errors are taken: the scale they were drawn with, and names that have to beat it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
+from magcal_service.diagnosis.problem import Problem, Term
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array, measure
+from magcal_service.physics.catalogue import effect_named
+from tests.physics.scenes import X, scene, spoiled
+
+NOISE_NT = 10.0
+
+
+def usual() -> FieldError:
+    """Of the flight."""
+    found = FieldError.of(scene(), NOISE_NT)
+    assert found is not None
+    return found
+
+
+def problem(model_error: float, seed: int, body_nt: Array | float = 0.0) -> Problem:
+    """The flight with white noise, a body field, and a model error drawn ``model_error`` times as large as usual."""
+    rng = np.random.default_rng(seed)
+    error = usual().basis @ (np.sqrt(usual().variance) * rng.standard_normal(len(usual().variance)))
+    unit = scene().calibrated_nt / np.linalg.norm(scene().calibrated_nt, axis=1, keepdims=True)
+    noise = NOISE_NT * rng.normal(size=(len(scene()), 3))
+    field = scene().calibrated_nt + model_error * error[:, None] * unit + body_nt + noise
+    return Problem(spoiled(measure(X, field), scene()), NOISE_NT, field_error=usual())
+
+
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_the_scale_that_was_drawn_is_the_likeliest(scale: float) -> None:
+    """Errors as usual, and four times as large."""
+    assert likeliest(problem(scale, 3), usual(), X)[0] == scale
+
+
+def test_the_likelihood_is_that_of_the_dense_covariance() -> None:
+    """-r'C^-1 r / 2 - ln det(C) / 2 with C = s^2 I + U diag(v) U', but for the white noise's own constant."""
+    fit = solve(problem(1.0, 5), X)
+    count = len(scene())
+    error = usual()
+    covariance = NOISE_NT**2 * np.eye(count) + (error.basis * error.variance) @ error.basis.T
+    dense = -0.5 * float(fit.residual @ np.linalg.solve(covariance, fit.residual))
+    dense -= 0.5 * float(np.linalg.slogdet(covariance)[1]) - 0.5 * count * np.log(NOISE_NT**2)
+    assert log_likelihood(fit) == pytest.approx(dense, abs=1e-6 * count)
+
+
+def test_sigmas_hold_under_the_models_errors() -> None:
+    """Nine errors fitted under them: over eight draws the distances have a mean square of about one."""
+    squares = []
+    for seed in range(8):
+        fit = solve(problem(1.0, 40 + seed), X)
+        squares.append(float(np.mean((fit.x - X) ** 2 / np.diagonal(fit.covariance))))
+    assert 0.5 < float(np.mean(squares)) < 1.8
+
+
+def test_a_name_has_to_be_likelier_than_larger_errors() -> None:
+    """Large model errors alone need their scale; a step beside usual ones does not, once it is named."""
+    restless = problem(4.0, 7)
+    alone = solve(restless, X)
+    assert needed_scale(usual(), alone, alone) == (4.0, False)
+    step = (scene().time_s >= 4100.0)[:, None] * np.array([400.0, -300.0, 200.0])
+    stepped = problem(1.0, 9, step)
+    baseline = solve(stepped, X)
+    form = effect_named("bias_step").hypotheses(scene())[0]
+    named = solve(stepped, X, [Term(form, np.array([4100.0]), np.array([400.0, -300.0, 200.0]))])
+    assert needed_scale(usual(), baseline, named) == (1.0, True)
+    assert at_scale(stepped, usual(), 2.0).field_error is not None

@@ -1,0 +1,76 @@
+"""Where a recording was made: as stated, else by its altitude, else by an inertial reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.problem import Problem
+from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.errors import RecordingError
+from magcal_service.physics.catalogue import catalogue
+from magcal_service.recordings.descriptor import load_descriptor
+from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.scene_of import scene_of
+from magcal_service.recordings.specs import PlatformKind, PlatformSpec
+from tests.physics.scenes import scene
+
+TIMES = np.datetime64("2025-03-01T00:00:00", "ns") + np.arange(400) * np.timedelta64(1, "s")
+FIELD = 30_000.0 * np.random.default_rng(2).normal(size=(400, 3))
+
+
+def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -> Recording:
+    """A recording at one distance from the Earth's centre."""
+    place = None if radius_km is None else np.tile([radius_km, 0.0, 0.0], (400, 1))
+    reference = np.linalg.norm(FIELD, axis=1) if magnitude else FIELD
+    return Recording.from_arrays(TIMES, FIELD, reference, frame=frame, position_ecef_km=place)
+
+
+@pytest.mark.parametrize(
+    ("recording", "in_orbit"),
+    [
+        (made(6371.0 + 450.0), True),
+        (made(6371.0 + 130.0), True),
+        (made(6371.0 + 110.0), False),
+        (made(6371.2, "ecef"), False),
+        (made(None), True),
+        (made(None, magnitude=True), False),
+    ],
+)
+def test_the_place_is_guessed(recording: Recording, in_orbit: bool) -> None:
+    """120 km is where orbits begin; without a place only an inertial reference speaks of one."""
+    assert scene_of(recording).in_orbit is in_orbit
+
+
+@pytest.mark.parametrize("kind", list(PlatformKind))
+def test_what_is_stated_holds(kind: PlatformKind) -> None:
+    """Whatever the altitude says."""
+    recording = made(6371.0 + 450.0)
+    stated = replace(recording, descriptor=replace(recording.descriptor, platform=PlatformSpec(kind)))
+    assert scene_of(stated).in_orbit is (kind is PlatformKind.ORBIT)
+
+
+def test_elsewhere_nothing_of_an_orbit_is_looked_for() -> None:
+    """No light, no currents in space, no torquers that nobody recorded, no orbit's own place."""
+    here = hypotheses_of(catalogue(), Problem(replace(scene(), in_orbit=False), 10.0))
+    there = hypotheses_of(catalogue(), Problem(scene(), 10.0))
+    only = {effect.name for effect in catalogue() if effect.in_orbit_only}
+    assert only == {"external_field", "position_offset", "reference_epoch", "sun_disturbance"}
+    assert not [h for h in here if h.effect in only or h.driver.startswith("inferred")]
+    left_out = {h.label for h in there} - {h.label for h in here}
+    assert all(h.effect in only or h.driver.startswith("inferred") for h in there if h.label in left_out)
+    assert any(h.driver.startswith("inferred") for h in there)
+
+
+def test_the_descriptor_says_it(tmp_path: Path) -> None:
+    """``[platform] kind``, and what is none is refused by name."""
+    text = 'version = 1\n[samples]\nfile = "a.mcap"\n[platform]\nkind = "{}"\n'
+    path = tmp_path / "RECORDING.toml"
+    path.write_text(text.format("bench"))
+    assert load_descriptor(path).platform == PlatformSpec(PlatformKind.BENCH)
+    path.write_text(text.format("moon"))
+    with pytest.raises(RecordingError, match=r"platform\.kind.*moon.*orbit"):
+        load_descriptor(path)
