@@ -186,7 +186,8 @@ def _mismatch(diagnosis: Diagnosis) -> float:
 
 def _where_of_term(diagnosis: Diagnosis, index: int) -> dict[str, Any]:
     fit = diagnosis.fit
-    search = replace(diagnosis.search, whitening=np.zeros(0))  # shares are of the residual as it is
+    plain = replace(diagnosis.search.problem, field_error=None)  # shares are of the residual as it is
+    search = replace(diagnosis.search, problem=plain, whitening=np.zeros(0))
     term = fit.terms[index]
     rows = search.rows_of(term.hypothesis, term.theta, fit)
     assert rows is not None
