@@ -25,6 +25,9 @@ Times = npt.NDArray[np.int64]
 
 WGS84_A_KM = 6378.137  # equatorial radius that defines the WGS84 ellipsoid
 WGS84_E2 = 6.69437999014e-3  # its first eccentricity squared, f (2 - f) with 1/f = 298.257223563
+EARTH_KM = 6371.0  # mean radius, for heights that need no ellipsoid
+IGRF_RADIUS_KM = 6371.2  # reference radius of the field's spherical harmonics
+LOWEST_ORBIT_KM = 120.0  # height below which nothing completes an orbit
 IGRF_YEARS = (1900, 2030)  # first epoch of IGRF-14, and the end of its secular variation
 RADIUS_KM = (6300.0, 60000.0)  # below the surface, and beyond synchronous orbit, the model says nothing useful
 

@@ -45,6 +45,7 @@ def check_method(config: Path, name: str) -> None:
 
 
 def verdict_text(verdict: str, reasons: Sequence[str], remedy: str, model: str) -> str:
+    """The verdict with its reasons, what the model seems to leave out, and the remedy, a line each."""
     text = f"verdict: {verdict}"
     if reasons:
         text += f" ({', '.join(reasons)})"

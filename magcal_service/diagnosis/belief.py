@@ -80,7 +80,6 @@ def reasons(
     stated: whether the sensor's noise was stated, not estimated from the residual.
     """
     fit = explained.fit
-    magnitude_nt = float(np.mean(fit.problem.scene.magnitude_nt)) if fit.terms else np.inf
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
     found = {
         "not_converged": not fit.converged,
@@ -89,15 +88,19 @@ def reasons(
         "unexplained_structure": unknown or (bool(fit.terms) and unexplained > _LITTLE_LEFT),
         "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
-        "rough_residual": not stated and fit.problem.noise_nt > _MOST_NOISE * magnitude_nt,
+        "rough_residual": bool(fit.terms) and not stated and _is_rough(fit),
         "gain_in_scatter": bool(fit.terms) and not _stands_out(baseline, fit, floor_nt),
     }
     return tuple(name for name, holds in found.items() if holds)
 
 
+def _is_rough(fit: Fit) -> bool:
+    return fit.problem.noise_nt > _MOST_NOISE * float(np.mean(fit.problem.scene.magnitude_nt))
+
+
 def _stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
     """Whether held-out blocks gain by the effects by more than their gains scatter."""
-    number = numbered(fit.white_residual, 3 if fit.problem.is_vector else 1)
+    number = numbered(fit.white_residual, fit.problem.rows_per_sample)
     sigma2 = max(fit.white_rms_nt, floor_nt) ** 2
     gain = gain_over(baseline.held_out_white, fit.held_out_white, number, sigma2)
-    return gain.nats > _STANDS_OUT * math.sqrt(2.0 * max(gain.nats, 0.0) * gain.dispersion)
+    return gain.tempered > 2.0 * _STANDS_OUT**2  # nats beyond so many of their sigma, sqrt(2 nats dispersion)

@@ -263,32 +263,38 @@ class Search(Screen):
         """
         while True:
             sigma = max(fit.white_rms_nt, floor_nt)
-            gains = [self._gain(fit, index, sigma) for index in range(len(fit.terms))]
+            blocks, after = self._blocks(fit), self.workspace(fit).residual
+            spaces = [self.workspace(fit, index) for index in range(len(fit.terms))]
+            gains = [gain_over(space.residual, after, blocks, sigma**2) for space in spaces]
             worth = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
             nats = [one / gain.dispersion for one, gain in zip(worth, gains, strict=True)]
             if not nats or min(nats) > ACCEPTED_NATS:
                 break
             weakest = int(np.argmin(nats))
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
-        rivals = [self._tempered(self._rivals(fit, index, sigma), fit, index, sigma) for index in range(len(fit.terms))]
+        rivals = [
+            self._tempered(self._rivals(fit, index, sigma), fit, index, space, blocks, sigma)
+            for index, space in enumerate(spaces)
+        ]
         return Explained(fit, tuple(_best_of_each(ranked) for ranked in rivals), tuple(nats), tuple(gains))
 
-    def _gain(self, fit: Fit, index: int, sigma: float) -> Gain:
-        """What a term gains over the blocks."""
-        space = self.workspace(fit, index)
-        after = self.workspace(fit).residual
-        return gain_over(space.residual, after, self._blocks(fit), sigma**2)
-
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
-        return numbered(self.white(fit.residual), 3 if self.problem.is_vector else 1)
+        return numbered(self.white(fit.residual), self.problem.rows_per_sample)
 
-    def _tempered(self, ranked: Sequence[Candidate], fit: Fit, index: int, sigma: float) -> list[Candidate]:
+    def _tempered(
+        self,
+        ranked: Sequence[Candidate],
+        fit: Fit,
+        index: int,
+        space: Workspace,
+        blocks: NDArray[np.intp],
+        sigma: float,
+    ) -> list[Candidate]:
         """Candidates in a term's place, best first, each as far from the term's own as the blocks bear out."""
         mine = fit.terms[index].hypothesis
         own = next((c for c in ranked if c.hypothesis is mine), None)
         if own is None:
             return list(ranked)
-        space, blocks = self.workspace(fit, index), self._blocks(fit)
 
         def left(candidate: Candidate) -> Array:
             rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)

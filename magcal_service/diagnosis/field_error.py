@@ -26,14 +26,9 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
+from magcal_service.geomagnetic import IGRF_RADIUS_KM, LOWEST_ORBIT_KM
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
-
-EARTH_KM: Final = 6371.2
-"""Reference radius of the geomagnetic field models."""
-
-LEAST_ALTITUDE_KM: Final = 120.0
-"""Below it nothing orbits, and the crust is no small error: the model is not used there."""
 
 _CORE_NT: Final = 19.0  # IGRF-13 against IGRF-14
 _EXTERNAL_NT: Final = 12.0  # quiet magnetosphere and induction
@@ -119,8 +114,8 @@ class FieldError:
         if place is None or not scene.in_orbit or len(scene) < 2:
             return None
         radius = np.linalg.norm(place, axis=1)
-        altitude_km = float(np.median(radius)) - EARTH_KM
-        if not altitude_km > LEAST_ALTITUDE_KM:
+        altitude_km = float(np.median(radius)) - IGRF_RADIUS_KM
+        if not altitude_km > LOWEST_ORBIT_KM:  # the crust is no small error there
             return None
         at = _knots(scene)
         covariance = _by_angle(place[at] / radius[at, None], altitude_km) * _alignment(scene, at)
@@ -153,6 +148,11 @@ class FieldError:
         result: Array = table - self.lines.carried_on(self.courses @ (shrink[:, None] * inside))
         return result.reshape(rows.shape)
 
+    @property
+    def rms_nt(self) -> float:
+        """rms of the errors at the samples, 1 sigma [nT]."""
+        return float(np.sqrt(self.variance.sum() / len(self.lines.share)))
+
     def log_volume(self) -> float:
         """Half of ln det of the whitening: what a likelihood loses by the wider noise [nats]."""
         return 0.5 * float(np.log1p(self.variance / self.noise_nt**2).sum())
@@ -181,7 +181,7 @@ def degree_variances(altitude_km: float) -> Array:
     variance[core] = _CORE_NT**2 * (1.0 / degree[core]) / float((1.0 / degree[core]).sum())
     variance[1] += _EXTERNAL_NT**2
     crust = slice(_CORE_DEGREE + 1, None)
-    upward = (EARTH_KM / (EARTH_KM + altitude_km)) ** (2.0 * degree[crust] + 4.0)
+    upward = (IGRF_RADIUS_KM / (IGRF_RADIUS_KM + altitude_km)) ** (2.0 * degree[crust] + 4.0)
     variance[crust] = _CRUST_NT2 * upward / 3.0
     return variance
 

@@ -68,6 +68,11 @@ class Problem:
         return self.room_from_body is not None
 
     @property
+    def rows_per_sample(self) -> int:
+        """Rows of the residual that one sample has."""
+        return 3 if self.is_vector else 1
+
+    @property
     def size(self) -> int:
         """Unknowns before any effect: nine, and the field of the room."""
         return STATE_SIZE + 3 * self.is_vector
@@ -76,12 +81,12 @@ class Problem:
     def fold(self) -> NDArray[np.intp]:
         """Fold number of each row."""
         numbers = folds(self.scene.time_s)
-        return np.repeat(numbers, 3) if self.is_vector else numbers
+        return np.repeat(numbers, self.rows_per_sample)
 
     @cached_property
     def row_time_s(self) -> Array:
         """Time of each row."""
-        return np.repeat(self.scene.time_s, 3) if self.is_vector else self.scene.time_s
+        return np.repeat(self.scene.time_s, self.rows_per_sample)
 
     def largest(self, hypothesis: Hypothesis) -> float:
         """rms that a hypothesis may have [nT]."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -19,12 +18,6 @@ from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
-
-_EARTH_KM: Final = 6371.0
-"""Mean radius of the Earth."""
-
-_LEAST_ORBIT_KM: Final = 120.0
-"""Altitude below which nothing orbits."""
 
 
 def scene_of(recording: Recording) -> Scene:
@@ -61,7 +54,7 @@ def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
     if stated is not None:
         return stated.kind is PlatformKind.ORBIT
     if ecef is not None:
-        return float(np.median(np.linalg.norm(ecef, axis=1))) - _EARTH_KM > _LEAST_ORBIT_KM
+        return float(np.median(np.linalg.norm(ecef, axis=1))) - geomagnetic.EARTH_KM > geomagnetic.LOWEST_ORBIT_KM
     return recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
 
 

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.geomagnetic import IGRF_RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
@@ -14,9 +15,6 @@ from magcal_service.physics.scene.scene import Scene
 
 INDUCED: Final = 0.27
 """Induced over inducing field at the Earth's surface for the ring current: Q1 of Olsen et al. 2006 (CHAOS)."""
-
-_EARTH_KM: Final = 6371.2
-"""Reference radius of the field's spherical harmonics (IGRF) [km]."""
 
 
 def ring_current(scene: Scene) -> Array | None:
@@ -28,7 +26,7 @@ def ring_current(scene: Scene) -> Array | None:
         radius = np.linalg.norm(scene.position_eci_km, axis=1)[:, None]
         up = scene.position_eci_km / radius
         axial = np.einsum("ni,ni->n", up, scene.dipole_eci)[:, None]
-        field = field + INDUCED * (_EARTH_KM / radius) ** 3 * (1.5 * axial * up - 0.5 * scene.dipole_eci)
+        field = field + INDUCED * (IGRF_RADIUS_KM / radius) ** 3 * (1.5 * axial * up - 0.5 * scene.dipole_eci)
     direction = scene.reference_eci_nt / scene.magnitude_nt[:, None]
     return np.asarray(np.einsum("ni,ni->n", field, direction))
 

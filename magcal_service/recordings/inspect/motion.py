@@ -6,14 +6,10 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.geomagnetic import WGS84_A_KM
 from magcal_service.recordings.inspect.finding import Rows
+from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.table import FloatArray
-
-EARTH_KM: Final = 6371.0
-"""Mean radius of the Earth."""
-
-_EQUATOR_KM: Final = 6378.137
-"""Equatorial radius of the Earth (WGS84)."""
 
 _POLE_KM: Final = 6356.752
 """Polar radius of the Earth (WGS84)."""
@@ -24,11 +20,17 @@ MU_KM3_S2: Final = 398_600.4418
 EARTH_RAD_S: Final = 7.292_115e-5
 """Rate of the Earth's rotation (WGS84)."""
 
-LOWEST_KM: Final = 120.0
-"""No craft completes an orbit below this height."""
-
 _STRIDE_S: Final = 60.0
 """Steps over which the rate is taken [s]: 4 degrees of a low orbit, against which rounded places are exact."""
+
+
+def placed_rows(log: Log) -> tuple[Rows, FloatArray] | None:
+    """Rows (of the log's) with a place, in time order and one of each time, and their places; None where too few."""
+    if log.place_km is None:
+        return None
+    finite = np.flatnonzero(np.isfinite(log.place_km).all(axis=1))
+    finite = finite[np.unique(log.time_ns[finite], return_index=True)[1]]
+    return (finite, log.place_km[finite]) if len(finite) > 2 else None
 
 
 def kepler_rad_s(radius_km: float) -> float:
@@ -45,7 +47,7 @@ def heights_km(place_km: FloatArray) -> FloatArray:
     """Heights (n,) of places (n, 3) above the ellipsoid, along the line to the Earth's centre."""
     radius = np.linalg.norm(place_km, axis=1)
     sin2 = (place_km[:, 2] / radius) ** 2
-    return np.asarray(radius - _EQUATOR_KM * _POLE_KM / np.sqrt(_POLE_KM**2 + (_EQUATOR_KM**2 - _POLE_KM**2) * sin2))
+    return np.asarray(radius - WGS84_A_KM * _POLE_KM / np.sqrt(_POLE_KM**2 + (WGS84_A_KM**2 - _POLE_KM**2) * sin2))
 
 
 def distinct(place_km: FloatArray) -> Rows:

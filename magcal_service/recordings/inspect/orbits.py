@@ -7,16 +7,16 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.geomagnetic import EARTH_KM, LOWEST_ORBIT_KM
 from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.motion import (
-    EARTH_KM,
-    LOWEST_KM,
     distinct,
     heights_km,
     inertial,
     kepler_rad_s,
     out_of_plane,
+    placed_rows,
     rate_rad_s,
 )
 from magcal_service.recordings.specs import GeodeticPosition
@@ -30,7 +30,7 @@ _MOST_PLACES: Final = 400
 _FEWEST_PLACES: Final = 5
 """Places from which on there is a motion to speak of; choice: fewer, and one false place decides."""
 
-_ORBITS_KM: Final = (LOWEST_KM, 60_000.0)
+_ORBITS_KM: Final = (LOWEST_ORBIT_KM, 60_000.0)
 _AGREES: Final = (0.5, 1.5)
 """Of the rate over that of a circular orbit at this height, for eccentric ones too."""
 
@@ -58,15 +58,13 @@ _WORSE: Final = 8.0
 
 def _track(log: Log) -> tuple[FloatArray, FloatArray] | None:
     """Times (k,) [s] and Earth-fixed or inertial places (k, 3) [km], distinct and thinned; None where too few."""
-    if log.place_km is None:
+    placed = placed_rows(log)
+    if placed is None or len(placed[0]) < _FEWEST_PLACES:
         return None
-    rows = np.flatnonzero(np.isfinite(log.place_km).all(axis=1))
-    rows = rows[np.unique(log.time_ns[rows], return_index=True)[1]]
-    if len(rows) < _FEWEST_PLACES:
-        return None
-    rows = rows[distinct(log.place_km[rows])]
-    rows = rows[:: -(-len(rows) // _MOST_PLACES)]
-    return (log.time_s[rows], log.place_km[rows]) if len(rows) >= _FEWEST_PLACES else None
+    rows, place_km = placed
+    kept = distinct(place_km)
+    kept = kept[:: -(-len(kept) // _MOST_PLACES)]
+    return (log.time_s[rows[kept]], place_km[kept]) if len(kept) >= _FEWEST_PLACES else None
 
 
 def _is_fixed(log: Log) -> bool:
@@ -86,7 +84,7 @@ def heights_and_times(log: Log) -> Iterator[Seen]:
     radius = EARTH_KM + height
     if rate <= 0.0 or _is_orbit(height, rate) or _is_orbit(height, true_rate):
         return
-    if rate > _ORBITAL_RAD_S and height < LOWEST_KM:
+    if rate > _ORBITAL_RAD_S and height < LOWEST_ORBIT_KM:
         yield _wrong_height(log, height, rate * radius, _height_units(height, rate))
     elif _ORBITS_KM[0] < height < _ORBITS_KM[1] and (units := _time_units(height, rate)):
         yield _wrong_time(log, height, rate * radius, units)
@@ -151,7 +149,7 @@ def longitude_sign(log: Log) -> Iterator[Seen]:
     time_s, place = track
     height = float(np.median(heights_km(place)))
     off, arc = out_of_plane(time_s, place)
-    if arc < _ARC_RAD or height < LOWEST_KM or off < _PLANAR:
+    if arc < _ARC_RAD or height < LOWEST_ORBIT_KM or off < _PLANAR:
         return
     mirrored, _ = out_of_plane(time_s, place * np.array([1.0, -1.0, 1.0]))
     if mirrored > _PLANAR or mirrored * _WORSE > off:

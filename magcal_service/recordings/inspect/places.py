@@ -8,15 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.geomagnetic import LOWEST_ORBIT_KM, WGS84_A_KM
 from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text
 from magcal_service.recordings.inspect.log import Log, runs
-from magcal_service.recordings.inspect.motion import LOWEST_KM, distinct, escape_km_s
+from magcal_service.recordings.inspect.motion import distinct, escape_km_s, placed_rows
 from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import Frame
-
-_EQUATOR_KM: Final = 6378.137
-"""Equatorial radius of the Earth (WGS84)."""
 
 _SHORTEST_JUMP_KM: Final = 30.0
 """A place this far off is a thousandth of the field off; what is nearer may be the receiver's noise."""
@@ -34,15 +32,6 @@ _HOLD_S: Final = 5.0
 """Hold that is no fault however fast places come: 40 km of a low orbit, a thousandth of the field."""
 
 
-def _known(log: Log) -> tuple[Rows, FloatArray] | None:
-    """Rows (of the log's) with a place, in time order and one of each time, and their places; None where too few."""
-    if log.place_km is None:
-        return None
-    finite = np.flatnonzero(np.isfinite(log.place_km).all(axis=1))
-    finite = finite[np.unique(log.time_ns[finite], return_index=True)[1]]
-    return (finite, log.place_km[finite]) if len(finite) > 2 else None
-
-
 def position_zero(log: Log) -> Iterator[Seen]:
     """Latitude and longitude are exactly 0, or a place that the reader refused lies within the Earth."""
     for entry in log.recording.report.entries:
@@ -56,7 +45,7 @@ def position_zero(log: Log) -> Iterator[Seen]:
         return
     x, y, z = log.place_km.T
     at = np.flatnonzero((y == 0.0) & (z == 0.0) & (x > 0.0))
-    heights = np.unique(np.round(x[at] - _EQUATOR_KM, 6))
+    heights = np.unique(np.round(x[at] - WGS84_A_KM, 6))
     if not len(at) or (len(at) < 2 and heights[0] != 0.0):
         return
     says = f"{rows_text(len(at))} of {len(log)} have the place 0, 0, {heights[0]:g} km high: the receiver had no fix"
@@ -69,7 +58,7 @@ def position_jump(log: Log) -> Iterator[Seen]:
 
     The longest stretch without a jump is believed, and every place that can be reached from what is believed.
     """
-    known = _known(log)
+    known = placed_rows(log)
     if known is None:
         return
     rows, place = known
@@ -121,7 +110,7 @@ def _reachable(time_s: FloatArray, place: FloatArray, edges: Rows) -> NDArray[np
 
 def position_still(log: Log) -> Iterator[Seen]:
     """The place is held for longer than the receiver takes to renew it, while the craft flies; or it never moves."""
-    known = _known(log)
+    known = placed_rows(log)
     if known is None:
         return
     rows, place = known
@@ -157,9 +146,9 @@ def _never_moves(log: Log, radius_km: float) -> Iterator[Seen]:
     """One place for all, where only a craft in orbit can be."""
     fixed = log.recording.position is not None and log.recording.position.frame is Frame.ECEF
     synchronous = fixed and _SYNCHRONOUS_KM[0] < radius_km < _SYNCHRONOUS_KM[1]
-    if radius_km < _EQUATOR_KM + LOWEST_KM or synchronous or float(np.ptp(log.time_s)) < _HOLD_S:
+    if radius_km < WGS84_A_KM + LOWEST_ORBIT_KM or synchronous or float(np.ptp(log.time_s)) < _HOLD_S:
         return
-    says = f"all {len(log)} rows have one place, {radius_km - _EQUATOR_KM:.0f} km above the equator's radius"
+    says = f"all {len(log)} rows have one place, {radius_km - WGS84_A_KM:.0f} km above the equator's radius"
     remedy = (
         "check [position]: a craft at that height moves; give the columns that its orbit is logged in, or leave it out"
     )
