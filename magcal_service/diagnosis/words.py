@@ -81,9 +81,11 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
     listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in found if entry.effect != "unknown")))
     if diagnosis.verdict is Verdict.NONE:
         floor = diagnosis.prepared.problem.noise_nt
+        error = diagnosis.prepared.problem.field_error
+        model = "" if error is None else f", and {error.rms_nt:.1f} nT that the field model may err by"
         return (
             f"Simulation and recording agree to the noise: {held_out['with_effects']:.1f} nT are left on data that "
-            f"took no part in the fit, over a noise of {floor:.1f} nT."
+            f"took no part in the fit, over a noise of {floor:.1f} nT{model}."
         )
     if diagnosis.verdict is Verdict.UNKNOWN:
         if diagnosis.inspection.open:

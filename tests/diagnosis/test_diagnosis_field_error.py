@@ -40,6 +40,7 @@ def test_the_whole_variance_is_kept_at_every_sample(error: FieldError) -> None:
     diagonal = (error.basis**2 * error.variance).sum(axis=1)
     assert float(diagonal.mean()) == pytest.approx(float(degree_variances(altitude_km).sum()), rel=0.02)
     assert float(np.sqrt(diagonal.max())) < 24.0
+    assert error.rms_nt == pytest.approx(float(np.sqrt(diagonal.mean())))
 
 
 def test_whitening_is_the_inverse_root_of_the_covariance(error: FieldError) -> None:

@@ -40,7 +40,9 @@ def diagnosis(
         inspection=SimpleNamespace(open=tuple(doubts), findings=()),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
         fit=SimpleNamespace(terms=(None,) * terms, x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6])),
-        prepared=SimpleNamespace(problem=SimpleNamespace(noise_nt=100.04), baseline=SimpleNamespace(x=before)),
+        prepared=SimpleNamespace(
+            problem=SimpleNamespace(noise_nt=100.04, field_error=None), baseline=SimpleNamespace(x=before)
+        ),
     )
 
 
@@ -142,6 +144,13 @@ def test_a_clean_recording_agrees_to_the_noise() -> None:
         "Simulation and recording agree to the noise: 101.5 nT are left on data that took no part in the fit, "
         "over a noise of 100.0 nT."
     )
+
+
+def test_what_the_field_model_may_err_by_is_said_beside_the_noise() -> None:
+    clean = diagnosis(Verdict.NONE)
+    clean.prepared.problem.field_error = SimpleNamespace(rms_nt=22.46)
+    said = verdict_sentence(clean, [], HELD_OUT)
+    assert said.endswith("over a noise of 100.0 nT, and 22.5 nT that the field model may err by.")
 
 
 def test_while_the_recording_is_in_doubt_no_physics_is_named() -> None:
