@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -143,3 +145,28 @@ def test_a_probability_is_never_a_certainty() -> None:
 
 def test_significance_has_a_word() -> None:
     assert [strength(nats) for nats in (5.0, 8.0, 13.0, 100.0)] == ["weak", "clear", "very strong", "beyond doubt"]
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
+def test_a_phone_shows_the_page_without_sideways_scrolling(folder: Path, tmp_path: Path) -> None:
+    """At a width of 360 pixels nothing of the page is wider."""
+    frame = tmp_path / "frame.html"
+    frame.write_text(
+        f'<iframe id="f" src="{(folder / "report.html").as_uri()}" style="width:360px;height:800px;border:0"></iframe>'
+        '<script>onload=()=>{const d=document.getElementById("f").contentDocument.scrollingElement;'
+        "document.title=`${d.clientWidth} ${d.scrollWidth}`}</script>",
+        encoding="utf-8",
+    )
+    flags = [
+        "--headless",
+        "--no-sandbox",
+        "--hide-scrollbars",
+        "--allow-file-access-from-files",
+        f"--user-data-dir={tmp_path}",
+    ]
+    page = subprocess.run(
+        ["chromium", *flags, "--dump-dom", frame.as_uri()], capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+    widths = re.search(r"<title>(\d+) (\d+)</title>", page)
+    assert widths is not None
+    assert widths[1] == "360" == widths[2]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Callable
-from dataclasses import dataclass
+import json
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,48 +12,26 @@ from numpy.typing import NDArray
 from magcal_service import geomagnetic
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.report.curves import Against, against, binned_rms, spectrum
-from magcal_service.errors import ExtraMissingError
+from magcal_service.diagnosis.report.drawing import (
+    AFTER,
+    AFTER_POINTS,
+    BEFORE,
+    BEFORE_POINTS,
+    COAST,
+    DIVERGING,
+    FLOOR,
+    Picture,
+    legend,
+    picture,
+    readable,
+)
 from magcal_service.model import Array
-
-BEFORE: Final = "#c2410c"
-AFTER: Final = "#1d4ed8"
-FLOOR: Final = "#52525b"
-_INK: Final = "#27272a"
 
 _POINTS: Final = 4000
 """Points drawn of a long curve; choice: several for each pixel of the figure's width, and the page stays small."""
 
-_SIZE: Final = (5.4, 3.3)
-"""Width and height of a figure [inch]: 540 by 330 pixels on the page, at 100 to an inch."""
-
-_STYLE: Final[dict[Any, Any]] = {
-    "font.size": 9.5,
-    "axes.titlesize": 10,
-    "axes.labelsize": 9.5,
-    "axes.edgecolor": "#a1a1aa",
-    "axes.labelcolor": _INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
-    "axes.grid": True,
-    "grid.color": "#e4e4e7",
-    "grid.linewidth": 0.7,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "svg.hashsalt": "magcal",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """An image: ``src`` with all of its data, what it shows in words, and a caption."""
-
-    src: str
-    alt: str
-    caption: str
+_COASTLINES: Final = "coastlines.json"
+"""Lines of longitude and latitude; where they come from stands in the file."""
 
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
@@ -84,12 +60,16 @@ def track(diagnosis: Diagnosis) -> Picture | None:
     limit = max(float(np.quantile(np.abs(smooth), 0.98)), 1e-3)
 
     def draw(figure: Any) -> None:
+        from matplotlib.colors import LinearSegmentedColormap
+
         axes = figure.subplots()
+        for line in coastlines():
+            axes.plot(line[:, 0], line[:, 1], color=COAST, lw=0.6)
         points = axes.scatter(
             longitude[rows],
             latitude[rows],
             c=smooth[rows],
-            cmap="coolwarm",
+            cmap=LinearSegmentedColormap.from_list("signed", DIVERGING),
             vmin=-limit,
             vmax=limit,
             s=7,
@@ -99,10 +79,16 @@ def track(diagnosis: Diagnosis) -> Picture | None:
         axes.set(xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-90, 90))
         axes.set_xticks(range(-180, 181, 60))
         axes.set_yticks(range(-90, 91, 30))
-        figure.colorbar(points, ax=axes, label="residual, smoothed [nT]", pad=0.02)
+        figure.colorbar(points, ax=axes, label="residual, smoothed [nT]", pad=0.02).outline.set_visible(False)
 
     words = f"Track over the Earth, coloured by the residual before any effect; colours span {limit:.3g} nT either way"
-    return _picture(draw, words, "The residual of the nine errors alone along the track, running mean of 15 samples.")
+    return picture(draw, words, "The residual of the nine errors alone along the track, running mean of 15 samples.")
+
+
+def coastlines() -> list[Array]:
+    """The coasts of the Earth as lines (n, 2) of longitude and latitude [deg]."""
+    content = json.loads(Path(__file__).with_name(_COASTLINES).read_text(encoding="utf-8"))
+    return [0.1 * np.array(line, dtype=np.float64).reshape(-1, 2) for line in content["lines"]]
 
 
 def _smoothed(residual: Array) -> Array:
@@ -120,7 +106,7 @@ def _over_time(diagnosis: Diagnosis, before: Array, after: Array, noise: float, 
     scale, unit = (3600.0, "h") if time_s[-1] > 5400.0 else (1.0, "s")
     limit = 1.1 * float(np.quantile(np.abs(before), 0.998))
 
-    shown = [(before, BEFORE, "nine errors"), (after, AFTER, "with effects")][: 1 + changed]
+    shown = [(before, BEFORE_POINTS, "nine errors"), (after, AFTER_POINTS, "with effects")][: 1 + changed]
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
@@ -135,7 +121,7 @@ def _over_time(diagnosis: Diagnosis, before: Array, after: Array, noise: float, 
     worst = float(centres[int(np.argmax(rms_before))])
     alt = f"Residual over time. Worst stretch before: {rms_before.max():.0f} nT rms near {worst:.0f} s"
     alt += f"; worst after: {rms_after.max():.0f} nT." if changed else "."
-    return _picture(
+    return picture(
         draw, alt, "Residual over time, each point from a fit that has not seen its block; grey: noise, 2 sigma."
     )
 
@@ -153,12 +139,12 @@ def _spectrum(diagnosis: Diagnosis, before: Array, after: Array, noise: float, c
             axes.loglog(frequency, density_after, color=AFTER, lw=1.1, label="with effects")
         axes.axhline(white, color=FLOOR, lw=1, ls="--", label="white noise")
         axes.set(xlabel="frequency [Hz]", ylabel="residual [nT / √Hz]")
-        _legend(axes)
+        legend(axes)
 
     peak = int(np.argmax(density))
     alt = f"Spectrum of the residual. Highest before: {density[peak]:.3g} nT per root hertz at {frequency[peak]:.3g} Hz"
     alt += f", {density_after[peak]:.3g} after" if changed else ""
-    return _picture(draw, f"{alt}; white noise is {white:.3g}.", "Spectrum, averaged over neighbouring frequencies.")
+    return picture(draw, f"{alt}; white noise is {white:.3g}.", "Spectrum, averaged over neighbouring frequencies.")
 
 
 def _against(shown: Against, changed: bool) -> Picture:
@@ -169,12 +155,12 @@ def _against(shown: Against, changed: bool) -> Picture:
         axes.errorbar(shown.x, shown.before, shown.before_sigma, color=BEFORE, label="nine errors", **bars)
         if changed:
             axes.errorbar(shown.x, shown.after, shown.after_sigma, color=AFTER, label="with effects", **bars)
-        axes.set(xlabel=_plain(shown.x_label), ylabel=_plain(shown.y_label))
-        _legend(axes)
+        axes.set(xlabel=readable(shown.x_label), ylabel=readable(shown.y_label))
+        legend(axes)
 
     ends = f"from {shown.before.min():.3g} to {shown.before.max():.3g} nT before"
     ends += f", from {shown.after.min():.3g} to {shown.after.max():.3g} nT after" if changed else ""
-    return _picture(draw, f"{shown.y_label} against {shown.x_label}: {ends}.", shown.caption)
+    return picture(draw, f"{shown.y_label} against {shown.x_label}: {ends}.", shown.caption)
 
 
 def _histogram(before: Array, after: Array, noise: float, changed: bool) -> Picture:
@@ -184,39 +170,18 @@ def _histogram(before: Array, after: Array, noise: float, changed: bool) -> Pict
 
     def draw(figure: Any) -> None:
         axes = figure.subplots()
-        axes.hist(before, edges, density=True, color=BEFORE, alpha=0.35, label="nine errors")
+
+        def each(values: Array) -> Array:  # of the samples, per uT
+            return np.full(len(values), 1e3 / (len(values) * (edges[1] - edges[0])))
+
+        axes.hist(before, edges, weights=each(before), color=BEFORE, alpha=0.35, label="nine errors")
         if changed:
-            axes.hist(after, edges, density=True, histtype="step", color=AFTER, lw=1.6, label="with effects")
-        gauss = np.exp(-0.5 * (centres / noise) ** 2) / (noise * np.sqrt(2.0 * np.pi))
+            axes.hist(after, edges, weights=each(after), histtype="step", color=AFTER, lw=1.6, label="with effects")
+        gauss = 1e3 * np.exp(-0.5 * (centres / noise) ** 2) / (noise * np.sqrt(2.0 * np.pi))
         axes.plot(centres, gauss, color=FLOOR, ls="--", lw=1.3, label="noise alone")
-        axes.set(xlabel="residual [nT]", ylabel="share per nT", xlim=(-limit, limit))
-        axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
-        _legend(axes)
+        axes.set(xlabel="residual [nT]", ylabel="share per µT", xlim=(-limit, limit))
+        legend(axes)
 
     alt = f"Distribution of the residual: {np.std(before):.0f} nT wide before"
     alt += f", {np.std(after):.0f} nT after" if changed else ""
-    return _picture(draw, f"{alt}; noise alone {noise:.0f} nT.", "Distribution, with the noise's own Gaussian.")
-
-
-def _legend(axes: Any) -> None:
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, borderaxespad=0.2, handlelength=1.6)
-
-
-def _plain(text: str) -> str:
-    """Text that no font lacks and that is no mathematics to the drawing library."""
-    return "".join(c if c == "√" or ord(c) < 0x250 else "?" for c in text).replace("$", r"\$")
-
-
-def _picture(draw: Callable[[Any], None], alt: str, caption: str) -> Picture:
-    try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    except ImportError as exc:
-        raise ExtraMissingError(exc.name or "matplotlib", "diagnosis", "the report of a diagnosis") from None
-    with rc_context(_STYLE):
-        figure = Figure(figsize=_SIZE, layout="constrained", facecolor="white")
-        draw(figure)
-        target = io.BytesIO()
-        figure.savefig(target, format="svg", dpi=170, metadata={"Date": None, "Creator": None})
-    src = "data:image/svg+xml;base64," + base64.b64encode(target.getvalue()).decode("ascii")
-    return Picture(src, alt, caption)
+    return picture(draw, f"{alt}; noise alone {noise:.0f} nT.", "Distribution, with the noise's own Gaussian.")
