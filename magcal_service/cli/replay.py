@@ -43,13 +43,14 @@ def _replay(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
         result = replay(recording, craft, options.speed, csv, as_recorded=True, inspection=inspection)
-    state = result.pipeline.estimator.estimate()
-    residuals = residuals_of(inspection.usable, state.x, craft)
+    residuals = residuals_of(inspection.usable, result, craft)
     print(_counts(recording, result))
     print(
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
         f"(noise floor {residuals.noise_floor:.1f} nT)"
     )
+    if residuals.published is not None:
+        print(f"vectors as they were published since the start: {residuals.published:.1f} nT")
     print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
     return DONE if result.verdict == "trusted" else NOT_TRUSTED
 

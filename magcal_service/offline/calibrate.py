@@ -10,18 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.config.settings import (
-    DEFAULT_METHOD,
-    CraftConfig,
-    PhysicsConfig,
-)
+from magcal_service.config.settings import DEFAULT_METHOD, CraftConfig
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method, StartGate
 from magcal_service.estimators.parts.start import batch_start
-from magcal_service.model import STATE_SIZE, Array, d_matrix, scalar_residual
+from magcal_service.model import STATE_SIZE, Array, scalar_residual
 from magcal_service.offline.nine_errors import NineErrors
-from magcal_service.offline.replay import craft_of, replay
+from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
@@ -41,15 +37,18 @@ class Residuals:
     Parameters
     ----------
     before: with x = 0.
-    after: with the estimate.
+    after: with the estimate; where ``physics.toml`` is compensated, on the samples as they were compensated.
     noise_floor: the noise that was given, or the white level of the residual after.
     held_out: on blocks that took no part in a batch fit to the others; None where no such fit could be made.
+    published: where ``physics.toml`` is compensated, |B_cal| - |H| of the vectors as they were published since the
+        start, with the estimate of each moment; else None, and where no start was made.
     """
 
     before: float
     after: float
     noise_floor: float
     held_out: float | None
+    published: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -106,6 +105,7 @@ class Calibration(NineErrors):
                 "after": self.residuals.after,
                 "noise_floor": self.residuals.noise_floor,
                 "held_out": self.residuals.held_out,
+                **({} if self.residuals.published is None else {"published": self.residuals.published}),
             },
             "counters": self.counters,
             "model_doubt": self.model_doubt,
@@ -156,7 +156,7 @@ def calibrate(
     result = replay(recording, craft, inspection=inspection)
     pipeline = result.pipeline
     state = pipeline.estimator.estimate()
-    residuals = residuals_of(usable, state.x, craft)
+    residuals = residuals_of(usable, result, craft)
     reasons = list(result.reasons)
     reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]
     verdict = result.verdict
@@ -184,34 +184,30 @@ def _whole_recording(residuals: Residuals, craft: CraftConfig) -> Sequence[Reaso
     return (Reason.STRUCTURED_RESIDUAL,) if worst > limit else ()
 
 
-def residuals_of(recording: Recording, x: Array, craft: CraftConfig) -> Residuals:
-    """Residual levels of a recording before and after calibration with x (9,), and by ``physics.toml`` where given."""
+def residuals_of(recording: Recording, result: Replay, craft: CraftConfig) -> Residuals:
+    """Residual levels of a recording before and after a replay of it.
+
+    With ``physics.toml`` what was really done to each sample counts, which no formula over the recording tells.
+    """
     usable = recording.sorted_unique()
-    field, magnitude = usable.field_body_nt, usable.reference.magnitude_nt
-    corrected, grown = (field, magnitude) if craft.physics is None else _compensated(usable, craft.physics)
-    after = scalar_residual(x, corrected, grown)
+    times_ns = usable.time_ns
+    field: Array = usable.field_body_nt
+    magnitude: Array = usable.reference.magnitude_nt
+    before = scalar_residual(np.zeros(STATE_SIZE), field, magnitude)
+    published = None
+    if result.published is not None:
+        times_ns, field, magnitude = result.published.used()
+        vectors = result.published.since_start()
+        published = rms(vectors) if vectors.size else None
+    after = scalar_residual(result.x, field, magnitude)
     noise = craft.sensor.noise_nt
     return Residuals(
-        before=rms(scalar_residual(np.zeros(STATE_SIZE), field, magnitude)),
+        before=rms(before),
         after=rms(after),
-        noise_floor=noise if noise is not None else noise_floor(usable.time_ns, after),
+        noise_floor=noise if noise is not None else noise_floor(times_ns, after),
         held_out=_held_out(field, magnitude, craft),
+        published=published,
     )
-
-
-def _compensated(usable: Recording, physics: PhysicsConfig) -> tuple[Array, Array]:
-    """B (n, 3) without what the model holds and |H| (n,) as it should be; as recorded where a driver is absent."""
-    from magcal_service.physics.apply.forward import DriverMissingError, effects_on  # the catalogue, where asked for
-    from magcal_service.physics.apply.model_file import parse_model
-    from magcal_service.recordings.scene_of import cleaned, scene_of
-
-    model = parse_model(physics.text.encode())
-    try:
-        body, growth = effects_on(cleaned(scene_of(usable), model.x), model)
-    except DriverMissingError:
-        return usable.field_body_nt, usable.reference.magnitude_nt
-    disturbance = np.linalg.solve(np.eye(3) + d_matrix(model.x), body.T).T
-    return usable.field_body_nt - disturbance, usable.reference.magnitude_nt + growth
 
 
 def _held_out(field: Array, magnitude: Array, craft: CraftConfig) -> float | None:

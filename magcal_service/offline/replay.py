@@ -28,6 +28,7 @@ from magcal_service.daemon.service import Service
 from magcal_service.links.recording import RecordingLink
 from magcal_service.model import Array
 from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.offline.published import ObservedPipeline, Published
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -108,6 +109,11 @@ class Replay(NineErrors):
         return REMEDIES[self.reasons[0]] if self.reasons else ""
 
     @property
+    def published(self) -> Published | None:
+        """What the craft has published, where it compensates by ``physics.toml``."""
+        return self.pipeline.published if isinstance(self.pipeline, ObservedPipeline) else None
+
+    @property
     def counters(self) -> dict[str, int]:
         """What became of the samples, by kind."""
         return dict(self.pipeline.ticks.counters + self.pipeline.counters)
@@ -169,6 +175,7 @@ def replay(
         # Checkpoints that a command makes within the session are there for one that goes back to them.
         checkpoints = Checkpoints(StateConfig(Path(folder)), (craft,)) if _commanded(recording) else None
         service = Service(Config(link.address, (craft,)), link, csv, checkpoints=checkpoints)
+        service.pipelines[craft.name] = _pipeline(craft)
         remark = _begin_as_recorded(service, recording, craft) if as_recorded else ""
         service.run(threading.Event())
     if service.csv_error is not None:
@@ -176,6 +183,11 @@ def replay(
     pipeline = service.pipelines[craft.name]
     state = pipeline.estimator.estimate()
     return Replay(pipeline, inspection, estimates["all"], state.x, state.covariance, remark)
+
+
+def _pipeline(craft: CraftConfig) -> Pipeline:
+    """The craft's; it keeps what it does where no formula over the recording tells it."""
+    return Pipeline(craft) if craft.physics is None else ObservedPipeline(craft)
 
 
 def _commanded(recording: Recording) -> bool:
@@ -191,6 +203,6 @@ def _begin_as_recorded(service: Service, recording: Recording, craft: CraftConfi
     try:
         service.pipelines[craft.name].restore_state(recording.state)
     except MISFITS as error:
-        service.pipelines[craft.name] = Pipeline(craft)
+        service.pipelines[craft.name] = _pipeline(craft)
         return f"the state that the session began with does not fit this version: {error}"
     return ""

@@ -157,6 +157,10 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         """Elapsed time of the newest accepted sample [s]."""
         return self._newest_ns * 1e-9
 
+    def elapsed_s(self, sample: MagnetometerSample) -> float:
+        """Time of a sample that was taken since the first one [s], as its tick has it."""
+        return (sample.time_ns - self._base_ns) * 1e-9
+
     def wait_longer(self, seconds: float) -> None:
         """Wait so much longer for references than configured [s]: their time tags are shifted."""
         self._hold_ns = self._configured_hold_ns + round(seconds * SECOND_NS)
