@@ -6,7 +6,19 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, Parser, methods_text, verdict_text
+from magcal_service.cli.common import (
+    CRAFT_HELP,
+    DONE,
+    NOT_TRUSTED,
+    Parser,
+    add_executor,
+    executor_of,
+    methods_text,
+    refuse_executor,
+    tell,
+    verdict_text,
+)
+from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
@@ -14,23 +26,45 @@ if TYPE_CHECKING:
 
 def add_calibrate(parser: Parser) -> None:
     """The arguments of ``magcal calibrate``."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
     parser.more = methods_text
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="several recordings: folder for a result of each")
+    add_executor(parser)
     parser.set_defaults(command=_calibrate)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
+    return _calibrate_one(options) if options.out is None else _calibrate_each(options)
+
+
+def _calibrate_each(options: argparse.Namespace) -> int:
+    from magcal_service.config.settings import DEFAULT_METHOD
+    from magcal_service.estimators import find_method
+    from magcal_service.offline.calibrate_each import calibrate_each
+
+    if options.json is not None:
+        accepted = "a recording's result is in its own folder of --out; leave --json out"
+        raise ConfigError([Fault("--json", str(options.json), accepted)])
+    method = find_method(options.method or DEFAULT_METHOD)
+    return tell(calibrate_each(options.recordings, method.name, options.craft, options.out, executor_of(options)))
+
+
+def _calibrate_one(options: argparse.Namespace) -> int:
     from magcal_service.config.settings import DEFAULT_METHOD
     from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
     from magcal_service.offline.calibrate import calibrate
     from magcal_service.recordings.reader import read_recording
 
+    accepted = "several recordings need a folder for their results: --out DIR"
+    if len(options.recordings) != 1:
+        raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
+    refuse_executor(options, accepted)
     method = find_method(options.method or DEFAULT_METHOD)
-    recording = read_recording(options.recording, options.craft)
+    recording = read_recording(options.recordings[0], options.craft)
     result = calibrate(recording, method.name)
     print("\n".join([*recording.report.lines(), *(f"found: {one}" for one in result.findings)]))
     print(_table(result))

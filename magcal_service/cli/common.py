@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from magcal_service.errors import ConfigError, Fault
+
+if TYPE_CHECKING:
+    from magcal_service.many.executor import Executor
+    from magcal_service.offline.each import Asked
 
 DONE: Final = 0  # of the contract, as the other two
 REFUSED: Final = 2  # what argparse ends with for a wrong argument
@@ -23,6 +28,45 @@ class Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """The help of argparse, and ``more``."""
         return super().format_help() + (self.more() if self.more is not None else "")
+
+
+def add_executor(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say where many pieces of work are done, beside the command's own ``--out``."""
+    engines = "processes of this machine, or the workers of a dask scheduler (default: pool)"
+    parser.add_argument("--executor", metavar="pool|dask://HOST:PORT", help=engines)
+    parser.add_argument("--workers", type=int, metavar="N", help="processes of the pool (default: one per core)")
+    kept = "do not do again what is finished in the folder of --out already"
+    parser.add_argument("--resume", action="store_true", help=kept)
+
+
+def executor_of(options: argparse.Namespace) -> Executor:
+    """What ``add_executor`` and ``--out`` ask for; raises ``ConfigError``."""
+    from magcal_service.many.executor import POOL, Executor, engine_for
+    from magcal_service.many.store import FOLDER, Store
+
+    engine = engine_for(options.executor or POOL, options.workers)
+    if options.out is not None:
+        return Executor(engine, Store(options.out / FOLDER, reuse=options.resume))
+    if options.resume:
+        accepted = "finished pieces are kept in the folder of --out; name that folder"
+        raise ConfigError([Fault("--resume", "no --out", accepted)])
+    return Executor(engine)
+
+
+def refuse_executor(options: argparse.Namespace, accepted: str) -> None:
+    """Refuse the arguments of ``add_executor`` where one recording is worked on alone; raises ``ConfigError``."""
+    given = {"--executor": options.executor, "--workers": options.workers, "--resume": options.resume or None}
+    faults = [Fault(name, value, accepted) for name, value in given.items() if value is not None]
+    if faults:
+        raise ConfigError(faults)
+
+
+def tell(asked: Asked) -> int:
+    """Print what was said of each of many recordings, faults on stderr; the exit code of them together."""
+    print("\n".join(asked.table()))
+    if asked.faults:
+        print("\n".join(asked.faults), file=sys.stderr)
+    return asked.exit_code
 
 
 def methods_text() -> str:

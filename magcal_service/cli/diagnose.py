@@ -5,23 +5,45 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED
+from magcal_service.cli.common import (
+    CRAFT_HELP,
+    DONE,
+    NOT_TRUSTED,
+    add_executor,
+    executor_of,
+    refuse_executor,
+    tell,
+)
+from magcal_service.errors import ConfigError, Fault
 
 
 def add_diagnose(parser: argparse.ArgumentParser) -> None:
     """The arguments of ``magcal diagnose``."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for its three files")
     parser.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    alone = "recordings of different craft: each by itself, in a folder of its own under --out"
+    parser.add_argument("--separately", action="store_true", help=alone)
+    add_executor(parser)
     parser.set_defaults(command=_diagnose)
 
 
 def _diagnose(options: argparse.Namespace) -> int:
+    if options.separately:
+        from magcal_service.diagnosis.separately import diagnose_each
+
+        return tell(
+            diagnose_each(options.recordings, options.simulation, options.craft, options.out, executor_of(options))
+        )
+    refuse_executor(options, "it is for many recordings at once: add --separately")
     from magcal_service.diagnosis.command import Request, run
     from magcal_service.diagnosis.progress import progress
 
-    with progress() as tell:
-        outcome = run(Request(options.recording, options.out, options.simulation, options.craft), tell)
+    if len(options.recordings) != 1:
+        accepted = "several recordings are diagnosed each by itself with --separately; add it"
+        raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
+    with progress() as step:
+        outcome = run(Request(options.recordings[0], options.out, options.simulation, options.craft), step)
     print("\n".join(outcome.lines))
     return DONE if outcome.diagnosis.trusted else NOT_TRUSTED

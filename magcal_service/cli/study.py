@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, Parser, methods_text
+from magcal_service.cli.common import DONE, Parser, add_executor, executor_of, methods_text
 
 
 def add_study(parser: Parser) -> None:
@@ -18,18 +18,17 @@ def add_study(parser: Parser) -> None:
     parser.add_argument("--methods", default="", metavar="A,B", help="of those below (default: the study's own)")
     parser.more = methods_text
     parser.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_executor(parser)
     parser.set_defaults(command=_study)
 
 
 def _study(options: argparse.Namespace) -> int:
     from magcal_service.studies import run_study, save
-    from magcal_service.studies.executor import executor_for
     from magcal_service.studies.study import Request
 
     methods = tuple(name for name in options.methods.split(",") if name)
-    executor = executor_for(options.workers)
-    report = run_study(options.name, Request(options.runs, options.seed, executor, methods, options.duration_s))
+    request = Request(options.runs, options.seed, executor_of(options), methods, options.duration_s)
+    report = run_study(options.name, request)
     print(report.markdown(), end="")
     save(report, options.json, options.out)
     return DONE

@@ -61,6 +61,16 @@ class Outcome:
     lines: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """A diagnosis whose files are not written yet: their contents by name, and what was said of the recording."""
+
+    diagnosis: Diagnosis
+    found: tuple[Entry, ...]
+    contents: dict[str, str]
+    lines: tuple[str, ...]
+
+
 def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     """Do it all; ``tell`` hears of each step.
 
@@ -69,6 +79,14 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     """
     check_packages()
     _prepare_folder(request.out)
+    made = make(request, tell)
+    files = tuple(_write(request.out / name, content) for name, content in made.contents.items())
+    lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
+    return Outcome(made.diagnosis, made.found, files, tuple(lines))
+
+
+def make(request: Request, tell: Callable[[str], None]) -> Made:
+    """Everything but to write the files; ``tell`` hears of each step.  Raises as ``run``."""
     simulation = None if request.simulation is None else simulation_errors(request.simulation)
     recording = read_recording(request.recording, request.craft)
     inspection = inspect(recording)
@@ -77,12 +95,13 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     tell("writing the results")
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
-    files = [_write(request.out / JSON, content)]
-    origin = _origin(request, recording.descriptor.path, recording.descriptor.samples)
-    files.append(_write(request.out / REPORT, report(diagnosis, found, content, origin)))
-    files.append(_write(request.out / PHYSICS, write_model(diagnosis, found, recording.name)))
-    lines = [*recording.report.lines(), *inspection.lines(), *summary(diagnosis, found, held_out_rms(diagnosis), files)]
-    return Outcome(diagnosis, found, tuple(files), tuple(lines))
+    origin = _origin(request, *recording.descriptor.files)
+    contents = {
+        JSON: content,
+        REPORT: report(diagnosis, found, content, origin),
+        PHYSICS: write_model(diagnosis, found, recording.name),
+    }
+    return Made(diagnosis, found, contents, (*recording.report.lines(), *inspection.lines()))
 
 
 def _origin(request: Request, *files: Path) -> Origin:

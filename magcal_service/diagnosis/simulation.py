@@ -24,7 +24,7 @@ def simulation_errors(name_or_file: str) -> Array:
     Raises ``ConfigError`` where the file cannot be read, where it has no such numbers, or where it draws them from a
     seed, so that the file alone does not say what they were.
     """
-    path = _file_of(name_or_file)
+    path = simulation_file(name_or_file)
     top = open_toml(path, ConfigError)
     magnetometer = top.table("magnetometer", required=True)
     bias = D = None
@@ -52,7 +52,7 @@ def _refuse_drawn(top: Table) -> None:
             random.refuse(key, random.content[key], accepted)
 
 
-def _file_of(name_or_file: str) -> Path:
+def simulation_file(name_or_file: str) -> Path:
     path = Path(name_or_file)
     if path.is_file() or path.suffix == ".toml":
         return path

@@ -191,6 +191,11 @@ class Descriptor:
     accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that a recording comes from."""
+        return self.path, self.samples
+
+    @property
     def session(self) -> bool:
         """Whether the log is a recorded session, which brings its own times, units and frames."""
         return self.samples.suffix.lower() == SESSION_SUFFIX

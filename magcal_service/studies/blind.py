@@ -15,7 +15,6 @@ import numpy as np
 
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.physics.catalogue import catalogue
-from magcal_service.studies.progress import progress
 from magcal_service.studies.report import Cell, Findings, Table
 from magcal_service.studies.study import Request, Study
 
@@ -193,11 +192,8 @@ def jobs_of(seed: int, runs: int) -> list[Job]:
 def run(request: Request) -> Findings:
     """Diagnose every case and compare with the answers."""
     jobs = jobs_of(request.seed, request.runs or STUDY.runs)
-    outcomes: list[Outcome] = []
-    with progress("concealed cases", len(jobs)) as advance:
-        for outcome in request.executor.map(run_job, jobs):
-            outcomes.append(outcome)
-            advance(1)
+    sources = sorted(Path(_cases().__file__).parent.glob("*.py"))
+    outcomes = list(request.executor.map(run_job, jobs, "concealed cases", inputs=sources))
     scored = [o for o in outcomes if o.expected == "none" or o.detectability >= LEAST_DETECTABILITY]
     return Findings(
         tables=(_summary(scored), _by_effect(scored), _confusion(scored), _misses(scored)),

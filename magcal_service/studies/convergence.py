@@ -20,7 +20,6 @@ from magcal_service.model import BIAS, STATE_SIZE, Array
 from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import CRAFT, START_UTC_NS, FlightPlan, Flown, Nine, fly
 from magcal_service.studies.montecarlo import seeds_of
-from magcal_service.studies.progress import progress
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study
 from magcal_service.wire.messages import Estimate, Frame, MagnetometerSample, Message, ReferenceSample, Vector, Verdict
@@ -245,11 +244,7 @@ def run(request: Request) -> Findings:
     panels: list[Panel] = []
     for name in names:
         jobs = [Job(number, name, seed, request.duration_s) for number, seed in enumerate(seeds)]
-        outcomes = []
-        with progress(f"convergence, {name}", len(jobs)) as advance:
-            for outcome in request.executor.map(fly_one, jobs):
-                outcomes.append(outcome)
-                advance(1)
+        outcomes = list(request.executor.map(fly_one, jobs, f"convergence, {name}"))
         tables += _tables(name, outcomes)
         figures.update(_figures(name, outcomes))
         panels.append(_panel(name, outcomes))

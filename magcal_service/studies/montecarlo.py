@@ -15,12 +15,11 @@ from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.scalar_ukf import ScalarUkf
 from magcal_service.estimators.spin import SpinFilter
 from magcal_service.estimators.ukf import Ukf
+from magcal_service.many.executor import Executor
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.batched.spin import BatchedSpin
 from magcal_service.studies.batched.ukf import BatchedScalarUkf, BatchedUkf
-from magcal_service.studies.executor import Executor
 from magcal_service.studies.flights import FlightPlan, Flown, fly
-from magcal_service.studies.progress import progress
 from magcal_service.ticks.assembler import Tick
 
 BATCH: Final = 250
@@ -151,11 +150,7 @@ def simulate(
     times = tuple(at_s) or (float(plan.duration_s - 1),)
     size = BATCH if in_batch(config) else ALONE
     jobs = [Job(plan, config, tuple(seeds[i : i + size]), times) for i in range(0, len(seeds), size)]
-    parts = []
-    with progress(label or config.filter.method, len(seeds)) as advance:
-        for part in executor.map(run_job, jobs):
-            parts.append(part)
-            advance(len(part.x))
+    parts = list(executor.map(run_job, jobs, label or config.filter.method, size=lambda job: len(job.seeds)))
     return Ensemble(
         at_s=parts[0].at_s,
         truth=parts[0].truth,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from magcal_service.studies.executor import Executor
+from magcal_service.many.executor import Executor
 from magcal_service.studies.report import Findings
 
 

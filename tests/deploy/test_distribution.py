@@ -19,10 +19,10 @@ from magcal_service.errors import DISTRIBUTION, ExtraMissingError, how_to_instal
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-MODULES = {"pyserial": "serial", "eclipse-zenoh": "zenoh"}
+MODULES = {"pyserial": "serial", "eclipse-zenoh": "zenoh", "dask": "distributed"}
 """Packages whose module has another name."""
 
-USERS = ("sim", "diagnosis", "view", "record", "export")
+USERS = ("sim", "diagnosis", "view", "record", "export", "cluster")
 """Extras of the product; ``dev`` and ``fuzz`` are of its tests."""
 
 

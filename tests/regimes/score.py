@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -22,8 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.cli.common import add_executor, executor_of
 from magcal_service.diagnosis.answer import diagnose
 from magcal_service.errors import MagcalError
+from magcal_service.many.executor import Executor
+from magcal_service.many.pieces import Done, Piece
+from magcal_service.offline.each import inputs_of
 
 LEAST_DETECTABILITY: Final = 12.0
 """Below it nobody can be asked to find an effect; cases below are diagnosed and counted in no table."""
@@ -32,7 +33,7 @@ PROBABILITIES: Final = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0)
 """Edges of the bins of the reliability table; the last bin holds 1."""
 
 SAID: Final = "said.jsonl"
-"""File of a folder that keeps each answer of the diagnosis as it comes, so that a run that was cut can go on."""
+"""File of a folder with each answer of the diagnosis, a line each."""
 
 _UNKNOWN: Final = "unknown"
 _NOTHING: Final = ("none", "clean")
@@ -357,15 +358,15 @@ def _misses(scored: Sequence[Scored]) -> list[list[Any]]:
     return rows
 
 
-def diagnose_all(folder: Path, workers: int) -> Iterator[Said]:
-    """Diagnose the cases of a folder that ``SAID`` there does not hold yet; each answer is yielded once it is in it."""
-    known = {one.case for one in said_in(folder)}
-    waiting = sorted(path.parent for path in folder.glob("case-*/recording.toml") if path.parent.name not in known)
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as executor:
-        for future in as_completed([executor.submit(diagnose_case, case) for case in waiting]):
-            said = future.result()
-            with (folder / SAID).open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(said)) + "\n")
+def diagnose_all(folder: Path, executor: Executor) -> Iterator[Said]:
+    """Diagnose the cases of a folder, in their order; each answer is yielded once it is in ``SAID`` there."""
+    recordings = sorted(folder.absolute().glob("case-*/recording.toml"))
+    pieces = [Piece(one.parent.name, diagnose_case, one.parent, inputs_of(one)) for one in recordings]
+    with (folder / SAID).open("w", encoding="utf-8") as file:
+        for piece, outcome in zip(pieces, executor.outcomes("cases", pieces), strict=True):
+            said = outcome.value if isinstance(outcome, Done) else Said(piece.name, "failed", False, (outcome.text,))
+            file.write(json.dumps(asdict(said)) + "\n")
+            file.flush()
             yield said
 
 
@@ -385,17 +386,13 @@ def main() -> None:
     """Diagnose, score, print, write."""
     parser = argparse.ArgumentParser(prog="python -m tests.regimes.score", description=__doc__)
     parser.add_argument("folder", type=Path, metavar="DIR")
-    parser.add_argument("--workers", type=int, default=2, help="diagnoses at a time (default: 2)")
-    parser.add_argument("--resume", action="store_true", help=f"go on with what DIR/{SAID} holds, instead of anew")
+    add_executor(parser)
     parser.add_argument("--stored", action="store_true", help=f"diagnose nothing, score what DIR/{SAID} holds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the score here (default: DIR/score.json)")
     options = parser.parse_args()
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # so that processor time is that of one diagnosis
+    options.out = options.folder
     if not options.stored:
-        if not options.resume:
-            (options.folder / SAID).unlink(missing_ok=True)
-        for said in diagnose_all(options.folder, options.workers):
+        for said in diagnose_all(options.folder, executor_of(options)):
             print(f"{said.case}: {said.verdict} {', '.join(said.names)}", file=sys.stderr, flush=True)
     truths, said_of_all = read_answers(options.folder), said_in(options.folder)
     scored = scored_of(truths, said_of_all)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.many.here import HERE
 from tests.regimes.case import draw_case
 from tests.regimes.score import (
     SAID,
@@ -169,14 +170,18 @@ def test_a_case_is_diagnosed_and_a_refusal_is_an_answer(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "answers.json").read_text(encoding="utf-8"))["case-000"]["regime"] == "short"
 
 
-def test_a_run_that_was_cut_goes_on_with_what_was_said(tmp_path: Path) -> None:
-    """Kept answers come back as they were, and their cases are not diagnosed again; the others are, and are kept."""
+def test_all_cases_are_diagnosed_in_their_order_and_their_answers_kept(tmp_path: Path) -> None:
+    """What is said of each case is yielded, and stands in the folder's file as it was."""
+    for name in ("case-001", "case-000"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "recording.toml").write_text("version = 1\n", encoding="utf-8")
+    said = list(diagnose_all(tmp_path, HERE))
+    assert [(one.case, one.verdict) for one in said] == [("case-000", "refused"), ("case-001", "refused")]
+    assert said_in(tmp_path) == said
+
+
+def test_an_answer_comes_back_from_its_file_as_it_was(tmp_path: Path) -> None:
     entry = _named("bias_step", step_nt={"value": [1.0], "sigma": [0.1], "unit": "nT"})
     kept = Said("case-001", "named", False, ("poor_coverage",), (entry,), 2.5)
     (tmp_path / SAID).write_text(json.dumps(asdict(kept)) + "\n", encoding="utf-8")
-    for name in ("case-000", "case-001"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "recording.toml").write_text("version = 1\n", encoding="utf-8")
     assert said_in(tmp_path) == [kept]
-    assert [said.case for said in diagnose_all(tmp_path, 1)] == ["case-000"]
-    assert [said.verdict for said in said_in(tmp_path)] == ["refused", "named"]

@@ -10,7 +10,6 @@ from magcal_service.cli.__main__ import main
 from magcal_service.config.settings import FilterConfig
 from magcal_service.studies import run_study, spin_rates, window
 from magcal_service.studies.convergence import LARGEST_BIAS_NT, LARGEST_D, Job, draw, fly_one
-from magcal_service.studies.executor import InProcess
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import seeds_of
 from magcal_service.studies.noise import LEVELS_NT
@@ -18,12 +17,13 @@ from magcal_service.studies.report import Report
 from magcal_service.studies.spin_rates import RATES_RPM
 from magcal_service.studies.step import _back
 from magcal_service.studies.study import Request
+from tests.many.here import HERE
 
 pytest.importorskip("ppigrf")
 
 
 def small(name: str, *, seed: int = 1, methods: tuple[str, ...] = (), duration_s: int = 300) -> Report:
-    return run_study(name, Request(2, seed, InProcess(), methods, duration_s))
+    return run_study(name, Request(2, seed, HERE, methods, duration_s))
 
 
 def content(report: Report) -> dict[str, object]:

@@ -8,21 +8,19 @@ import pytest
 
 from magcal_service.config.settings import FilterConfig, SpinConfig
 from magcal_service.errors import ConfigError, InputRefusedError
+from magcal_service.many.executor import Executor
+from magcal_service.many.pool import Pool
 from magcal_service.model import calibrate, measure
 from magcal_service.studies import find_study, run_study, save, studies
-from magcal_service.studies.executor import InProcess, ProcessPool, executor_for
 from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import Ensemble, nees, seeds_of, simulate, statistics
 from magcal_service.studies.report import Findings, Line, Panel, Report, Table
 from magcal_service.studies.study import Request
+from tests.many.here import HERE
 
 pytest.importorskip("ppigrf")
 
 SHORT = FlightPlan(duration_s=400, noise_nt=100.0)
-
-
-def squared(value: int) -> int:
-    return value * value
 
 
 def test_the_body_field_is_the_reference_turned() -> None:
@@ -93,15 +91,10 @@ def test_no_two_runs_draw_the_same() -> None:
     assert len({seed.generate_state(4).tobytes() for seed in seeds_of(7, 200)}) == 200
 
 
-@pytest.mark.parametrize("executor", [InProcess(), ProcessPool(2)], ids=["here", "two-processes"])
-def test_an_executor_keeps_the_order_of_the_jobs(executor: InProcess | ProcessPool) -> None:
-    assert list(executor.map(squared, [3, 1, 2])) == [9, 1, 4]
-
-
 def test_two_processes_give_the_same_numbers_as_one() -> None:
     config = SHORT.craft(FilterConfig(method="ekf"))
-    here = simulate(SHORT, config, seeds_of(3, 6), InProcess())
-    pool = simulate(SHORT, config, seeds_of(3, 6), ProcessPool(2))
+    here = simulate(SHORT, config, seeds_of(3, 6), HERE)
+    pool = simulate(SHORT, config, seeds_of(3, 6), Executor(Pool(2)))
     assert np.array_equal(here.x, pool.x)
     assert np.array_equal(here.covariance, pool.covariance)
 
@@ -109,7 +102,7 @@ def test_two_processes_give_the_same_numbers_as_one() -> None:
 @pytest.mark.parametrize("method", ["ukf", "scalar-ukf"])
 def test_a_batched_filter_equals_the_registry_s_run_alone(method: str) -> None:
     config = SHORT.craft(FilterConfig(method=method))
-    batched = simulate(SHORT, config, seeds_of(3, 2), InProcess())
+    batched = simulate(SHORT, config, seeds_of(3, 2), HERE)
     from magcal_service.estimators import find_method
 
     for run, seed in enumerate(seeds_of(3, 2)):
@@ -124,8 +117,8 @@ def test_a_batched_filter_equals_the_registry_s_run_alone(method: str) -> None:
 def test_estimates_are_kept_at_the_times_asked_for() -> None:
     plan = replace(SHORT, duration_s=400)
     config = plan.craft(FilterConfig())
-    early = simulate(replace(plan, duration_s=300), config, seeds_of(3, 2), InProcess())
-    both = simulate(plan, config, seeds_of(3, 2), InProcess(), at_s=(299.0, 399.0))
+    early = simulate(replace(plan, duration_s=300), config, seeds_of(3, 2), HERE)
+    both = simulate(plan, config, seeds_of(3, 2), HERE, at_s=(299.0, 399.0))
     assert both.at_s.tolist() == [299.0, 399.0]
     assert np.allclose(both.x[:, 0], early.x[:, -1], rtol=1e-9)
 
@@ -228,17 +221,12 @@ def test_an_unknown_study_is_refused_with_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("request_", "field"),
     [
-        (Request(1, 1, InProcess()), "--runs"),
-        (Request(5, -1, InProcess()), "--seed"),
-        (Request(5, 1, InProcess(), duration_s=10), "--duration-s"),
-        (Request(5, 1, InProcess(), ("ufk",)), "method"),
+        (Request(1, 1, HERE), "--runs"),
+        (Request(5, -1, HERE), "--seed"),
+        (Request(5, 1, HERE, duration_s=10), "--duration-s"),
+        (Request(5, 1, HERE, ("ufk",)), "method"),
     ],
 )
 def test_a_request_that_means_nothing_is_refused_before_it_runs(request_: Request, field: str) -> None:
     with pytest.raises(ConfigError, match=field):
         run_study("noise", request_)
-
-
-def test_no_worker_at_all_is_refused() -> None:
-    with pytest.raises(ConfigError, match="--workers"):
-        executor_for(0)

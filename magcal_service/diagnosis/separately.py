@@ -1,0 +1,54 @@
+"""``magcal diagnose --separately``: many recordings of different craft, each by itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from magcal_service.diagnosis.command import JSON, Request, make
+from magcal_service.diagnosis.report.page import check_packages
+from magcal_service.diagnosis.result import held_out_rms
+from magcal_service.diagnosis.simulation import simulation_errors, simulation_file
+from magcal_service.many.executor import Executor
+from magcal_service.offline.each import Asked, Told, ask_each
+
+
+def diagnose_each(
+    paths: Sequence[Path], simulation: str | None, craft: str | None, out: Path, executor: Executor
+) -> Asked:
+    """The diagnosis of each recording, its files in a folder of each under ``out``.
+
+    ``diagnosis.json`` there has no ``seconds``, which is in the summary: the files are the same wherever they are made.
+    Raises as ``ask_each``, ``ConfigError`` for the scenario, ``ExtraMissingError`` without what reports are drawn with.
+    """
+    check_packages()
+    scenario = None
+    if simulation is not None:
+        simulation_errors(simulation)
+        scenario = simulation_file(simulation).absolute()
+    question = partial(_told, None if scenario is None else str(scenario), craft)
+    return ask_each("diagnose", question, paths, out, executor, *([] if scenario is None else [scenario]))
+
+
+def _told(simulation: str | None, craft: str | None, path: Path) -> Told:
+    own = Path(path.stem)  # of the command in the report, which is the same wherever the results go
+    made = make(Request(path, own, simulation, craft), tell=lambda step: None)
+    diagnosis = made.diagnosis
+    content = json.loads(made.contents[JSON])
+    seconds = content.pop("seconds")
+    names = ", ".join(f"{entry.effect} {entry.probability:.3f}" for entry in made.found)
+    reasons = [str(reason) for reason in diagnosis.reasons]
+    return Told(
+        trusted=diagnosis.trusted,
+        verdict=str(diagnosis.verdict),
+        says="; ".join(filter(None, (names, ", ".join(reasons)))),
+        files={**made.contents, JSON: json.dumps(content, indent=2, allow_nan=False) + "\n"},
+        more={
+            "effects": [entry.effect for entry in made.found],
+            "reasons": reasons,
+            "held_out_rms_nt": held_out_rms(diagnosis),
+            "seconds": seconds,
+        },
+    )
