@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.diagnose import diagnose as run
-from magcal_service.diagnosis.result import Entry, as_json, entries, held_out_rms
+from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
@@ -69,7 +71,9 @@ class Answer(NineErrors):
         doubt = "trusted" if self.trusted else f"do not act on this: {', '.join(self.reasons)}"
         levels = " -> ".join(f"{value:.0f}" for value in self.held_out_rms_nt.values())
         head = f"Diagnosis: {self.verdict} ({doubt}); held out {levels} nT (simulation, recalibrated, with effects)"
-        return "\n".join([head, *(f"  {entry.effect}: {entry.says}" for entry in self.effects)])
+        return "\n".join(
+            [head, f"  {self.content['sentence']}", *(f"  {entry.effect}: {entry.says}" for entry in self.effects)]
+        )
 
 
 def diagnose(

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from magcal_service.diagnosis.diagnose import Diagnosis
-from magcal_service.diagnosis.result import Entry, moved_bias
-from magcal_service.diagnosis.words import chance, odds, percent, reason_in_words, remaining, verdict_sentence
+from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.result import moved_bias
+from magcal_service.diagnosis.words import belief, percent, reason_in_words, remaining, remedy, verdict_sentence
 from magcal_service.model import BIAS, Array
 
 _MOST_EFFECTS: Final = 3
@@ -23,7 +24,13 @@ def summary(
     diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float], files: Sequence[Path]
 ) -> list[str]:
     """What was found, how much better it fits, what remains, and where the files are."""
-    lines = [f"verdict: {diagnosis.verdict}", *_wrapped(verdict_sentence(diagnosis, found, held_out))]
+    lines = [f"verdict: {diagnosis.verdict}"]
+    if diagnosis.reasons:
+        lines.append("  do not act on this:")
+    for reason in diagnosis.reasons:
+        lift = f"; {remedy(reason)}" if remedy(reason) else ""
+        lines += _wrapped(f"{reason}: {reason_in_words(reason)}{lift}", "    ")
+    lines += _wrapped(verdict_sentence(diagnosis, found, held_out), most=3)
     for entry in found[:_MOST_EFFECTS]:
         lines += _of(entry)
     if len(found) > _MOST_EFFECTS:
@@ -39,15 +46,13 @@ def summary(
             f"instead of {_vector(after)} nT"
         )
     lines.append(f"left: {remaining(diagnosis)}")
-    lines += [f"not to be trusted: {reason} ({reason_in_words(reason)})" for reason in diagnosis.reasons]
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines
 
 
 def _of(entry: Entry) -> Iterator[str]:
     share = f"{percent(float(entry.where['share_of_mismatch']))} of the mismatch"
-    sure = f"probability {chance(entry.probability)}, {odds(entry.nats)} that it is there"
-    yield f"  {entry.effect}: {share}; {sure}"
+    yield from _wrapped(f"{entry.effect}: {share}; {belief(entry)}")
     yield from _wrapped(entry.says, "    ")
     if len(entry.members) > 1:
         yield from _wrapped(
@@ -55,9 +60,11 @@ def _of(entry: Entry) -> Iterator[str]:
         )
 
 
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    """At most two lines: a summary is short, the report holds the rest."""
-    return textwrap.wrap(text, _WIDTH, initial_indent=indent, subsequent_indent=indent, max_lines=2, placeholder=" ...")
+def _wrapped(text: str, indent: str = "  ", most: int = 2) -> list[str]:
+    """Two lines or ``most``: a summary is short, the report holds the rest."""
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent=indent, subsequent_indent=indent, max_lines=most, placeholder=" ..."
+    )
 
 
 def _vector(values: Array) -> str:

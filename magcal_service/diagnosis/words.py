@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.result import Entry
+from magcal_service.diagnosis.entry import Entry
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
@@ -16,23 +17,59 @@ _MOST_DECADES: Final = 12
 _MOST_LISTED: Final = 3
 """Names in one sentence; choice: more are a list, and it is elsewhere."""
 
-REASONS: Final[Mapping[str, str]] = {
-    "recording_doubtful": "what was found on the recording itself has to be answered before any physics is named",
-    "collapsed": "the nine errors ended at values that no sensor has",
-    "poor_coverage": "the field did not point in enough directions to fix the nine errors; record over more attitudes",
-    "unexplained_structure": "a mismatch is left that nothing in the catalogue explains",
-    "not_converged": "the fit did not arrive at a solution; its numbers are where it stopped",
-    "name_uncertain": "another name does nearly as well; what would tell them apart stands beside it",
-    "rough_residual": "what changes from one sample to the next is larger than any sensor's noise; state noise_nt",
-    "gain_in_scatter": "what the effects gain on held-out blocks does not stand out of its scatter",
-    "not_enough_data": "too few samples for held-out blocks; record longer",
+REASONS: Final[Mapping[str, tuple[str, str]]] = {
+    "recording_doubtful": (
+        "what was found on the recording itself has to be answered before any physics is named",
+        "answer each open finding of magcal inspect: mend the file, or accept it in [inspect]",
+    ),
+    "collapsed": (
+        "the nine errors ended at values that no sensor has",
+        "check units, axes and reference with magcal inspect; record over more attitudes",
+    ),
+    "poor_coverage": (
+        "the field did not point in enough directions to fix the nine errors",
+        "record over more attitudes: at least a turn about two axes, or most of an orbit",
+    ),
+    "unexplained_structure": (
+        "a mismatch is left that nothing in the catalogue explains",
+        "record more telemetry beside the magnetometer, and switch one suspect at a time",
+    ),
+    "not_converged": (
+        "the fit did not arrive at a solution; its numbers are where it stopped",
+        "record longer or over more attitudes, or give the sensor's noise as noise_nt",
+    ),
+    "name_uncertain": (
+        "another name does nearly as well; what would tell them apart stands beside it",
+        "make one of the measurements under what to measure next",
+    ),
+    "rough_residual": (
+        "what changes from one sample to the next is larger than any sensor's noise",
+        "state noise_nt; look for repeated or misplaced rows with magcal inspect",
+    ),
+    "gain_in_scatter": (
+        "what the effects gain on held-out blocks does not stand out of its scatter",
+        "record longer: twice the blocks halve the variance of the gain",
+    ),
+    "not_enough_data": ("too few samples for held-out blocks", "record longer: 300 samples at least"),
 }
-"""What each reason against trusting a result means."""
+"""What each reason against trusting a result means, and what would lift it."""
 
 
 def reason_in_words(reason: str) -> str:
     """A reason as a clause; one that is new here by its own name."""
-    return REASONS.get(reason, reason.replace("_", " "))
+    return REASONS[reason][0] if reason in REASONS else reason.replace("_", " ")
+
+
+def remedy(reason: str) -> str:
+    """What would lift a reason; empty for one that is new here."""
+    return REASONS[reason][1] if reason in REASONS else ""
+
+
+def advice(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Every reason against acting on a result with what it means and what would lift it."""
+    return [
+        {"reason": reason, "means": reason_in_words(reason), "remedy": remedy(reason)} for reason in diagnosis.reasons
+    ]
 
 
 def odds(nats: float) -> str:
@@ -76,9 +113,7 @@ def titles(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
-    """The verdict in one plain sentence."""
-    known = titles(diagnosis)
-    listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in found if entry.effect != "unknown")))
+    """The verdict in one plain sentence: the cause and its size, or what is left without a name."""
     if diagnosis.verdict is Verdict.NONE:
         floor = diagnosis.prepared.problem.noise_nt
         error = diagnosis.prepared.problem.field_error
@@ -87,27 +122,55 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
             f"Simulation and recording agree to the noise: {held_out['with_effects']:.1f} nT are left on data that "
             f"took no part in the fit, over a noise of {floor:.1f} nT{model}."
         )
+    known = titles(diagnosis)
+    named = [entry for entry in found if entry.effect != "unknown"]
     if diagnosis.verdict is Verdict.UNKNOWN:
         if diagnosis.inspection.open:
             return (
                 "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
             )
+        listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in named)))
         besides = f" besides {listed}" if listed else ""
         return (
-            f"Something without a name makes {percent(diagnosis.unexplained)} of the mismatch{besides}: no effect of "
-            "the catalogue explains it, but where it sits is known."
+            f"Something without a name{_sized(found)} makes {percent(diagnosis.unexplained)} of the mismatch{besides}: "
+            "no effect of the catalogue explains it, but where it sits is known."
         )
+    first, others = named[0], named[1:]
+    listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in others if entry.effect != first.effect)))
+    cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {listed}" if listed else "")
     if not diagnosis.fit.terms:
-        return f"The recording shows what the simulation leaves out: {listed}."
-    explained = percent(1.0 - diagnosis.unexplained)
-    return f"The simulation leaves out {listed}: {explained} of the mismatch is explained."
+        return f"{cause}."
+    return f"{cause}; {percent(1.0 - diagnosis.unexplained)} of the mismatch is explained."
 
 
-def _listed(parts: Sequence[str]) -> str:
+def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
+    """What an effect is and how large; where its name is not sure, the names between which it is open."""
+    alike = [name for name in entry.members if name != entry.effect] or [name for name, _ in entry.rivals]
+    if entry.probability >= SURE or not alike:
+        return entry.says
+    names = _listed([known.get(name, name) for name in (entry.effect, *alike)], "or")
+    return f"Not told apart: {names}. If the first: {entry.says[:1].lower()}{entry.says[1:]}"
+
+
+def belief(entry: Entry) -> str:
+    """How sure a name is among its rivals, and how sure it is that there is anything: two questions, two numbers."""
+    something = f"{odds(entry.nats)} that something is there"
+    if entry.probability < SURE and entry.rivals:
+        rival, probability = max(entry.rivals, key=lambda pair: pair[1])
+        return f"{something}, but its name is open: {chance(entry.probability)} this, {chance(probability)} {rival}"
+    return f"{something}, {chance(entry.probability)} that it is this" + (" and no rival" if entry.rivals else "")
+
+
+def _sized(found: Sequence[Entry]) -> str:
+    rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == "unknown"), None)
+    return "" if rms_nt is None else f", {rms_nt:.1f} nT rms,"
+
+
+def _listed(parts: Sequence[str], last: str = "and") -> str:
     """``a, b and c``; of more than three the first two and how many more."""
     if len(parts) > _MOST_LISTED:
         parts = [*parts[: _MOST_LISTED - 1], f"{len(parts) - _MOST_LISTED + 1} more"]
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
 
 
 def driver_in_words(driver: str) -> str:
@@ -123,5 +186,6 @@ def remaining(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.UNKNOWN:
         return f"{percent(diagnosis.unexplained)} of the mismatch, which no effect of the catalogue explains"
     if diagnosis.unexplained > 0.0:
-        return f"{percent(diagnosis.unexplained)} of the mismatch, more than noise but little beside what was named"
+        much = "too much to act on" if "unexplained_structure" in diagnosis.reasons else "little"
+        return f"{percent(diagnosis.unexplained)} of the mismatch, more than noise but {much} beside what was named"
     return "nothing that could not be noise"

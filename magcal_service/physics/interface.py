@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Direct, Term, Watched
+from magcal_service.physics.saying import Said
 
 if TYPE_CHECKING:
     from magcal_service.physics.scene.scene import Scene
@@ -92,12 +93,14 @@ class Block:
     Parameters
     ----------
     most: absolute value that one of them has at most by its physics, in the unit; what goes beyond is no such effect.
+    labels: names along each dimension, where they are not the axes.
     """
 
     name: str
     unit: str
     shape: tuple[int, ...] = (3,)
     most: float = math.inf
+    labels: tuple[tuple[str, ...], ...] = ()
 
     @property
     def size(self) -> int:
@@ -205,11 +208,21 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Value:
-    """A parameter as found: value and 1 sigma of one shape (sigma NaN where none is claimed), and unit."""
+    """A parameter as found.
+
+    Parameters
+    ----------
+    value, sigma: of one shape; sigma NaN where none is claimed.
+    unit: of both.
+    labels: names along each dimension, where they are not the axes.
+    bounds: what it lies between by its physics, or was searched between; None where there is no such limit.
+    """
 
     value: Array
     sigma: Array
     unit: str
+    labels: tuple[tuple[str, ...], ...] = ()
+    bounds: tuple[float, float] | None = None
 
 
 def value_of(value: float | Sequence[float] | Array, sigma: float | Sequence[float] | Array, unit: str) -> Value:
@@ -256,7 +269,8 @@ class Effect:
     confused_with: effects with similar signatures.
     separated_by: the observation that distinguishes them.
     source: where the form comes from.
-    says: sentences with parameters and ``{driver}`` in braces; the first whose parameters are all there is used.
+    says: sentences of cause and size, with ``{driver}`` and properties of parameters (``saying.Said``) in braces; the
+        first whose parameters are all there is used.
     hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
     find: detects it in samples, attitude or noise; None for an effect that acts as a field only.
     derived: further parameters computed from those that were fitted.
@@ -293,30 +307,17 @@ class Effect:
         """What was found, in one sentence with its numbers."""
         kind, _, name = driver.partition(":")
         words = {"driver": f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"}
-        words |= {name: in_words(value) for name, value in parameters.items()}
+        said = {name: Said(v.value, v.sigma, v.unit, v.labels) for name, v in parameters.items()}
         for text in self.says:
-            if all(field in words for _, field, _, _ in string.Formatter().parse(text) if field):
-                return text.format_map(words)
+            fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
+            if all(field in words or field in said for field in fields):
+                return text.format(**words, **said)
         return f"{self.title[0].upper()}{self.title[1:]}."
 
 
 def in_words(value: Value) -> str:
     """A number or a vector as text, with as many digits as its sigma supports."""
-    numbers = np.atleast_1d(value.value)
-    sigma = np.atleast_1d(value.sigma)
-    digits = [_digits(float(n), float(s)) for n, s in zip(numbers.ravel(), sigma.ravel(), strict=True)]
-    text = ", ".join(digits)
-    return text if value.value.ndim == 0 else f"({text})"
-
-
-def _digits(number: float, sigma: float) -> str:
-    if not np.isfinite(sigma) or sigma <= 0.0:
-        return f"{number:.5g}"
-    places = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 12))
-    if abs(number) < 1e-3 or places > 6:
-        significant = int(np.clip(np.floor(np.log10(max(abs(number), sigma) / sigma)) + 2, 2, 8))
-        return f"{number:.{significant - 1}e}"
-    return f"{number:.{places}f}"
+    return str(Said(value.value, value.sigma, value.unit))
 
 
 def along_axes(signals: Array) -> Columns:

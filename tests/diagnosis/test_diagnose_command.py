@@ -108,7 +108,9 @@ def test_every_effect_has_the_contracts_fields(content: dict[str, Any]) -> None:
         assert {key: type(effect[key]) for key in kinds} == kinds
         assert effect["effect"] in effect["class"]
         assert {"time_s", "axis", "frequency_hz", "share_of_mismatch"} <= set(effect["where"])
-        assert all(set(value) == {"value", "sigma", "unit"} for value in effect["parameters"].values())
+        assert all(
+            set(value) == {"value", "sigma", "unit", "labels", "range"} for value in effect["parameters"].values()
+        )
         assert all(set(rival) == {"effect", "probability"} for rival in effect["rivals"])
 
 
@@ -155,7 +157,7 @@ def test_a_result_that_must_not_be_trusted_ends_with_3_and_says_why(tmp_path: Pa
     content = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert (done.code, content["trusted"]) == (3, False)
     assert "not_enough_data" in content["reasons"]
-    assert "not to be trusted: not_enough_data (" in done.out
+    assert done.out.index("  do not act on this:\n") < done.out.index("    not_enough_data: too few samples")
 
 
 def test_a_hopeless_recording_is_refused_like_calibrate_does(tmp_path: Path) -> None:

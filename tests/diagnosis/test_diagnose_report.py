@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import pytest
 
 from magcal_service.diagnosis.words import chance, odds, percent, strength
+from magcal_service.physics.saying import measured
 from tests.diagnosis.diagnosis_runs import diagnose, recorded
 
 HOSTILE = "<script>x</script> {{7}}$\\fr{\U0001f9f2"
@@ -28,6 +29,7 @@ class Page(HTMLParser):
         self.text = ""
         self.feed(html)
         self.text = " ".join(self.text.split())
+        self.cells = " ".join(re.sub("<[^>]*>", " ", html).split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
@@ -98,6 +100,7 @@ def test_the_report_has_verdict_and_numbers_of_the_json(page: Page, folder: Path
     for value in content["fit"]["held_out_rms_nt"].values():
         assert f"{value:.1f} nT" in page.text
     assert f"{content['fit']['bias_moved_nt']:.1f} nT" in page.text
+    assert " ".join(content["sentence"].split()) in page.text
     for effect in content["effects"]:
         assert " ".join(effect["says"].split()) in page.text
 
@@ -112,8 +115,24 @@ def test_the_report_says_how_to_repeat_it(page: Page, folder: Path) -> None:
 def test_a_result_that_must_not_be_trusted_says_so_on_top(tmp_path: Path) -> None:
     diagnose(recorded("paper", 200.0, tmp_path / "short"), "--out", tmp_path)
     text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
-    assert 0 < text.index("Do not act on this result.") < text.index("Before and after")
-    assert "not_enough_data" in text
+    content = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (
+        0 <= text.index("Do not act on this result.") < text.index(content["sentence"]) < text.index("Before and after")
+    )
+    assert [one["reason"] for one in content["advice"]] == content["reasons"] != []
+    for one in content["advice"]:
+        assert f"{one['reason']}: {one['means']}. To lift it: {one['remedy']}." in text
+
+
+def test_numbers_stand_by_axis_with_sigma_unit_and_range(page: Page, folder: Path) -> None:
+    """The bias per kelvin of the JSON is one row of the table: three axes, each with 1 sigma."""
+    effects = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))["effects"]
+    bias = next(effect["parameters"]["nt_per_k"] for effect in effects if "nt_per_k" in effect["parameters"])
+    cells = [measured(value, sigma) for value, sigma in zip(bias["value"], bias["sigma"], strict=True)]
+    assert all("±" in cell for cell in cells)
+    limit = f"± {bias['range'][1]:.4g}"
+    assert "parameter of axis x axis y axis z unit range" in page.cells
+    assert f"nt_per_k {' '.join(cells)} nT/K {limit}" in page.cells
 
 
 def test_the_same_recording_gives_the_same_report(tmp_path: Path) -> None:

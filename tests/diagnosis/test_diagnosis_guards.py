@@ -10,8 +10,8 @@ import pytest
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
+from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.result import parameters_of
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure

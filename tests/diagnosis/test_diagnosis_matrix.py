@@ -19,7 +19,8 @@ from pathlib import Path
 import pytest
 
 from magcal_service.diagnosis.diagnose import diagnose
-from magcal_service.diagnosis.result import Entry, entries
+from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.result import entries
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.reader import read_recording
 from tests.blind import DRIVEN, EFFECTS, Answer, draw_case, write_case

@@ -12,24 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.leftover import structures
+from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.result import (
-    _direction,
-    _instant_sigma,
-    _lines,
-    _nearest,
-    _plain,
-    _span,
-    as_json,
-    entries,
-    held_out_rms,
-    moved_bias,
-    parameters_of,
-)
+from magcal_service.diagnosis.result import _nearest, entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.where import direction, lines, span
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import (
@@ -57,9 +49,9 @@ from tests.physics.scenes import COUNT, NOISE_NT, PERIOD_S, X, scene
 
 
 def test_numbers_are_plain_and_what_is_none_is_null() -> None:
-    assert _plain(np.float64(2.5)) == 2.5
-    assert _plain(np.float64(np.nan)) is None
-    assert _plain(np.array([[1.0, np.inf], [3.0, 4.0]])) == [[1.0, None], [3.0, 4.0]]
+    assert plain(np.float64(2.5)) == 2.5
+    assert plain(np.float64(np.nan)) is None
+    assert plain(np.array([[1.0, np.inf], [3.0, 4.0]])) == [[1.0, None], [3.0, 4.0]]
 
 
 # Where a signal lies
@@ -73,11 +65,11 @@ def test_a_signal_lies_where_all_but_a_thousandth_of_its_squares_are_on_either_s
     times = 10.0 * np.arange(100.0)
     signal = np.zeros(100)
     signal[30:61] = 1.0
-    assert _span(timed(times), signal) == [300.0, 600.0]
+    assert span(timed(times), signal) == [300.0, 600.0]
     signal[20] = signal[70] = math.sqrt(31.0 * 0.0009)
-    assert _span(timed(times), signal) == [300.0, 600.0]
+    assert span(timed(times), signal) == [300.0, 600.0]
     signal[20] = signal[70] = math.sqrt(31.0 * 0.0012)
-    assert _span(timed(times), signal) == [200.0, 700.0]
+    assert span(timed(times), signal) == [200.0, 700.0]
 
 
 def test_what_begins_within_the_first_fiftieth_begins_at_nought() -> None:
@@ -85,9 +77,9 @@ def test_what_begins_within_the_first_fiftieth_begins_at_nought() -> None:
     for first, begins in ((1, 0.0), (2, 20.0), (3, 30.0)):
         signal = np.zeros(101)
         signal[first:] = 1.0
-        assert _span(timed(times), signal) == [begins, 1000.0]
-    assert _span(timed(times), np.zeros(101)) == [0.0, 1000.0]
-    assert _span(timed(times + 0.04), np.ones(101)) == [0.0, 1000.0]
+        assert span(timed(times), signal) == [begins, 1000.0]
+    assert span(timed(times), np.zeros(101)) == [0.0, 1000.0]
+    assert span(timed(times + 0.04), np.ones(101)) == [0.0, 1000.0]
 
 
 def term_of(form: Hypothesis, *amplitudes: float) -> Term:
@@ -97,20 +89,20 @@ def term_of(form: Hypothesis, *amplitudes: float) -> Term:
 def test_a_direction_is_that_of_what_changes_with_its_largest_part_positive() -> None:
     swing = np.outer(QUICK, [0.0, 0.6, 0.8])
     moving = body_form("one", "", swing + np.array([500.0, 0.0, 0.0]))
-    assert _direction(term_of(moving, 3.0), COUNT) == [0.0, 0.6, 0.8]
-    assert _direction(term_of(moving, -3.0), COUNT) == [0.0, 0.6, 0.8]
+    assert direction(term_of(moving, 3.0), COUNT) == [0.0, 0.6, 0.8]
+    assert direction(term_of(moving, -3.0), COUNT) == [0.0, 0.6, 0.8]
     against = body_form("one", "", np.outer(QUICK, [0.28, -0.96, 0.0]))
-    assert _direction(term_of(against, 1.0), COUNT) == [-0.28, 0.96, 0.0]
+    assert direction(term_of(against, 1.0), COUNT) == [-0.28, 0.96, 0.0]
     constant = body_form("one", "", np.tile([0.0, -30.0, 40.0], (COUNT, 1)))
-    assert _direction(term_of(constant, 2.0), COUNT) == [0.0, -0.6, 0.8]
-    assert _direction(term_of(grown_form(QUICK), 2.0), COUNT) is None
+    assert direction(term_of(constant, 2.0), COUNT) == [0.0, -0.6, 0.8]
+    assert direction(term_of(grown_form(QUICK), 2.0), COUNT) is None
 
 
 def test_a_constant_with_next_to_no_change_has_its_own_direction() -> None:
     still = np.tile([30.0, 0.0, 0.0], (COUNT, 1))
     for ripple, axis in ((0.02, [1.0, 0.0, 0.0]), (0.08, [0.0, 1.0, 0.0])):
         form = body_form("one", "", still + along(1, ripple * np.sqrt(2.0) * QUICK))
-        assert _direction(term_of(form, 1.0), COUNT) == axis
+        assert direction(term_of(form, 1.0), COUNT) == axis
 
 
 def test_the_strongest_lines_of_a_signal_are_told() -> None:
@@ -118,19 +110,19 @@ def test_the_strongest_lines_of_a_signal_are_told() -> None:
     fit: Any = SimpleNamespace(problem=SimpleNamespace(scene=scene(), is_vector=False))
     bins = 1.0 / (COUNT * PERIOD_S)
     first, second = np.sin(2 * np.pi * 40 * bins * TIME_S), np.cos(2 * np.pi * 90 * bins * TIME_S)
-    for share, lines in ((0.49, [40]), (0.51, [40, 90]), (2.1, [90])):
-        found = _lines(fit, 7.0 + first + share * second)
-        assert found == [float(f"{line * bins:.4g}") for line in lines]
-    assert _lines(fit, first + second + np.sin(2 * np.pi * 150 * bins * TIME_S)) != []
+    for share, wanted in ((0.49, [40]), (0.51, [40, 90]), (2.1, [90])):
+        found = lines(fit, 7.0 + first + share * second)
+        assert found == [float(f"{line * bins:.4g}") for line in wanted]
+    assert lines(fit, first + second + np.sin(2 * np.pi * 150 * bins * TIME_S)) != []
     fit.problem.is_vector = True
-    assert _lines(fit, first) == []
+    assert lines(fit, first) == []
 
 
 @pytest.mark.parametrize(("count", "told"), [(15, 0), (16, 1)])
 def test_lines_need_sixteen_samples(count: int, told: int) -> None:
     short = SimpleNamespace(time_s=np.arange(float(count)), period_s=1.0)
     fit: Any = SimpleNamespace(problem=SimpleNamespace(scene=short, is_vector=False))
-    assert len(_lines(fit, np.sin(2 * np.pi * np.arange(count) / 4.0))) == told
+    assert len(lines(fit, np.sin(2 * np.pi * np.arange(count) / 4.0))) == told
 
 
 # Parameters
@@ -438,6 +430,7 @@ def test_an_entry_as_json_is_rounded_and_has_its_class() -> None:
     one = entries(made())[1].as_json()
     assert one["probability"] == round(one["probability"], 6)
     assert one["class"][0] == "one"
-    assert set(one["parameters"]["nt"]) == {"value", "sigma", "unit"}
+    assert set(one["parameters"]["nt"]) == {"value", "sigma", "unit", "labels", "range"}
+    assert one["parameters"]["nt"]["labels"] == [["1"]]
     assert one["parameters"]["nt"]["value"][0] == pytest.approx(60.0, abs=10.0)
     assert one["parameters"]["nt"]["sigma"][0] == pytest.approx(float(np.sqrt(made().fit.covariance[10, 10])), rel=1e-6)

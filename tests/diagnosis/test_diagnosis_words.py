@@ -14,12 +14,14 @@ from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.summary import summary
 from magcal_service.diagnosis.words import (
     REASONS,
+    belief,
     chance,
     driver_in_words,
     odds,
     percent,
     reason_in_words,
     remaining,
+    remedy,
     strength,
     verdict_sentence,
 )
@@ -46,12 +48,16 @@ def diagnosis(
     )
 
 
-def entry(effect: str, *members: str, share: float = 0.5, says: str = "It is hot.") -> Any:
+def entry(
+    effect: str, *members: str, share: float = 0.5, says: str = "It is hot.", probability: float = 0.99, rms: Any = None
+) -> Any:
+    rest = (1.0 - probability) / max(len(members), 1)
     return SimpleNamespace(
         effect=effect,
         says=says,
-        where={"share_of_mismatch": share},
-        probability=0.9,
+        where={"share_of_mismatch": share} | ({} if rms is None else {"rms_nt": rms}),
+        probability=probability,
+        rivals=tuple((name, rest) for name in members),
         nats=12.0,
         members=(effect, *members),
         separated_by="a heater test",
@@ -119,7 +125,8 @@ def test_a_chance_is_never_a_certainty() -> None:
 
 
 def test_every_reason_is_a_clause_and_a_new_one_its_own_name() -> None:
-    assert reason_in_words("poor_coverage") == REASONS["poor_coverage"]
+    assert (reason_in_words("poor_coverage"), remedy("poor_coverage")) == REASONS["poor_coverage"]
+    assert remedy("brand_new") == ""
     assert reason_in_words("brand_new") == "brand new"
 
 
@@ -160,21 +167,76 @@ def test_while_the_recording_is_in_doubt_no_physics_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("named", "listed"),
+    ("named", "beside"),
     [
-        ("a", "heat"),
-        ("ab", "heat and currents"),
-        ("aab", "heat and currents"),
-        ("abc", "heat, currents and a step"),
-        ("abcd", "heat, currents and 2 more"),
+        ("a", ""),
+        ("ab", "; beside it currents"),
+        ("aab", "; beside it currents"),
+        ("abc", "; beside it currents and a step"),
+        ("abcda", "; beside it currents, a step and a tone"),
+        ("acdbz", "; beside it a step, a tone and 2 more"),
     ],
 )
-def test_named_effects_are_listed_once_each_and_of_many_the_first_two(named: str, listed: str) -> None:
+def test_the_cause_is_said_with_its_size_and_others_by_name(named: str, beside: str) -> None:
     found = [entry(name) for name in named]
-    sentence = verdict_sentence(diagnosis(Verdict.NAMED, terms=1, unexplained=0.08), found, HELD_OUT)
-    assert sentence == f"The simulation leaves out {listed}: 92 % of the mismatch is explained."
-    sentence = verdict_sentence(diagnosis(Verdict.NAMED), found, HELD_OUT)
-    assert sentence == f"The recording shows what the simulation leaves out: {listed}."
+    of = diagnosis(Verdict.NAMED, terms=1, unexplained=0.08)
+    of.effects.append(SimpleNamespace(name="z", title="an edge"))
+    assert verdict_sentence(of, found, HELD_OUT) == f"It is hot{beside}; 92 % of the mismatch is explained."
+    assert verdict_sentence(diagnosis(Verdict.NAMED), found[:1], HELD_OUT) == "It is hot."
+
+
+def test_a_name_that_is_not_sure_is_said_with_those_it_is_not_told_from() -> None:
+    open_name = entry("a", "b", "c", probability=0.6)
+    said = verdict_sentence(diagnosis(Verdict.NAMED, terms=1), [open_name], HELD_OUT)
+    assert said == (
+        "Not told apart: heat, currents or a step. If the first: it is hot; 100 % of the mismatch is explained."
+    )
+
+
+# One number does not contradict another
+
+
+def drawn(count: int) -> list[Any]:
+    """Entries of every kind of evidence, probability and rivals, drawn at random."""
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(count):
+        own = float(rng.choice([rng.uniform(), 1.0 - 10.0 ** -rng.uniform(1, 9), 10.0 ** -rng.uniform(1, 300)]))
+        names = rng.permutation(list("bcd"))[: rng.integers(1, 4)]
+        shares = rng.dirichlet(np.ones(len(names))) * (1.0 - own)
+        close = tuple(str(n) for n, share in zip(names, shares, strict=True) if share > own / 20.0)
+        drawn_entry = entry("a", *close, probability=own)
+        drawn_entry.rivals = tuple((str(n), float(share)) for n, share in zip(names, shares, strict=True))
+        drawn_entry.nats = float(10.0 ** rng.uniform(0.0, 4.0))
+        found.append(drawn_entry)
+    return found
+
+
+def test_no_sentence_contradicts_another() -> None:
+    """What is likely is never said of a name that is not: odds are of something, the probability is of the name."""
+    kinds = {True: 0, False: 0}
+    for one in drawn(400):
+        sure = one.probability >= 0.95
+        kinds[sure] += 1
+        said = belief(one)
+        head = verdict_sentence(diagnosis(Verdict.NAMED, terms=1), [one], HELD_OUT)
+        assert f"{odds(one.nats)} that something is there" in said
+        assert ("but its name is open" in said) is not sure
+        assert ("that it is this and no rival" in said) is sure
+        assert head.startswith("Not told apart: heat") is not sure
+        if not sure:
+            best = max(one.rivals, key=lambda pair: pair[1])
+            assert said.endswith(f"{chance(one.probability)} this, {chance(best[1])} {best[0]}")
+            assert len(one.members) > 3 or all(TITLES[name] in head for name in one.members)
+        for text in summary(diagnosis(Verdict.NAMED, terms=1), [one], HELD_OUT, []):
+            assert "that it is there" not in text
+    assert min(kinds.values()) > 50
+
+
+def test_what_has_no_rival_is_told_from_none() -> None:
+    weak = entry("a", probability=0.8)
+    assert belief(weak) == "odds of 160 000 to 1 that something is there, 80 % that it is this"
+    assert verdict_sentence(diagnosis(Verdict.NAMED), [weak], HELD_OUT) == "It is hot."
 
 
 def test_what_has_no_name_is_said_beside_what_has() -> None:
@@ -182,8 +244,8 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
     tail = "no effect of the catalogue explains it, but where it sits is known."
     alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
     assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
-    beside = verdict_sentence(unknown, [entry("unknown"), entry("b")], HELD_OUT)
-    assert beside == f"Something without a name makes 61 % of the mismatch besides currents: {tail}"
+    beside = verdict_sentence(unknown, [entry("unknown", rms=310.44), entry("b")], HELD_OUT)
+    assert beside == f"Something without a name, 310.4 nT rms, makes 61 % of the mismatch besides currents: {tail}"
 
 
 @pytest.mark.parametrize(
@@ -198,25 +260,34 @@ def test_what_remains_is_said_in_one_sentence(verdict: Verdict, unexplained: flo
     assert remaining(diagnosis(verdict, unexplained=unexplained)) == words
 
 
+def test_what_is_too_much_to_act_on_is_not_called_little() -> None:
+    of = diagnosis(Verdict.NAMED, unexplained=0.15, reasons=("unexplained_structure",))
+    assert remaining(of) == "15 % of the mismatch, more than noise but too much to act on beside what was named"
+
+
 # The summary
 
 
 def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
-    found = [entry("a", "b", "c", share=0.8), entry("d", share=0.00001)]
+    found = [entry("a", "b", share=0.8, probability=0.9), entry("d", share=0.00001)]
+    found[0].nats = math.log(7.4)
     files = [Path("out/diagnosis.json"), Path("out/report.html")]
-    lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("collapsed",)), found, HELD_OUT, files)
+    lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("not_enough_data", "brand_new")), found, HELD_OUT, files)
     assert lines == [
         "verdict: named",
-        "  The simulation leaves out heat and a tone: 100 % of the mismatch is explained.",
-        "  a: 80 % of the mismatch; probability 90 %, odds of 160 000 to 1 that it is there",
+        "  do not act on this:",
+        "    not_enough_data: too few samples for held-out blocks; record longer: 300 samples at least",
+        "    brand_new: brand new",
+        "  Not told apart: heat or currents. If the first: it is hot; beside it a tone; "
+        "100 % of the mismatch is explained.",
+        "  a: 80 % of the mismatch; odds of 7 to 1 that something is there, but its name is open: 90 % this, 10 % b",
         "    It is hot.",
-        "    cannot be told from b, c here; what would: a heater test",
-        "  d: < 0.1 % of the mismatch; probability 90 %, odds of 160 000 to 1 that it is there",
+        "    cannot be told from b here; what would: a heater test",
+        "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
         "    It is hot.",
         "held-out rms: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise floor 100.0 nT",
         "bias: a static calibration was off by 13.0 nT unseen, at (10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
         "left: nothing that could not be noise",
-        "not to be trusted: collapsed (the nine errors ended at values that no sensor has)",
         "files: out/diagnosis.json, out/report.html",
     ]
 
@@ -226,7 +297,7 @@ def test_a_summary_of_many_effects_shows_three_and_counts_the_rest() -> None:
     five = summary(diagnosis(Verdict.NAMED, terms=1), [entry(name) for name in "abcda"], HELD_OUT, [])
     assert not [line for line in three if "more, in the files" in line]
     assert five[8] == "  and 2 more, in the files"
-    assert sum(line.endswith("that it is there") for line in five) == 3
+    assert sum(line.endswith("that it is this") for line in five) == 3
 
 
 def test_without_terms_no_bias_is_said_to_have_moved() -> None:
@@ -235,7 +306,7 @@ def test_without_terms_no_bias_is_said_to_have_moved() -> None:
 
 def test_what_is_long_takes_two_lines_of_118_and_no_more() -> None:
     lines = summary(diagnosis(Verdict.NAMED, terms=1), [entry("a", says="word " * 100)], HELD_OUT, [])
-    words = [line for line in lines if "word" in line]
+    words = [line for line in lines if line.startswith("    word")]
     assert [len(line) for line in words] == [118, 117]
     assert words[0] == "    " + " ".join(["word"] * 23)
     assert words[1].endswith(" ...")

@@ -12,14 +12,16 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import pictures, track
-from magcal_service.diagnosis.result import Entry, held_out_rms, moved_bias
+from magcal_service.diagnosis.result import held_out_rms, moved_bias
 from magcal_service.diagnosis.words import (
+    advice,
+    belief,
     chance,
     driver_in_words,
     odds,
     percent,
-    reason_in_words,
     remaining,
     strength,
     titles,
@@ -27,8 +29,8 @@ from magcal_service.diagnosis.words import (
 )
 from magcal_service.errors import ExtraMissingError
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
-from magcal_service.physics.interface import Value, value_of
-from magcal_service.physics.interface import in_words as number_in_words
+from magcal_service.physics.interface import Value
+from magcal_service.physics.saying import AXES, labels_of, measured
 from magcal_service.version import __version__
 
 _MOST_PLACES: Final = 8
@@ -75,13 +77,13 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"percent": percent, "chance": chance, "odds": odds, "strength": strength}
+    environment.filters |= {"percent": percent, "chance": chance, "odds": odds, "strength": strength, "belief": belief}
     numbers = json.loads(content)
     return environment.get_template(_TEMPLATE).render(
         diagnosis=diagnosis,
         numbers=numbers,
         sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
-        reasons=[(reason, reason_in_words(reason)) for reason in diagnosis.reasons],
+        advice=advice(diagnosis),
         levels=_levels(diagnosis, bool(origin.simulation)),
         pictures=pictures(diagnosis),
         track=track(diagnosis),
@@ -152,7 +154,7 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "parameters": [
             row
             for name, value in entry.parameters.items()
-            if not name.startswith("column")
+            if not name.startswith(("column", "face"))
             for row in _parameter_rows(name, value)
         ],
         "time": entry.where["time_s"],
@@ -160,31 +162,34 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
     }
 
 
-def _parameter_rows(name: str, value: Value) -> list[dict[str, str]]:
-    """One row a vector, so that a matrix is read line by line."""
-    parts = [(name, value)]
-    if value.value.ndim == 2:
-        pairs = enumerate(zip(value.value, value.sigma, strict=True), start=1)
-        parts = [(f"{name} [{i}]", value_of(v, s, value.unit)) for i, (v, s) in pairs]
+def _parameter_rows(name: str, value: Value) -> list[dict[str, Any]]:
+    """Rows of the table of numbers: three axes in one row, a matrix of them row by row, else one number a row."""
+    labels, unit, bounds = labels_of(value.value.shape, value.labels), value.unit, _range(value)
+    row = {"name": name, "of": "", "unit": unit, "range": bounds}
+    if value.value.ndim == 0:
+        return [row | {"cells": [measured(float(value.value), float(value.sigma))]}]
+    if labels[-1] != AXES:
+        pairs = zip(np.ndindex(value.value.shape), value.value.ravel(), value.sigma.ravel(), strict=True)
+        names = [", ".join(labels[dim][i] for dim, i in enumerate(at)) for at in np.ndindex(value.value.shape)]
+        return [row | {"of": names[i], "cells": [measured(float(v), float(s))]} for i, (_, v, s) in enumerate(pairs)]
+    lines = zip(
+        labels[0] if value.value.ndim == 2 else ("",),
+        np.atleast_2d(value.value),
+        np.atleast_2d(value.sigma),
+        strict=True,
+    )
     return [
-        {"name": label, "value": number_in_words(part), "sigma": _sigma(part), "unit": part.unit}
-        for label, part in parts
+        row | {"of": of, "cells": [measured(float(v), float(s)) for v, s in zip(values, sigmas, strict=True)]}
+        for of, values, sigmas in lines
     ]
 
 
-def _sigma(value: Value) -> str:
-    """1 sigma, or why there is none."""
-    sigma = np.atleast_1d(value.sigma)
-    if not np.isfinite(sigma).all():
-        return "held"
-    text = ", ".join(_two_digits(float(s)) for s in sigma.ravel())
-    return text if value.value.ndim == 0 else f"({text})"
-
-
-def _two_digits(number: float) -> str:
-    """Two significant digits, without an exponent up to a million."""
-    rounded = float(f"{number:.2g}")
-    return f"{rounded:.0f}" if 10.0 <= rounded < 1e6 else f"{rounded:.2g}"
+def _range(value: Value) -> str:
+    """What a number lies between by its physics or its search; empty without a limit."""
+    if value.bounds is None:
+        return ""
+    low, high = value.bounds
+    return f"± {high:.4g}" if low == -high else f"{low:.4g} to {high:.4g}"
 
 
 def _unknown(entry: Entry) -> dict[str, Any]:

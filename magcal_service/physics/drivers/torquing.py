@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, Segments, Sums, along_axes
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0])
@@ -63,6 +64,10 @@ _LEAST_SAMPLES: Final = 200
 """Samples from which on a pattern is searched: its nine amplitudes and six numbers need several each."""
 
 
+_COILS: Final = ("coil x", "coil y", "coil z")
+_ALONG: Final = ("field along x", "field along y", "field along z")
+"""What the rows of an amplitude belong to."""
+
 DETUMBLING: Final = "inferred:detumbling"
 DUMPING: Final = "inferred:dumping"
 """Drivers that need the course of the field before a sample."""
@@ -75,7 +80,7 @@ def inferred(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     yield _regular(scene, effect)
     yield _detumbling(scene, effect)
     steady = along_axes(-np.sign(scene.field_slope))
-    block = Block("detumbling_nt", "nT", (3, 3))
+    block = Block("detumbling_nt", "nT", (3, 3), labels=(_COILS, AXES))
     yield Hypothesis(effect, DETUMBLING, lambda _: steady, (block,), "sign of dB/dt", odds=6.0)
     yield from _dumping(scene, effect)
 
@@ -148,7 +153,7 @@ def _detumbling(scene: Scene, effect: str) -> Hypothesis:
             found.append([*numbers_found, lead_s, edges[0], edges[-1]])
         return np.array(found)
 
-    block = Block("detumbling_nt", "nT", (3, 3))
+    block = Block("detumbling_nt", "nT", (3, 3), labels=(_COILS, AXES))
     variant = "sign of dB/dt on a duty"
     return Hypothesis(
         effect,
@@ -225,7 +230,7 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
             found += [[places[row], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in numbers[3].grid.tolist()]
         return np.array(found)
 
-    block = Block("dumping", "1", (3, 3))
+    block = Block("dumping", "1", (3, 3), labels=(_ALONG, AXES))
     variant = "momentum dumped at intervals"
     yield Hypothesis(
         effect,

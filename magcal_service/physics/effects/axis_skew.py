@@ -6,6 +6,7 @@ import numpy as np
 
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -13,7 +14,11 @@ def _hypotheses(scene: Scene) -> tuple[Hypothesis, ...]:
     slope = scene.field_slope
     body = np.zeros((2, len(scene), 3))
     body[0, :, 1], body[1, :, 2] = slope[:, 1], slope[:, 2]
-    return (Hypothesis("axis_skew", "none", lambda _: Columns(body=body), (Block("after_x_s", "s", (2,)),)),)
+    return (
+        Hypothesis(
+            "axis_skew", "none", lambda _: Columns(body=body), (Block("after_x_s", "s", (2,), labels=(AXES[1:],)),)
+        ),
+    )
 
 
 def _derived(parameters: Values) -> Values:
@@ -34,7 +39,7 @@ EFFECT = Effect(
     confused_with=("response_lag",),
     separated_by="another spin rate: at a steady rate it is a non-orthogonality, and the nine errors absorb it",
     source="0.1-10 ms between channels of a multiplexed converter",
-    says=("The axes are digitised one after another: y and z {after_x_s} s after x.",),
+    says=("The axes are digitised one after another: {after_x_s.place} {after_x_s.signed} after x.",),
     derived=_derived,
     hypotheses=_hypotheses,
     absorbed="at a constant spin rate the nine errors take up the delays as D12, D13, D23",

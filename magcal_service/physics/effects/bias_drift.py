@@ -19,9 +19,9 @@ EFFECT = Effect(
     separated_by="a longer recording: temperature comes back every orbit, a drift does not",
     source="nT to uT per month (Olsen et al. 2020, monthly drift of platform magnetometers)",
     says=(
-        "The bias drifts by {nt_per_s} nT/s at first, bending by {nt_per_s2} nT/s2.",
-        "The bias drifts by {nt_per_s} nT/s.",
-        "The bias relaxes by {nt_end} nT with a time constant of {time_constant_s} s.",
+        "The bias of {nt_per_s.place} drifts by {nt_per_s.signed} at first, bending by up to {nt_per_s2.size}.",
+        "The bias of {nt_per_s.place} drifts by {nt_per_s.signed}, the most of the three.",
+        "The bias of {nt_end.place} relaxes by {nt_end.signed} with a time constant of {time_constant_s.size}.",
     ),
     hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))),
 )

@@ -18,6 +18,6 @@ EFFECT = Effect(
     confused_with=("scale_step", "torquer", "bias_drift"),
     separated_by="the log of relays, deployments and torquer commands at that time",
     source="magnetisation by launch, deployment or torquers: 10-5000 nT (Springmann & Cutler 2012)",
-    says=("The bias jumps by {step_nt} nT at {at_s} s.",),
+    says=("The bias of {step_nt.place} jumps by {step_nt.signed} at {at_s.size}, the most of the three.",),
     hypotheses=lambda scene: (step(scene, "bias_step", along_axes, Block("step_nt", "nT")),),
 )

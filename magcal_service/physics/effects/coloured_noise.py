@@ -184,7 +184,7 @@ EFFECT = Effect(
     confused_with=("bias_drift", "response_lag", "quantisation"),
     separated_by="a stretch in a shielded room: noise keeps its colour there, physics does not",
     source="Box & Jenkins 1970 (autoregressive models); drivers that average give 0.3-0.9 at one sample",
-    says=("The noise has a correlation of {correlation} at one sample and a level of {level_nt} nT.",),
+    says=("The noise has a correlation of {correlation.signed} at one sample and a level of {level_nt.size}.",),
     find=_find,
     absorbed="a filter that takes the noise as white is too sure, by (1 + rho) / (1 - rho) in variance",
 )

@@ -9,6 +9,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -26,7 +27,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     cubic = Block("per_nt2", "1/nT2")
     yield Hypothesis("cubic_response", "none", lambda _: Columns(body=own), (cubic,))
     both = np.concatenate([own, across])
-    cross = Block("cross_per_nt2", "1/nT2", (3, 2))
+    cross = Block("cross_per_nt2", "1/nT2", (3, 2), labels=(AXES, ("first other axis", "second other axis")))
     yield Hypothesis("cubic_response", "none", lambda _: Columns(body=both), (cubic, cross), "with cross terms")
     length: Array = np.einsum("ni,ni->n", field, field)
     common = (field * length[:, None])[None]
@@ -47,8 +48,8 @@ EFFECT = Effect(
     separated_by="a larger field on one axis: a knee is flat below its start, a cube is not",
     source="Brauer et al. 1997 (transverse field effect); data sheets of AMR sensors (linearity 0.1-1 %)",
     says=(
-        "The answer bends with the cube of the field, by {per_nt2} per nT2.",
-        "The answer bends with the field's size, by {common_per_nt2} per nT2.",
+        "The answer of {per_nt2.place} bends with the cube of the field, by {per_nt2.size}.",
+        "The answer bends with the field's size, by {common_per_nt2.size}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

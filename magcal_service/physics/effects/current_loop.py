@@ -9,6 +9,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
@@ -26,7 +27,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         if len(circuits) == 0:
             continue
         shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
-        block = Block("nt_per_a", "nT/A", shape)
+        rows = (tuple(f"circuit {column + 1}" for column in circuits.tolist()), AXES)
+        block = Block("nt_per_a", "nT/A", shape, labels=rows[2 - len(shape) :])
         yield Hypothesis(
             "current_loop",
             f"channel:{channel.name}",
@@ -60,7 +62,9 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     if len(used) < 2:
         return
     driver = "channel:" + "+".join(channel.name for channel in channels)
-    block = Block("nt_per_a", "nT/A", (len(used), 3))
+    names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
+    labels = (tuple(names[column] for column in used), AXES)
+    block = Block("nt_per_a", "nT/A", (len(used), 3), labels=labels)
     constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
     yield Hypothesis("current_loop", driver, _fixed(signals[:, used]), (block,), "all circuits", constants=constants)
 
@@ -83,14 +87,14 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     sides = (("x", (0, 3)), ("y", (1, 4)), ("z", (2, 5)))
     for name, pair in sides:
         if all(i in used for i in pair):
-            both = Block("nt_full_sun", "nT", (2, 3))
+            both = Block("nt_full_sun", "nT", (2, 3), labels=((f"panel +{name}", f"panel -{name}"), AXES))
             yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
     used = scene.chosen("face", used)
     if len(used) >= 3:
         constants = {f"face_{index}": float(face) for index, face in enumerate(used)}
         total = faces[:, used].sum(axis=1, keepdims=True)
         yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels", constants=constants)
-        every = Block("nt_full_sun", "nT", (len(used), 3))
+        every = Block("nt_full_sun", "nT", (len(used), 3), labels=(tuple(f"panel {names[i]}" for i in used), AXES))
         form = "every panel its own circuit"
         yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
 
@@ -117,8 +121,8 @@ EFFECT = Effect(
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
-        "Currents add {nt_per_a} nT per ampere, with {driver}.",
-        "Currents add {nt_full_sun} nT in full sun, with {driver}.",
+        "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
+        "Currents add up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=_direct,

@@ -69,6 +69,6 @@ EFFECT = Effect(
     confused_with=("reference_epoch", "bias_drift", "position_offset"),
     separated_by="the Dst or SYM-H index of the day; a second craft at the same time",
     source="Olsen et al. 2006 (CHAOS): ring current with Q1 = 0.27; Dst -20 to -400 nT",
-    says=("A field of {mean_nt} nT along the Earth's dipole axis, from currents above, is not in the reference.",),
+    says=("A field of {mean_nt.signed} along the Earth's dipole axis, from currents above, is not in the reference.",),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
@@ -55,7 +56,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     width = Nonlinear("half_width", "1", _WIDTHS)
     constants = {"scale_nt": scale}
     yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants)
-    block = Block("share_matrix", "1", (3, 3))
+    block = Block("share_matrix", "1", (3, 3), labels=(("rod along x", "rod along y", "rod along z"), AXES))
     yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants)
 
 
@@ -71,9 +72,10 @@ EFFECT = Effect(
     separated_by="the two branches: the same field approached from both sides",
     source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
     says=(
-        "Permeable parts remember {share} of the field's turns, with a half width of {half_width} of the largest.",
-        "Permeable rods remember {share_matrix} of the field's turns, a row for each axis, with a half width of "
-        "{half_width} of the largest.",
+        "Permeable parts hold back {share.percent} of the field's turns on {share.place}, within "
+        "{half_width.percent} of the largest field.",
+        "Permeable rods hold back {share_matrix.percent} of the field's turns ({share_matrix.place}), within "
+        "{half_width.percent} of the largest field.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -127,7 +127,7 @@ EFFECT = Effect(
     confused_with=("spin_rate",),
     separated_by="side lines of the spin: nutation has them at a frequency of its own",
     source="Wertz 1978, section 16.2: coning at (I3 / I1 - 1) times the spin rate",
-    says=("The craft nutates by {angle_deg} deg at {frequency_hz} Hz in the body.",),
+    says=("The craft nutates by {angle_deg.size} at {frequency_hz.size} in the body.",),
     find=_find,
     absorbed="the magnitude is the same whatever the attitude: the nine errors and the scalar residual do not see it",
 )

@@ -107,17 +107,17 @@ EFFECT = Effect(
     separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
     source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
     says=(
-        "The reference was computed at the wrong place: the craft is {radial_km} km further out, {along_km} km ahead, "
-        "{cross_km} km to the left.",
-        "The reference was computed at the wrong place: the craft is {radial_km} km further out and {along_km} km "
-        "ahead.",
-        "The reference was computed at the wrong place: the craft is {along_km} km ahead at the start, growing by "
-        "{along_km_per_h} km/h.",
-        "The reference was computed at the wrong place: the craft is {radial_km} km further out.",
-        "The reference was computed at the wrong place: the craft is {along_km} km ahead.",
-        "The reference was computed at the wrong place: the craft is {cross_km} km to the left of it.",
-        "The reference was computed at the wrong place: the craft is {ahead_s} s ahead on its orbit at the "
-        "start, growing by {ahead_s_per_h} s with every hour.",
+        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
+        "{along_km.signed} ahead, {cross_km.signed} to the left.",
+        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out and "
+        "{along_km.signed} ahead.",
+        "The reference was computed at the wrong place: the craft is {along_km.signed} ahead at the start, growing "
+        "by {along_km_per_h.signed}.",
+        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out.",
+        "The reference was computed at the wrong place: the craft is {along_km.signed} ahead.",
+        "The reference was computed at the wrong place: the craft is {cross_km.signed} to the left of it.",
+        "The reference was computed at the wrong place: the craft is {ahead_s.signed} ahead on its orbit at the "
+        "start, growing by {ahead_s_per_h.signed}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

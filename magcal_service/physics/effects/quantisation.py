@@ -68,6 +68,6 @@ EFFECT = Effect(
     confused_with=("coloured_noise",),
     separated_by="gaps in the histogram of each axis",
     source="Widrow & Kollar 2008: q^2 / 12, and lines where the field moves slowly against q",
-    says=("Values lie on a lattice of {lsb_nt} nT, which adds {added_noise_nt} nT of noise per axis.",),
+    says=("Values lie on a lattice of {lsb_nt.size}, which adds {added_noise_nt.size} of noise per axis.",),
     find=_find,
 )

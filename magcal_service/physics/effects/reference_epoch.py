@@ -70,7 +70,7 @@ EFFECT = Effect(
     separated_by="the version of the coefficients in the reference's log; passes over other longitudes",
     source="Alken et al. 2021 (IGRF-13) and IAGA 2024 (IGRF-14): secular variation to 80-100 nT/a locally",
     says=(
-        "The reference's coefficients are {years} years old.",
+        "The reference's coefficients are {years.signed} old.",
         "The reference is a series cut short: the terms above degree {degree} are missing.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -93,8 +93,9 @@ EFFECT = Effect(
     separated_by="the sensor's range in its data sheet; a field of another size",
     source="data sheets of AMR and fluxgate sensors (full scale, linearity near it)",
     says=(
-        "An axis stops at {limit_nt} nT: {share_of_samples} of the samples are clipped.",
-        "An axis bends near the end of its range, from {knee} of it on: {missing_nt} nT are missing at the end.",
+        "An axis stops at {limit_nt.size}: {share_of_samples.percent} of the samples are clipped.",
+        "An axis bends near the end of its range, from {knee.percent} of it on: {missing_nt.size} are missing at "
+        "the end.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     find=_find,

@@ -30,9 +30,9 @@ EFFECT = Effect(
     separated_by="a longer recording: temperature comes back every orbit, a drift does not",
     source="Swarm: -79 ppm per year (Toeffner-Clausen et al. 2016)",
     says=(
-        "The gain drifts by {per_s} per second at first, bending by {per_s2} per s2.",
-        "The gain drifts by {per_s} per second.",
-        "The gain relaxes by {end} with a time constant of {time_constant_s} s.",
+        "The gain of {per_s.place} {per_s.falls} by {per_s.size} at first, bending by up to {per_s2.size}.",
+        "The gain of {per_s.place} {per_s.falls} by {per_s.size}, the most of the three.",
+        "The gain of {end.place} {end.falls} by {end.percent} in all, with a time constant of {time_constant_s.size}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -38,8 +38,8 @@ EFFECT = Effect(
     separated_by="a field of another size after the change",
     source="range switches and set/reset straps of AMR bridges: 0.1-100 %",
     says=(
-        "The gain of all axes jumps by {step_common} at {at_s} s.",
-        "The gain jumps by {step} at {at_s} s.",
+        "The gain of all axes {step_common.falls} by {step_common.percent} at {at_s.size}.",
+        "The gain of {step.place} {step.falls} by {step.percent} at {at_s.size}, the most of the three.",
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -99,7 +99,7 @@ EFFECT = Effect(
     confused_with=("nutation", "time_offset"),
     separated_by="a gyro; a later recording",
     source="Wertz 1978, section 17.2: eddy-current torque despins over hours to months",
-    says=("The craft turns at {rate_rpm} rpm at the start, changing by {rate_rpm_per_s} rpm per second.",),
+    says=("The craft turns at {rate_rpm.size} at the start, changing by {rate_rpm_per_s.signed}.",),
     find=_find,
     absorbed="the magnitude is the same whatever the attitude: only the windows of the pseudo-measurements leak",
 )

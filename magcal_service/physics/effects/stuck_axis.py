@@ -63,6 +63,6 @@ EFFECT = Effect(
     confused_with=("saturation", "quantisation"),
     separated_by="the value: a stop is at the end of the range, a frozen register anywhere",
     source="bus and register faults; found by exact repetition",
-    says=("An axis repeats {value_nt} nT from {from_s} s to {to_s} s.",),
+    says=("An axis repeats {value_nt.signed} from {from_s} s to {to_s} s.",),
     find=_find,
 )

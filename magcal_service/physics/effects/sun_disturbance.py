@@ -9,11 +9,15 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Watched
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, Telemetry
 
 
 def _fixed(signals: Array) -> Callable[[Array], Columns]:
     return lambda _: along_axes(signals)
+
+
+_HARMONICS = ("Sun xy", "Sun xz", "Sun yz", "Sun x2 - y2", "Sun 3 z2 - 1")
 
 
 def harmonics(sun: Array) -> Array:
@@ -41,9 +45,9 @@ def _is_sun(channel: Telemetry) -> bool:
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for driver, sun, constants in _directions(scene):
-        linear = Block("nt", "nT", (3, 3))
+        linear = Block("nt", "nT", (3, 3), labels=(("Sun along x", "Sun along y", "Sun along z"), AXES))
         yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,), constants=constants)
-        square = Block("second_nt", "nT", (5, 3))
+        square = Block("second_nt", "nT", (5, 3), labels=(_HARMONICS, AXES))
         both = np.concatenate([sun, harmonics(sun)], axis=1)
         second = (linear, square)
         yield Hypothesis("sun_disturbance", driver, _fixed(both), second, "second degree", constants=constants)
@@ -68,6 +72,9 @@ EFFECT = Effect(
     confused_with=("current_loop", "thermal_bias"),
     separated_by="array currents beside it, or a craft that turns its panels: panels give half waves, heat full ones",
     source="Toeffner-Clausen et al. 2016 and Lesur et al. 2016 (Swarm, Sun-driven disturbance, 1-5 nT)",
-    says=("A field of {nt} nT per unit of the Sun's direction in the body turns with {driver} and is gone in shadow.",),
+    says=(
+        "A field of up to {nt.size} ({nt.place}) turns with the Sun's direction in the body, by {driver}, and is "
+        "gone in shadow.",
+    ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

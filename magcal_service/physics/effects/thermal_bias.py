@@ -42,9 +42,9 @@ EFFECT = Effect(
     separated_by="eclipse edges sampled every second: a temperature rounds them, a current does not; a heater test",
     source="Belsten et al. 2023 (AERO-VISTA): 5-50 nT/K for AMR; Primdahl 1979: 0.1-1 nT/K for fluxgates",
     says=(
-        "A bias of {nt_per_k} nT per kelvin follows {driver}.",
-        "A bias that swings by {nt_swing} nT between light and shadow follows {driver}, with a time constant of "
-        "{time_constant_s} s.",
+        "The bias of {nt_per_k.place} changes by {nt_per_k.signed} with {driver}, the most of the three.",
+        "The bias of {nt_swing.place} swings by {nt_swing.signed} from shadow to light, the most of the three, "
+        "following {driver} with a time constant of {time_constant_s.size}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=lambda term: direct_by_temperature(term, "nt_per_k"),

@@ -82,12 +82,12 @@ EFFECT = Effect(
     separated_by="a field of another size at the same temperature: another phase of the orbit, or another spin axis",
     source="Honeywell HMC1001 data sheet: about -0.3 %/K open loop; Toeffner-Clausen et al. 2016: 1e-6/K for Swarm",
     says=(
-        "One gain of {per_k_common} per kelvin for all axes follows {driver}.",
-        "A gain of {per_k} per kelvin and axis follows {driver}.",
-        "One gain for all axes swings by {swing_common} between light and shadow and follows {driver}, with a time "
-        "constant of {time_constant_s} s.",
-        "A gain that swings by {swing} between light and shadow follows {driver}, with a time constant of "
-        "{time_constant_s} s.",
+        "The gain of all axes {per_k_common.falls} by {per_k_common.size} with {driver}.",
+        "The gain of {per_k.place} {per_k.falls} by {per_k.size} with {driver}, the most of the three.",
+        "The gain of all axes {swing_common.falls} by {swing_common.percent} from shadow to light, following "
+        "{driver} with a time constant of {time_constant_s.size}.",
+        "The gain of {swing.place} {swing.falls} by {swing.percent} from shadow to light, the most of the three, "
+        "following {driver} with a time constant of {time_constant_s.size}.",
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -39,9 +39,10 @@ EFFECT = Effect(
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
     source="73 nT per second at 7.6 km/s through IGRF (largest d|H|/dt); clocks as in pulsar timing (PINT)",
     says=(
-        "The samples match the reference {offset_s} s later than tagged; the clocks drift apart by {drift_ppm} ppm.",
-        "The samples match the reference {offset_s} s later than tagged.",
-        "The samples match the reference {late_s} s later than tagged, and later by {late_s_per_h} s with every hour.",
+        "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
+        "{drift_ppm.signed}.",
+        "The samples match the reference {offset_s.signed} later than tagged.",
+        "The samples match the reference {late_s.signed} later than tagged, and later by {late_s_per_h.signed}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes, value_of
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes
+from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
@@ -60,14 +62,15 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         if len(used) == 0:
             continue
         moment, count = channel.values[:, used], len(used)
-        matrix = Block("nt_per_am2", "nT/(A m2)", (count, 3))
+        coils = tuple(f"coil {column + 1}" for column in used.tolist())
+        matrix = Block("nt_per_am2", "nT/(A m2)", (count, 3), labels=(coils, AXES))
         largest = scene.constant("largest_am2", float(np.abs(moment).max()))
         constants = {f"column_{index}": float(column) for index, column in enumerate(used)}
         driver = f"channel:{channel.name}"
         yield Hypothesis(
             "torquer", driver, _driven(scene, moment, None), (matrix,), nonlinear=(decay,), constants=constants
         )
-        blocks = (matrix, Block("remanence_nt", "nT", (count, 3)))
+        blocks = (matrix, Block("remanence_nt", "nT", (count, 3), labels=(coils, AXES)))
         with_largest = constants | {"largest_am2": largest}
         driven = _driven(scene, moment, largest)
         yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
@@ -77,7 +80,10 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 def _derived(parameters: Values) -> Values:
     """M with the field's axis as the row and the coil as the column, d = M m; fitted the other way round."""
     found = parameters.get("nt_per_am2")
-    return {} if found is None else {"nt_per_am2": value_of(found.value.T, found.sigma.T, found.unit)}
+    if found is None:
+        return {}
+    turned = replace(found, value=found.value.T, sigma=found.sigma.T, labels=found.labels[::-1])
+    return {"nt_per_am2": turned}
 
 
 EFFECT = Effect(
@@ -109,10 +115,10 @@ EFFECT = Effect(
     separated_by="a torquer test: one coil switched by hand while nothing else changes",
     source="0.2 A m2 at 10 cm gives 20-40 uT (dipole field); Olsen et al. 2020 (CryoSat-2 torquers)",
     says=(
-        "The torquers add {nt_per_am2} nT per A m2, with {driver}.",
-        "Torquers on a regular duty of {period_s} s add {on_nt} nT while on.",
-        "Torquers that detumble by the sign of dB/dt add {detumbling_nt} nT.",
-        "Torquers that dump momentum every {period_s} s add {dumping} times the field.",
+        "The torquers add up to {nt_per_am2.size} ({nt_per_am2.place}), with {driver}.",
+        "Torquers on a regular duty of {period_s.size} add up to {on_nt.size} on {on_nt.place} while on.",
+        "Torquers that detumble by the sign of dB/dt add up to {detumbling_nt.size} ({detumbling_nt.place}).",
+        "Torquers that dump momentum every {period_s.size} add {dumping.percent} of the field.",
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -1,0 +1,61 @@
+"""What ``diagnosis.json`` holds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.locate import Place, locate
+from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
+from magcal_service.diagnosis.words import advice, verdict_sentence
+from magcal_service.model import BIAS, STATE_SIZE, d_matrix
+
+
+def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
+    """The contract's ``diagnosis.json``."""
+    found = entries(diagnosis) if found is None else found
+    fit, problem = diagnosis.fit, diagnosis.prepared.problem
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
+    places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
+    content: dict[str, Any] = {
+        "verdict": str(diagnosis.verdict),
+        "sentence": verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
+        "effects": [entry.as_json() for entry in found],
+        "fit": {
+            "noise_floor_nt": problem.noise_nt,
+            "held_out_rms_nt": held_out_rms(diagnosis),
+            "in_sample_rms_nt": {"recalibrated": diagnosis.prepared.baseline.rms_nt, "with_effects": fit.rms_nt},
+            "bias_nt": fit.x[BIAS].tolist(),
+            "D": d_matrix(fit.x[:STATE_SIZE]).tolist(),
+            "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+            "bias_before_nt": diagnosis.prepared.baseline.x[BIAS].tolist(),
+            "bias_moved_nt": moved_bias(diagnosis),
+        },
+        "located": [place.as_json() for place in places],
+        "unexplained_share": round(diagnosis.unexplained, 4),
+        "rows": dict(diagnosis.prepared.counts),
+        "spin": _spin(diagnosis),
+        "seconds": round(diagnosis.seconds, 2),
+        "converged": fit.converged,
+        "trusted": diagnosis.trusted,
+        "reasons": list(diagnosis.reasons),
+        "advice": advice(diagnosis),
+        "findings": [one.to_dict() for one in diagnosis.inspection.findings],
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _spin(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    spin = diagnosis.spin
+    if spin is None:
+        return None
+    return {
+        "axis_body": spin.axis_body.tolist(),
+        "axis_eci": spin.axis_eci.tolist(),
+        "rate_rpm": spin.rate_rpm,
+    }

@@ -1,0 +1,82 @@
+"""One effect as it is reported: in which words, how sure, with which numbers, and where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Value, Values
+from magcal_service.physics.saying import labels_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """One effect as it is reported.
+
+    Parameters
+    ----------
+    effect, says, driver, variant: what, in a sentence, by what, in which form.
+    probability: of this effect against its rivals.
+    rivals: (effect, probability), most probable first.
+    members: names that this recording cannot tell apart, the effect's own included.
+    separated_by: the observation that would tell them apart, or what would confirm the effect.
+    parameters: with sigma and unit.
+    where: the contract's place: time_s, axis, frequency_hz, share_of_mismatch.
+    nats: evidence over its absence.
+    constants: what belongs to the form.
+    seen_in_blocks: blocks of the recording that gain by it, of those that should; empty for what is no field.
+    """
+
+    effect: str
+    says: str
+    driver: str
+    variant: str
+    probability: float
+    rivals: tuple[tuple[str, float], ...]
+    members: tuple[str, ...]
+    separated_by: str
+    parameters: Values
+    where: Mapping[str, Any]
+    nats: float
+    constants: Mapping[str, float]
+    seen_in_blocks: tuple[int, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The contract's object."""
+        return {
+            "effect": self.effect,
+            "says": self.says,
+            "probability": round(self.probability, 6),
+            "rivals": [{"effect": name, "probability": round(p, 6)} for name, p in self.rivals],
+            "class": list(self.members),
+            "separated_by": self.separated_by,
+            "driver": self.driver,
+            "variant": self.variant,
+            "parameters": {name: _parameter(value) for name, value in self.parameters.items()},
+            "where": dict(self.where),
+            "evidence_nats": round(self.nats, 2),
+            "seen_in_blocks": list(self.seen_in_blocks),
+        }
+
+
+def _parameter(value: Value) -> dict[str, Any]:
+    """A parameter as JSON."""
+    return {
+        "value": plain(value.value),
+        "sigma": plain(value.sigma),
+        "unit": value.unit,
+        "labels": [list(names) for names in labels_of(value.value.shape, value.labels)],
+        "range": None if value.bounds is None else list(value.bounds),
+    }
+
+
+def plain(values: Array) -> Any:
+    """Numbers as JSON takes them; NaN as null."""
+    if values.ndim == 0:
+        return float(values) if math.isfinite(float(values)) else None
+    return [plain(np.asarray(part)) for part in values]
