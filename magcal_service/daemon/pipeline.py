@@ -5,7 +5,6 @@ Live links, recordings and the simulator all use it, so what is verified on one 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from magcal_service.daemon.outbox import (
     estimate_message,
     status_message,
 )
+from magcal_service.daemon.plain_branch import PlainBranch, learned, newest_of
 from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.errors import DecodeError, InputRefusedError
 from magcal_service.estimators import find_method
@@ -88,6 +88,8 @@ class PipelineMemory:
     _process_noise: tuple[float, float] | None
     _physics: str
     compensation: Compensation | None
+    stopped: str
+    plain: PlainBranch | None
     watch: ModelWatch
 
 
@@ -123,6 +125,8 @@ class Pipeline(Stateful, PipelineMemory):
         self._events: list[Event] = []
         self._physics = ""
         self.compensation = None
+        self.stopped = ""  # why compensation was stopped
+        self.plain = None  # the craft without compensation, while there is one
         self.watch = ModelWatch(config.filter.gate_sigma)
         if config.physics is not None:
             self._compensate_by(config.physics.text)
@@ -132,6 +136,19 @@ class Pipeline(Stateful, PipelineMemory):
         self.compensation = Compensation(parse_model(physics.encode()))
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)
+        self._compare()
+
+    def _compare(self) -> None:
+        """Compensate, and hold that from now on against the craft without it, which begins anew with its samples."""
+        assert self.compensation is not None
+        plain = PlainBranch(self.config, self.compensation.model.x)
+        plain.ticks.restore_state((self.ticks if self.plain is None else self.plain.ticks).export_state())
+        self.plain, self.stopped = plain, ""
+
+    @property
+    def compensates(self) -> bool:
+        """Whether samples are corrected by ``physics.toml``: one is loaded, and it was not found to harm."""
+        return self.compensation is not None and not self.stopped
 
     def load_physics(self, physics: str) -> None:
         """Compensate by another model from now on; what was estimated under the one before is discarded."""
@@ -175,16 +192,36 @@ class Pipeline(Stateful, PipelineMemory):
         """Restore estimate and verdict from a checkpoint's pipeline of this craft; samples, ticks and counters stay."""
         self.estimator, self.monitor, self._process_noise = saved.estimator, saved.monitor, saved._process_noise
         self.watch = saved.watch
+        self._restore_compensation(saved)
         self._thawed, self._fault = True, None
         self._learned_s, self._walk = saved._learned_s, saved._walk
         self._refresh_estimate()
 
+    def _restore_compensation(self, saved: Pipeline) -> None:
+        """Compensate as the checkpoint's pipeline did, where both have a model: its estimate is of such samples."""
+        if self.compensation is None or saved.compensation is None:
+            return
+        if saved.plain is None:
+            if self.plain is not None:
+                self.ticks = self.plain.ticks
+            self.plain, self.stopped = None, saved.stopped
+            return
+        self._compare()
+        if self.plain is not None:
+            self.plain.take_over(saved.plain)
+
     def _set_process_noise(self, bias_nt: float, d: float) -> None:
-        """An estimator with other process noise, and the state of the one before."""
+        """Estimators with other process noise, and the state of those before."""
         settings = replace(self.config.filter, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
-        estimator = find_method(settings.method).build(replace(self.config, filter=settings))
-        estimator.restore_state(self.estimator.export_state())
-        self.estimator, self._process_noise, self._walk = estimator, (bias_nt, d), _walk_of(settings)
+
+        def rebuilt(before: Estimator) -> Estimator:
+            estimator = find_method(settings.method).build(replace(self.config, filter=settings))
+            estimator.restore_state(before.export_state())
+            return estimator
+
+        self.estimator, self._process_noise, self._walk = rebuilt(self.estimator), (bias_nt, d), _walk_of(settings)
+        if self.plain is not None:
+            self.plain.replace_estimator(rebuilt(self.plain.estimator))
 
     def event(self, what: str, cause: str, source: str = SOURCE) -> Event:
         """An event of this craft, now."""
@@ -226,7 +263,7 @@ class Pipeline(Stateful, PipelineMemory):
             case MagnetometerSample():
                 return self._sample(message)
             case ReferenceSample():
-                self.ticks.add_reference(self.compensation.reference(message) if self.compensation else message)
+                self._reference(message)
             case PositionSample():
                 self.counters["position"] += 1
                 self.watch.drivers.position(message)
@@ -238,6 +275,8 @@ class Pipeline(Stateful, PipelineMemory):
                 if self.compensation is not None:
                     self.compensation.telemetry(message)
                 self.counters["rate"] += self.ticks.add_rate(message)
+                if self.plain is not None:
+                    self.plain.rate(message)
             case Command():
                 return [self._command(message)]
             case _:
@@ -246,11 +285,43 @@ class Pipeline(Stateful, PipelineMemory):
 
     def advance(self) -> list[Message]:
         """Process the ticks that have closed; their estimates."""
-        return [self._tick(tick) for tick in self.ticks.ready()]
+        estimates: list[Message] = [self._tick(tick) for tick in self.ticks.ready()]
+        self._advance_plain()
+        return estimates
 
     def flush(self) -> list[Message]:
         """Close every open tick: the end of the stream."""
-        return [self._tick(tick) for tick in self.ticks.flush()]
+        estimates: list[Message] = [self._tick(tick) for tick in self.ticks.flush()]
+        self._advance_plain(flush=True)
+        return estimates
+
+    def _advance_plain(self, *, flush: bool = False) -> None:
+        """Let the craft without compensation follow; where it is better off, go on as that."""
+        if self.plain is None:
+            return
+        self.plain.advance(frozen=self.frozen, flush=flush)
+        harm = self.plain.harm.harm()
+        if harm:
+            self._stop_compensation(harm)
+
+    def _stop_compensation(self, why: str) -> None:
+        """Publish from now on what a craft without ``physics.toml`` would, and say so."""
+        assert self.plain is not None
+        plain, self.plain, self.stopped = self.plain, None, why
+        self.ticks, self.estimator, self.monitor = plain.ticks, plain.estimator, plain.monitor
+        self._state, self._learned_s, self._thawed = plain.state, plain.learned_s, plain.thawed
+        self.monitor.observe_fault(None if self._fault is None else SENSOR_FAULTS[self._fault][0])
+        self.monitor.observe_compensation(stopped=True)
+        self.watch.reset()
+        self.trust = self.monitor.judge(self._state)
+        self.counters["compensation_stopped"] += 1
+        self.note("compensation_stopped", why)
+
+    def _reference(self, sample: ReferenceSample) -> None:
+        if self.plain is not None:
+            self.plain.reference(sample)
+        compensation = self.compensation if self.compensates else None
+        self.ticks.add_reference(sample if compensation is None else compensation.reference(sample))
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
         rejection = self.ticks.rejection(sample)
@@ -258,6 +329,8 @@ class Pipeline(Stateful, PipelineMemory):
             return self._rejected(sample, rejection)
         measured, sample = sample, self._corrected(sample)
         self.ticks.take(measured, sample)
+        if self.plain is not None:
+            self.plain.sample(measured)
         self._recover()
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
@@ -265,7 +338,7 @@ class Pipeline(Stateful, PipelineMemory):
 
     def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
         """Subtract the disturbances that ``physics.toml`` models; those without a driver are counted and named."""
-        if self.compensation is None:
+        if self.compensation is None or self.stopped:
             return sample
         corrected = self.compensation.correct(sample)
         missing = self.compensation.missing
@@ -324,16 +397,15 @@ class Pipeline(Stateful, PipelineMemory):
     def _learn(self, tick: Tick) -> None:
         """Give a tick to the estimator; where its arithmetic fails it is reset, and the other craft continue."""
         try:
-            outcome = self.estimator.handle(tick)
-            state = self.estimator.estimate()
-            if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
-                raise np.linalg.LinAlgError("the estimate is not finite")
+            outcome, state = learned(self.estimator, tick)
         except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
             self._reset()
             self.note("estimator_failed", f"{error}; it starts anew")
             return
         self._note_phase(self._state, state)
+        if self.compensation is not None and self.plain is not None and not self.compensation.missing:
+            self.plain.harm.compensated(*newest_of(tick))
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self.monitor.observe(tick, outcome, state)
         self._watch_model(tick)
@@ -363,6 +435,9 @@ class Pipeline(Stateful, PipelineMemory):
         self.estimator.reset()
         self.monitor.reset()
         self.watch.reset()
+        if self.plain is not None:
+            self.plain.reset()
+        self.monitor.observe_compensation(stopped=bool(self.stopped))
         self._state, self.trust = self.estimator.estimate(), NOT_STARTED
         self._fault, self._learned_s = None, None
 
@@ -421,7 +496,9 @@ class Pipeline(Stateful, PipelineMemory):
         """One line: verdict, reasons, ticks."""
         reasons = f" ({', '.join(self.trust.reasons)})" if self.trust.reasons else ""
         state = "frozen, " if self.frozen else ""
-        if self.compensation is not None and self.compensation.missing:
+        if self.stopped:
+            state += f"physics.toml is not compensated any more: {self.stopped}; "
+        elif self.compensation is not None and self.compensation.missing:
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
         if self.model_doubt:
             state += f"{self.model_doubt}; "
@@ -436,6 +513,8 @@ class Pipeline(Stateful, PipelineMemory):
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
         """Health of this craft; ``counters`` are the link's, added to the craft's."""
         own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
+        if self.compensation is not None:
+            own["compensating"] = int(self.compensates)
         stamp = Stamp(self.config.name, self._number(), self.last_time_ns, self._clock)
         counted = self.ticks.counters + self.counters + own + counters
         return status_message(stamp, uptime_s, self.trust, counted, self.summary())

@@ -111,6 +111,7 @@ class TrustMonitorMemory:
     _unpaired_s: float
     _fault: Reason | None
     _driver_missing: bool
+    _compensation_stopped: bool
     _model_doubtful: bool
     _sudden_share: float
     _frozen: bool
@@ -148,6 +149,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._unpaired_s = 0.0
         self._fault = None
         self._driver_missing = False
+        self._compensation_stopped = False
         self._model_doubtful = False
         self._sudden_share = 0.0
         self._frozen = False
@@ -237,6 +239,10 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         """Whether an effect that is to be compensated could not be, for want of its driver."""
         self._driver_missing = missing
 
+    def observe_compensation(self, *, stopped: bool) -> None:
+        """Whether ``physics.toml`` is loaded and not compensated, because it made the residual worse."""
+        self._compensation_stopped = stopped
+
     def observe_model(self, doubtful: bool) -> None:
         """Whether the residual follows something that the model leaves out (``model_watch``)."""
         self._model_doubtful = doubtful
@@ -279,12 +285,13 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _information(self) -> set[Reason]:
         """Reasons that are reported but do not make the estimate doubtful by themselves."""
         short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
-        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN} | short
+        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN, Reason.COMPENSATION_STOPPED} | short
 
     def _silence(self) -> list[Reason]:
         silent = [Reason.NO_REFERENCE] if self._unpaired_s > 0.0 else []
         frozen = [Reason.FROZEN] if self._frozen else []
-        return [*silent, *([] if self._fault is None else [self._fault]), *frozen]
+        stopped = [Reason.COMPENSATION_STOPPED] if self._compensation_stopped else []
+        return [*silent, *([] if self._fault is None else [self._fault]), *frozen, *stopped]
 
     def _is_aliased(self) -> bool:
         return self._aliased > 0.5 and self._ticks >= 30

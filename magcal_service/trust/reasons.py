@@ -28,6 +28,7 @@ class Reason(StrEnum):
     STUCK = "stuck"
     AXIS_STUCK = "axis_stuck"
     DRIVER_MISSING = "driver_missing"
+    COMPENSATION_STOPPED = "compensation_stopped"
     SATURATED = "saturated"
     FROZEN = "frozen"
     STALE = "stale"
@@ -66,6 +67,8 @@ REMEDIES: Final = {
     Reason.RECORDING_DOUBTFUL: "the recording itself is in doubt: answer in its descriptor what was found on it "
     "(magcal inspect shows it)",
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
+    Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it is not compensated any more: diagnose a "
+    "recording of today and load its physics.toml",
     Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, so it is not compensated: bring "
     "the channel, position or reference back, or take the effect out of the file",
 }
