@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.adaptive import ChangeDetector
+from magcal_service.estimators.parts.spin_innovation import spin_innovation
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import StartCollector, prior_sigma
 from magcal_service.estimators.parts.unscented import (
@@ -30,8 +31,6 @@ from magcal_service.estimators.parts.unscented import (
     UnscentedWeights,
     cholesky,
     scalar_innovation,
-    sigma_points,
-    transformed_innovation,
 )
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
 from magcal_service.snapshot import Stateful
@@ -296,7 +295,8 @@ class Ukf(Stateful, UkfMemory):
 
     def _spin_update(self, window: Window, outcome: TickOutcome) -> TickOutcome:
         """Equations (6) on the projected vectors of one window."""
-        innovation = self._spin_innovation(window)
+        root, noise_variance = cholesky(self._covariance), self._noise_variance
+        innovation = spin_innovation(self._x, root, self._weights, window, window.field_body_nt, noise_variance)
         squared = innovation.squared_norm()
         accepted = squared <= self.config.filter.gate_sigma**2 + 2.0
         if accepted:
@@ -304,26 +304,6 @@ class Ukf(Stateful, UkfMemory):
         self._spin_count = min(self._spin_count + 1, SPIN_WINDOWS)
         self._spin_norm += (min(squared, _SPIN_MOST) - self._spin_norm) / self._spin_count
         return outcome.with_spin(squared, rejected=not accepted)
-
-    def _spin_innovation(self, window: Window) -> Innovation:
-        matrix = np.eye(3) + d_matrix(self._x)
-        magnitude, weights = window.reference_magnitude_nt, window.weights
-        w = window.field_body_nt @ matrix - self._x[BIAS]
-        projected = w * (magnitude / np.sqrt((w * w).sum(axis=1)))[:, None]
-        mean = window.across @ (weights @ projected)
-        # the sensitivity is taken where the vectors hold neither radial noise nor the window's mean
-        clean = projected - mean @ window.across
-        field_clean = (clean + self._x[BIAS]) @ np.linalg.inv(matrix)
-        root = cholesky(self._covariance)
-        points = sigma_points(self._x, root, self._weights)
-        moved = field_clean + np.einsum("kij,pj->pki", field_jacobian(field_clean), points)
-        moved *= (magnitude / np.sqrt((moved * moved).sum(axis=2)))[:, :, None]
-        outputs = np.einsum("k,pki->pi", weights, moved) @ window.across.T
-        unit = (projected / magnitude[:, None]) @ window.across.T
-        square = weights**2
-        tangential = np.eye(2) * square.sum() - np.einsum("k,ki,kj->ij", square, unit, unit)
-        noise = self._noise_variance * window.share * tangential + window.leak_nt**2 * np.eye(2)
-        return transformed_innovation(root, self._weights, outputs, outputs[0] - mean, noise)
 
     def _fourth_update(self, tick: Tick, spin: SpinConfig) -> None:
         """Equation (8), which the paper rejects: the field along the axis does not change from sample to sample."""

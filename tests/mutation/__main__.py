@@ -54,11 +54,13 @@ def _options() -> argparse.Namespace:
 def _tried(work: list[tuple[Room, Mutant]], workers: int, log: Path | None) -> list[Outcome]:
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
         benches = [Bench(Path(folder) / str(number)) for number in range(workers)]
+        processor_s = {name: benches[0].processor_time(room_named(name)) for name in {room.name for room, _ in work}}
+        print("processor time without a mutant [s]:", {name: round(s) for name, s in processor_s.items()}, flush=True)
 
         def try_one(room: Room, mutant: Mutant) -> Outcome:
             bench = benches.pop()  # each worker has one at a time
             try:
-                outcome = bench.try_out(room, mutant)
+                outcome = bench.try_out(room, mutant, processor_s[room.name])
             finally:
                 benches.append(bench)
             print(f"{room.name}: {outcome.killed_by or 'SURVIVED'}: {mutant.text}", flush=True)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import math
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -22,7 +24,12 @@ from tests.mutation.operators import operators
 from tests.mutation.rooms import ROOT, Room
 
 COPIED: Final = ("magcal_service", "sim_sensor", "tests", "docs", "deploy", "pyproject.toml", "README.md", "Makefile")
-LONGEST_S: Final = 300.0  # of one room's tests with a mutant in: what takes longer counts as noticed
+BY_TIME: Final = "time"  # what noticed a mutant whose run came to no end
+SLOWER: Final = 3.0  # a mutant's run may take this multiple of the processor time that it takes without the mutant
+STARTING_S: Final = (
+    60.0  # and this much more: a short run is mostly imports, which vary with what else the machine does
+)
+LONGEST_TEST_S: Final = 1200  # of wall clock in one test that waits for ever; the longest take 30 s on an idle machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +51,7 @@ class Mutant:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a mutant: the test that noticed it, or none."""
+    """What became of a mutant: the test that noticed it, `BY_TIME` where the run came to no end, or none."""
 
     room: str
     mutant: Mutant
@@ -101,13 +108,13 @@ def _lines(node: ast.stmt | ast.expr) -> range:
 
 
 def _mutant(file: Path, operator: str, occurrence: int) -> Mutant | None:
-    """The mutant of a place; None where nothing but an annotation or a text's spelling changes."""
+    """The mutant of a place; None where only an annotation changes or what comes out is no Python."""
     source = (ROOT / file).read_text(encoding="utf-8")
     try:
         changed = mutate_code(source, operators()[operator], occurrence)
-    except AttributeError:  # the operator for exceptions takes names without dots only
-        return None
-    if changed is None or _meaning(changed) == _meaning(source):
+        if changed is None or _meaning(changed) == _meaning(source):
+            return None
+    except (AttributeError, SyntaxError):  # the operator for exceptions takes names without dots only
         return None
     lines, others = source.splitlines(), changed.splitlines()
     number = next((i for i, (a, b) in enumerate(zip(lines, others, strict=False)) if a != b), 0)
@@ -115,14 +122,14 @@ def _mutant(file: Path, operator: str, occurrence: int) -> Mutant | None:
 
 
 def _meaning(source: str) -> str:
-    """The syntax tree without annotations; the text itself where it is no Python any more."""
-    try:
-        tree = ast.parse(source)
-    except SyntaxError:
-        return source
+    """The syntax tree without annotations and a signature's ``*`` and ``/``; SyntaxError where it is no Python."""
+    tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.arg):
             node.annotation = None
+        elif isinstance(node, ast.arguments):
+            node.posonlyargs, node.args, node.kwonlyargs = [], [*node.posonlyargs, *node.args, *node.kwonlyargs], []
+            node.defaults, node.kw_defaults = [*node.defaults, *filter(None, node.kw_defaults)], []
         elif isinstance(node, ast.FunctionDef):
             node.returns = None
         elif isinstance(node, ast.AnnAssign):
@@ -148,21 +155,35 @@ class Bench:
             else:
                 shutil.copy2(ROOT / name, self.folder / name)
 
-    def try_out(self, room: Room, mutant: Mutant) -> Outcome:
-        """Run the room's tests with the mutant in place, up to the first that fails."""
+    def processor_time(self, room: Room) -> float:
+        """[s] of processor that the room's tests take without a mutant; RuntimeError where one of them fails."""
+        before = _children_s()
+        failed = self._first_failure(room.test_files(room.files()[0]))
+        if failed:
+            raise RuntimeError(f"{room.name}: {failed} fails without a mutant")
+        return _children_s() - before
+
+    def try_out(self, room: Room, mutant: Mutant, processor_s: float) -> Outcome:
+        """Run the room's tests with the mutant in place, up to the first that fails.
+
+        Parameters
+        ----------
+        processor_s: what they take without it. Time is the processor's, so that a loaded machine notices no mutants.
+        """
         path = self.folder / mutant.file
         source = path.read_text(encoding="utf-8")
         changed = mutate_code(source, operators()[mutant.operator], mutant.occurrence)
         assert changed is not None
         path.write_text(changed, encoding="utf-8")
         try:
-            killed_by = self._first_failure(room.test_files(Path(mutant.file)))
+            killed_by = self._first_failure(room.test_files(Path(mutant.file)), SLOWER * processor_s + STARTING_S)
         finally:
             path.write_text(source, encoding="utf-8")
         return Outcome(room.name, mutant, killed_by)
 
-    def _first_failure(self, tests: list[str]) -> str:
-        command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "--tb=no", "-p", "no:randomly", *tests]
+    def _first_failure(self, tests: list[str], longest_s: float | None = None) -> str:
+        waiting = f"--timeout={LONGEST_TEST_S}"
+        command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "--tb=no", "-p", "no:randomly", waiting, *tests]
         paths = os.pathsep.join((str(self.folder), str(self.folder / "tests/links")))
         environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
         process = subprocess.Popen(
@@ -175,15 +196,28 @@ class Bench:
             start_new_session=True,
         )
         try:
-            output, _ = process.communicate(timeout=LONGEST_S)
-        except subprocess.TimeoutExpired:
-            return "timeout"
+            if longest_s is not None:  # those that it starts inherit the limit, each for itself
+                resource.prlimit(process.pid, resource.RLIMIT_CPU, (math.ceil(longest_s),) * 2)
+            output, _ = process.communicate()
         finally:
             _end(process)
-        if process.returncode == 0:
-            return ""
-        failed = [line for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-        return failed[0].split(" ")[1] if failed else "the run itself"
+        return _noticed(process.returncode, output)
+
+
+def _noticed(status: int, output: str) -> str:
+    """What ended a run of pytest with that exit status and output: a test, time, or nothing."""
+    if status == 0:
+        return ""
+    failed = [line for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    if not failed:
+        return BY_TIME if status in (-signal.SIGXCPU, -signal.SIGKILL) else "the run itself"
+    return BY_TIME if "Timeout (>" in failed[0] else failed[0].split(" ")[1]
+
+
+def _children_s() -> float:
+    """[s] of processor that the ended children have used."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -51,11 +51,19 @@ class UnscentedWeights:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """A measurement update before it is applied: innovation (m,), its covariance S (m, m), cross covariance (9, m)."""
+    """A measurement update before it is applied: innovation (m,), its covariance S (m, m), cross covariance (9, m).
+
+    Those of many runs have an axis of runs before these; ``squared_norm`` and ``apply`` are for one.
+    """
 
     value: Array
     covariance: Array
     cross: Array
+
+    def gain(self) -> Array:
+        """Cross covariance times S^-1 (..., 9, m)."""
+        gain: Array = np.linalg.solve(self.covariance, self.cross.swapaxes(-1, -2)).swapaxes(-1, -2)
+        return gain
 
     def squared_norm(self) -> float:
         """Normalised innovation squared, v' S^-1 v; its expectation is m."""
@@ -63,7 +71,7 @@ class Innovation:
 
     def apply(self, x: Array, covariance: Array) -> tuple[Array, Array]:
         """The updated state (9,) and covariance (9, 9), symmetric to the last bit."""
-        gain = np.linalg.solve(self.covariance, self.cross.T).T
+        gain = self.gain()
         updated = covariance - gain @ self.cross.T
         return x + gain @ self.value, 0.5 * (updated + updated.T)
 
@@ -137,29 +145,34 @@ def scalar_innovation(
 
 
 def sigma_points(x: Array, root: Array, weights: UnscentedWeights) -> Array:
-    """The 19 points (19, 9): centre, then x + and x - the scaled columns of the Cholesky factor."""
-    offsets = weights.spread * root.T
-    return np.concatenate([x[None], x + offsets, x - offsets])
+    """The 19 points (..., 19, 9): centre, then x + and x - the scaled columns of the Cholesky factor.
+
+    Parameters
+    ----------
+    x, root: states (..., 9) and the lower Cholesky factors of their covariances (..., 9, 9).
+    """
+    offsets, centre = weights.spread * root.swapaxes(-1, -2), x[..., None, :]
+    return np.concatenate([centre, centre + offsets, centre - offsets], axis=-2)
 
 
 def transformed_innovation(
     root: Array, weights: UnscentedWeights, outputs: Array, measured: Array, noise_covariance: Array
 ) -> Innovation:
-    """Innovation for any measurement from its values at the 19 sigma points.
+    """Innovation for any measurement from its values at the 19 sigma points; leading axes (...) are runs.
 
     Parameters
     ----------
-    outputs: predicted measurements at ``sigma_points``, (19, m).
-    measured: what the prediction at the centre is compared with, (m,).
-    noise_covariance: (m, m).
+    outputs: predicted measurements at ``sigma_points``, (..., 19, m).
+    measured: what the prediction at the centre is compared with, (..., m).
+    noise_covariance: (..., m, m).
     """
-    centre, pairs = outputs[0], outputs[1:]
-    mean = weights.mean_0 * centre + weights.pair * pairs.sum(axis=0)
+    centre, pairs = outputs[..., :1, :], outputs[..., 1:, :]
+    mean = weights.mean_0 * centre + weights.pair * pairs.sum(axis=-2, keepdims=True)
     d_0, d = centre - mean, pairs - mean
-    covariance = weights.covariance_0 * np.outer(d_0, d_0) + weights.pair * d.T @ d + noise_covariance
+    spread = weights.covariance_0 * (d_0.swapaxes(-1, -2) * d_0) + weights.pair * d.swapaxes(-1, -2) @ d
     half = STATE_SIZE
-    cross = (weights.pair * weights.spread) * root @ (d[:half] - d[half:])
-    return Innovation(measured - mean, covariance, cross)
+    cross = (weights.pair * weights.spread) * root @ (d[..., :half, :] - d[..., half:, :])
+    return Innovation(measured - mean[..., 0, :], spread + noise_covariance, cross)
 
 
 def cholesky(covariance: Array) -> Array:

@@ -8,8 +8,9 @@ start is not plain (``batched_start``), or one that comes near a loss of consist
 gives its spin windows up, is marked ``left``: it goes no further and has to be repeated alone.  The limits are tighter
 than those at which ``ukf`` acts, so a run that stays is the same.
 
-Inside, the runs are the last axis (``batched_unscented``).  Those that have started and not left fill the first columns
-of every array, so that an update works on one slice without copying.
+Inside, the runs are the last axis (``unscented``), but for equation (6): it is worked out once a window, by the same
+``spin_innovation`` as in ``ukf``, with the runs first.  Those that have started and not left fill the first columns of
+every array, so that an update works on one slice without copying.
 
 Source: as ``ukf``.
 """
@@ -25,13 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, SpinWindow
+from magcal_service.estimators.parts.spin_innovation import spin_innovation
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.unscented import UnscentedWeights
 from magcal_service.estimators.ukf import INNOVATION_MEMORY, SPIN_WINDOWS
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.studies.batched.start import BatchedStart
-from magcal_service.studies.batched.unscented import roots, scalar_innovations, spin_innovations
+from magcal_service.studies.batched.unscented import roots, scalar_innovations
 from magcal_service.ticks.assembler import Tick
 
 Flags = NDArray[np.bool_]
@@ -182,13 +184,16 @@ class BatchedUkf:
         count = self._active
         x, covariance, root = self._x[:, :count], self._covariance[:, :, :count], self._root[:, :, :count]
         field = self._window_fields(window, self._run[:count])
-        found = spin_innovations(x, roots(covariance, root), self._weights, window, field, self._variance)
-        gain = found.gain * (found.squared <= self._gate + 2.0)
-        x += (gain * found.value).sum(axis=1)
+        factors = np.moveaxis(roots(covariance, root), 2, 0)
+        found = spin_innovation(x.T, factors, self._weights, window, field.transpose(2, 1, 0), self._variance)
+        squared = (found.value * np.linalg.solve(found.covariance, found.value[..., None])[..., 0]).sum(axis=1)
+        gain = np.moveaxis(found.gain(), 0, 2) * (squared <= self._gate + 2.0)  # (9, 2, r)
+        x += (gain * found.value.T).sum(axis=1)
+        cross = np.moveaxis(found.cross, 0, 2)
         for i in range(2):
-            covariance -= np.multiply(gain[:, None, i], found.cross[:, i], out=self._scratch[:, :, :count])
+            covariance -= np.multiply(gain[:, None, i], cross[:, i], out=self._scratch[:, :, :count])
         self._spin_count[:count] = np.minimum(self._spin_count[:count] + 1, SPIN_WINDOWS)
-        excess = np.minimum(found.squared, 1e3) - self._spin_norm[:count]
+        excess = np.minimum(squared, 1e3) - self._spin_norm[:count]
         self._spin_norm[:count] += excess / self._spin_count[:count]
 
     def _leave(self) -> None:

@@ -1,9 +1,9 @@
-"""The updates of ``ukf`` for many runs at once, with the runs as the last axis of every array.
+"""The scalar update of ``ukf`` for many runs at once, with the runs as the last axis of every array.
 
-The arithmetic is that of ``unscented`` and ``Ukf._spin_innovation``, number by number; a number there is a row of runs
-here.  So each line costs one pass over rows that stay in the cache, instead of thousands of small matrices.
+The arithmetic is that of ``unscented``, number by number; a number there is a row of runs here.  So each line costs one
+pass over rows that stay in the cache, instead of thousands of small matrices.
 
-Source: as ``unscented`` and ``ukf``.
+Source: as ``unscented``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.unscented import UnscentedWeights, cholesky
 from magcal_service.model import (
     STATE_SIZE,
@@ -114,85 +113,3 @@ def scalar_innovations(
     value = scalar_innovation_value(residual, vectors.length, magnitude_nt, noise_variance) - shift
     cross = np.einsum("ijr,jr->ir", root, linear) * (2.0 * weights.pair * weights.spread)
     return ScalarInnovations(value, variance, cross)
-
-
-@dataclass(frozen=True, slots=True)
-class SpinInnovations:
-    """The two pseudo-measurements (6) of many runs.
-
-    Parameters
-    ----------
-    value: innovation (2, r) [nT].
-    cross, gain: the state's covariance with it, and the same times S^-1 (9, 2, r).
-    squared: normalised innovation squared (r,).
-    """
-
-    value: Array
-    cross: Array
-    gain: Array
-    squared: Array
-
-
-def spin_innovations(
-    x: Array, root: Array, weights: UnscentedWeights, window: Window, field_nt: Array, noise_variance: float
-) -> SpinInnovations:
-    """``Ukf._spin_innovation`` for states (9, r), factors (9, 9, r) and measured vectors (3, k, r) of a window."""
-    share, magnitude, across = window.weights[:, None], window.reference_magnitude_nt[:, None], window.across
-    vectors = Vectors.of(x, field_nt)
-    unit = np.stack([part / vectors.length for part in vectors.w])  # (3, k, r)
-    projected = unit * magnitude
-    mean = across @ (share * projected).sum(axis=1)  # (2, r)
-    clean = projected - (across.T @ mean)[:, None]
-    c1, c2, c3 = clean + x[:3, None]
-    field_clean = vectors.measured((c1, c2, c3))
-    offsets = np.stack(moved(tuple(part[:, None] for part in field_clean), root, weights.spread))  # (3, k, 9, r)
-    scale = share * magnitude
-    centre = across @ _directions(clean, scale)
-    middle, scale = clean[:, :, None], scale[:, None]
-    plus = np.einsum("ci,ipr->cpr", across, _directions(middle + offsets, scale))
-    minus = np.einsum("ci,ipr->cpr", across, _directions(middle - offsets, scale))
-    first, second = np.einsum("ci,ikr->ckr", across, unit)
-    tangential, square = float(window.weights @ window.weights), share * share
-    isotropic, level = window.leak_nt**2, noise_variance * window.share
-    noise = (
-        level * (tangential - (square * first * first).sum(axis=0)) + isotropic,
-        -level * (square * first * second).sum(axis=0),
-        level * (tangential - (square * second * second).sum(axis=0)) + isotropic,
-    )
-    return _transformed(root, weights, (centre, plus, minus), centre - mean, noise)
-
-
-def _directions(vectors: Array, scale: Array) -> Array:
-    """Sum over k of scale times the unit vectors of (3, k, ..., r): (3, ..., r)."""
-    length = vectors[0] * vectors[0]
-    length += vectors[1] * vectors[1]
-    length += vectors[2] * vectors[2]
-    total: Array = (vectors * (scale / np.sqrt(length))).sum(axis=1)
-    return total
-
-
-def _transformed(
-    root: Array,
-    weights: UnscentedWeights,
-    outputs: tuple[Array, Array, Array],
-    measured: Array,
-    noise: tuple[Array, Array, Array],
-) -> SpinInnovations:
-    """``unscented.transformed_innovation`` for outputs at the centre (2, r), above and below (2, 9, r)."""
-    centre, plus, minus = outputs
-    mean = weights.mean_0 * centre + weights.pair * (plus + minus).sum(axis=1)
-    d_0, above, below = centre - mean, plus - mean[:, None], minus - mean[:, None]
-
-    def covariance(i: int, j: int) -> Array:
-        pairs = (above[i] * above[j] + below[i] * below[j]).sum(axis=0)
-        total: Array = weights.covariance_0 * d_0[i] * d_0[j] + weights.pair * pairs
-        return total
-
-    s11, s12, s22 = covariance(0, 0) + noise[0], covariance(0, 1) + noise[1], covariance(1, 1) + noise[2]
-    determinant = s11 * s22 - s12 * s12
-    cross = np.einsum("ijr,cjr->icr", root, above - below) * (weights.pair * weights.spread)
-    gain = np.stack([cross[:, 0] * s22 - cross[:, 1] * s12, cross[:, 1] * s11 - cross[:, 0] * s12], axis=1)
-    value = measured - mean
-    v1, v2 = value
-    squared = (s22 * v1 * v1 - 2.0 * s12 * v1 * v2 + s11 * v2 * v2) / determinant
-    return SpinInnovations(value, cross, gain / determinant, squared)
