@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.diagnosis.separation import Separation
 from magcal_service.model import Array
 from magcal_service.physics.interface import Value, Values
 from magcal_service.physics.saying import labels_of
@@ -30,6 +31,7 @@ class Entry:
     nats: evidence over its absence.
     constants: what belongs to the form.
     seen_in_blocks: blocks of the recording that gain by it, of those that should; empty for what is no field.
+    measure: what would tell its class apart, the best first.
     """
 
     effect: str
@@ -45,6 +47,7 @@ class Entry:
     nats: float
     constants: Mapping[str, float]
     seen_in_blocks: tuple[int, ...] = ()
+    measure: tuple[Separation, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -61,6 +64,10 @@ class Entry:
             "where": dict(self.where),
             "evidence_nats": round(self.nats, 2),
             "seen_in_blocks": list(self.seen_in_blocks),
+            "measure": [
+                {"do": one.do, "against": one.against, "nats": round(one.nats, 1), "sigma": round(one.sigma, 1)}
+                for one in self.measure
+            ],
         }
 
 

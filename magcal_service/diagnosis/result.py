@@ -14,6 +14,7 @@ from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
+from magcal_service.diagnosis.separation import separations
 from magcal_service.diagnosis.where import lines, span, where_of_term
 from magcal_service.model import BIAS
 from magcal_service.physics.acting import ActsOn
@@ -68,6 +69,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         nats=diagnosis.explained.nats[index],
         constants=term.hypothesis.constants,
         seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
+        measure=separations(diagnosis, index, believed.members),
     )
 
 

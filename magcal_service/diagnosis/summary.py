@@ -10,7 +10,15 @@ from typing import Final
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.result import moved_bias
-from magcal_service.diagnosis.words import belief, percent, reason_in_words, remaining, remedy, verdict_sentence
+from magcal_service.diagnosis.words import (
+    belief,
+    next_step,
+    percent,
+    reason_in_words,
+    remaining,
+    remedy,
+    verdict_sentence,
+)
 from magcal_service.model import BIAS, Array
 
 _MOST_EFFECTS: Final = 3
@@ -56,7 +64,7 @@ def _of(entry: Entry) -> Iterator[str]:
     yield from _wrapped(entry.says, "    ")
     if len(entry.members) > 1:
         yield from _wrapped(
-            f"cannot be told from {', '.join(entry.members[1:])} here; what would: {entry.separated_by}", "    "
+            f"cannot be told from {', '.join(entry.members[1:])} here; what would: {next_step(entry)}", "    "
         )
 
 

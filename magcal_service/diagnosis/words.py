@@ -9,6 +9,7 @@ from typing import Final
 from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.separation import Separation
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
@@ -39,8 +40,8 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "record longer or over more attitudes, or give the sensor's noise as noise_nt",
     ),
     "name_uncertain": (
-        "another name does nearly as well; what would tell them apart stands beside it",
-        "make one of the measurements under what to measure next",
+        "another name does nearly as well",
+        "make one of the measurements that stand beside the name",
     ),
     "rough_residual": (
         "what changes from one sample to the next is larger than any sensor's noise",
@@ -148,8 +149,9 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
     alike = [name for name in entry.members if name != entry.effect] or [name for name, _ in entry.rivals]
     if entry.probability >= SURE or not alike:
         return entry.says
-    names = _listed([known.get(name, name) for name in (entry.effect, *alike)], "or")
-    return f"Not told apart: {names}. If the first: {entry.says[:1].lower()}{entry.says[1:]}"
+    names = [known.get(name, name) for name in (entry.effect, *alike)]
+    says = f"{entry.says[:1].lower()}{entry.says[1:]}"
+    return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}. If the first: {says}"
 
 
 def belief(entry: Entry) -> str:
@@ -161,16 +163,29 @@ def belief(entry: Entry) -> str:
     return f"{something}, {chance(entry.probability)} that it is this" + (" and no rival" if entry.rivals else "")
 
 
+def next_step(entry: Entry) -> str:
+    """What would tell an effect from its class: the measurement that promises most, or else what does in general."""
+    if not entry.measure:
+        return entry.separated_by
+    best = entry.measure[0]
+    return f"{best.do} ({expected(best)} against {best.against})"
+
+
+def expected(one: Separation) -> str:
+    """How far a measurement is expected to tell two names apart."""
+    return f"{one.sigma:.0f} sigma, {odds(one.nats)} expected"
+
+
 def _sized(found: Sequence[Entry]) -> str:
     rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == "unknown"), None)
     return "" if rms_nt is None else f", {rms_nt:.1f} nT rms,"
 
 
-def _listed(parts: Sequence[str], last: str = "and") -> str:
+def _listed(parts: Sequence[str]) -> str:
     """``a, b and c``; of more than three the first two and how many more."""
     if len(parts) > _MOST_LISTED:
         parts = [*parts[: _MOST_LISTED - 1], f"{len(parts) - _MOST_LISTED + 1} more"]
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""
 
 
 def driver_in_words(driver: str) -> str:

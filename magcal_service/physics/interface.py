@@ -278,6 +278,7 @@ class Effect:
     not_live: drivers and forms that no single moment determines, so that they are not compensated live.
     needs_rate: live, it needs the craft's rate.
     in_orbit_only: it does not occur anywhere else.
+    switched: what one switches off to make it go away, with its article; empty where nobody can.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
     """
@@ -300,6 +301,7 @@ class Effect:
     not_live: tuple[str, ...] = ()
     needs_rate: bool = False
     in_orbit_only: bool = False
+    switched: str = ""
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
 

@@ -55,8 +55,9 @@ def grown_form(*signals: Array, **changes: object) -> Hypothesis:
 
 
 def made_up(name: str, *forms: Hypothesis) -> Effect:
-    """An effect with these forms, whatever the scene."""
-    return replace(effect_named("bias_drift"), name=name, hypotheses=lambda _: forms, find=None)
+    """An effect with these forms, on scenes as long as this craft's recording only."""
+    own = replace(effect_named("bias_drift"), name=name, find=None)
+    return replace(own, hypotheses=lambda of: forms if len(of) == COUNT else ())
 
 
 def searching(of: Scene, *forms: Hypothesis, largest_nt: float = math.inf) -> tuple[Search, Fit]:

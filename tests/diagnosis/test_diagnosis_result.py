@@ -16,6 +16,7 @@ from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.leftover import structures
+from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.result import _nearest, entries, held_out_rms, moved_bias
@@ -267,8 +268,9 @@ def test_probability_is_shared_with_rivals_by_their_evidence() -> None:
 
 def candidates(**nats: float) -> tuple[Candidate, ...]:
     return tuple(
-        Candidate(body_form(name, "", along(0, SLOW)), np.zeros(0), None, value) for name, value in nats.items()
-    )  # type: ignore[arg-type]
+        Candidate(body_form(name, "", along(0, SLOW)), np.zeros(0), Gain(0.0, 0.0, 1.0, np.ones(1)), value)
+        for name, value in nats.items()
+    )
 
 
 def with_rivals(ranked: tuple[Candidate, ...]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from magcal_service.diagnosis.words import (
     belief,
     chance,
     driver_in_words,
+    expected,
     odds,
     percent,
     remaining,
@@ -36,6 +38,7 @@ from magcal_service.version import __version__
 _MOST_PLACES: Final = 8
 """Rows of the table of places; choice: the rest is in ``diagnosis.json``."""
 
+_BEYOND: Final = 700.0  # nats, which underflow as a probability
 _TEMPLATE: Final = "page.html"
 
 
@@ -77,7 +80,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"percent": percent, "chance": chance, "odds": odds, "strength": strength, "belief": belief}
+    environment.filters |= {word.__name__: word for word in (percent, chance, odds, strength, belief, expected)}
     numbers = json.loads(content)
     return environment.get_template(_TEMPLATE).render(
         diagnosis=diagnosis,
@@ -148,7 +151,14 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "share": float(entry.where["share_of_mismatch"]),
         "members": [name for name in entry.members if name != entry.effect],
         "rivals": [
-            {"name": name, "title": known.get(name, ""), "probability": p, "alike": name in entry.members}
+            {
+                "name": name,
+                "title": known.get(name, ""),
+                "probability": p,
+                "here": "cannot be told apart"
+                if name in entry.members
+                else f"told apart, {_apart(entry.probability, p)}",
+            }
             for name, p in entry.rivals
         ],
         "parameters": [
@@ -160,6 +170,11 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "time": entry.where["time_s"],
         "frequency": ", ".join(f"{f:.4g} Hz" for f in entry.where["frequency_hz"]),
     }
+
+
+def _apart(own: float, rival: float) -> str:
+    """How far two names are told apart, as odds."""
+    return odds(math.log(own) - math.log(rival) if min(own, rival) > 0.0 else _BEYOND)
 
 
 def _parameter_rows(name: str, value: Value) -> list[dict[str, Any]]:

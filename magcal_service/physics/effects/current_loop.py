@@ -113,6 +113,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_BY, "current"), (Watched.BIAS_BY, LIGHT)),
     title="currents in the harness or the solar arrays",
+    switched="the suspected load or array string",
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
     units={"nt_per_a": "nT/A", "nt_full_sun": "nT"},
     prior=(1.0, 2000.0),
