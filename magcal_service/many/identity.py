@@ -19,6 +19,7 @@ import numpy as np
 from magcal_service.version import __version__
 
 _ABSENT: Final = "absent"
+_SCRIPT: Final = "__main__"
 _SOURCES: Final = (".py", ".toml", ".html")
 """Files of a package that its results depend on."""
 
@@ -110,16 +111,21 @@ def code_of(function: Callable[[Any], Any]) -> str:
 
 
 def _home(function: Any) -> str:
-    """The module of a function or class, by its own name where it runs as the main one."""
+    """The module of a function or class, by its own name where it runs as the main one; of a script ``_SCRIPT``."""
     spec = getattr(sys.modules.get(function.__module__), "__spec__", None)
-    return str(spec.name if spec is not None else function.__module__)
+    if spec is not None:
+        return str(spec.name)
+    return _SCRIPT if function.__module__ in (_SCRIPT, "__mp_main__") else str(function.__module__)
 
 
 @cache
 def _code(module: str) -> str:
     digest = hashlib.sha256(f"{__version__} {platform.python_version()} {np.__version__}".encode())
+    if module == _SCRIPT:
+        digest.update(Path(sys.modules[_SCRIPT].__file__ or "").read_bytes())
+        module = __name__
     for package in sorted({__name__.partition(".")[0], module.partition(".")[0]}):
-        spec = find_spec(package) if package != "__main__" else None
+        spec = find_spec(package)
         for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
             for path in sorted(Path(folder).rglob("*")):
                 if path.suffix in _SOURCES:

@@ -10,8 +10,6 @@ over processes; the figures do not depend on how many.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +19,8 @@ import numpy as np
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.ukf import Ukf
+from magcal_service.many.executor import Executor
+from magcal_service.many.pool import Pool
 from magcal_service.model import STATE_NAMES
 from magcal_service.ticks.assembler import Tick
 from sim_sensor.scenario_reader import load_scenario
@@ -72,12 +72,9 @@ def main() -> None:
     parser.add_argument("--random", action="store_true", help="random errors instead of the paper's Table 1")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     work = partial(one, scenario="random-errors" if options.random else "paper", seconds=options.seconds)
     seeds = range(options.first_seed, options.first_seed + options.runs)
-    with multiprocessing.get_context("spawn").Pool() as pool:
-        runs = pool.map(work, seeds, chunksize=1)
-    write(options.json, report(runs))
+    write(options.json, report(list(Executor(Pool()).map(work, seeds, "seeds"))))
 
 
 def report(runs: list[Run]) -> dict[str, float]:

@@ -13,7 +13,6 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,6 +30,8 @@ from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.two_step import Solution, two_step
 from magcal_service.estimators.ukf import Ukf
+from magcal_service.many.executor import Executor
+from magcal_service.many.pool import Pool
 from magcal_service.model import STATE_NAMES, Array, calibrate, field_jacobian, measure
 from magcal_service.studies.bounds import bound_sigma
 from magcal_service.studies.flights import FlightPlan, Flown, fly
@@ -80,7 +81,7 @@ def step_run(seed: np.random.SeedSequence, plan: FlightPlan, settings: FilterCon
     return back, sigma[at - 1], error[-1], sigma[-1], nees(estimate.x - after, estimate.covariance)
 
 
-def step_figures(pool: ProcessPoolExecutor, options: argparse.Namespace) -> Iterable[str]:
+def step_figures(pool: Executor, options: argparse.Namespace) -> Iterable[str]:
     seeds = np.random.SeedSequence(options.seed).spawn(options.runs)
     plan = FlightPlan(noise_nt=options.noise, spin_eci=AXES[options.axis])
     yield f"spin axis {options.axis}, noise {options.noise:g} nT, {options.runs} runs of {plan.duration_s} s"
@@ -115,7 +116,7 @@ def quiet_run(seed: np.random.SeedSequence, plan: FlightPlan) -> tuple[int, int,
     return filters[0].changes, asked, values[0], values[1], float(ratio), float(spent[0] / spent[1])
 
 
-def quiet_figures(pool: ProcessPoolExecutor, options: argparse.Namespace) -> Iterable[str]:
+def quiet_figures(pool: Executor, options: argparse.Namespace) -> Iterable[str]:
     seeds = np.random.SeedSequence(options.seed).spawn(options.runs)
     plan = FlightPlan(noise_nt=options.noise, spin_eci=AXES[options.axis])
     alarms, asked, on, off, ratio, spent = np.array(list(pool.map(partial(quiet_run, plan=plan), seeds))).T
@@ -221,7 +222,7 @@ def estimator_run(seed: np.random.SeedSequence, plan: FlightPlan) -> list[Answer
     return [answer(plan, flown, measured) for answer in ESTIMATORS.values()]
 
 
-def estimator_figures(pool: ProcessPoolExecutor, options: argparse.Namespace) -> Iterable[str]:
+def estimator_figures(pool: Executor, options: argparse.Namespace) -> Iterable[str]:
     plan = FlightPlan(noise_nt=options.noise, spin_eci=AXES[options.axis])
     bound = bound_sigma(fly(plan).for_bounds(), InformationSet.SCALAR_SPIN)
     runs = list(pool.map(partial(estimator_run, plan=plan), np.random.SeedSequence(options.seed).spawn(options.runs)))
@@ -239,7 +240,7 @@ def estimator_figures(pool: ProcessPoolExecutor, options: argparse.Namespace) ->
         )
 
 
-FIGURES: dict[str, Callable[[ProcessPoolExecutor, argparse.Namespace], Iterable[str]]] = {
+FIGURES: dict[str, Callable[[Executor, argparse.Namespace], Iterable[str]]] = {
     "estimators": estimator_figures,
     "step": step_figures,
     "quiet": quiet_figures,
@@ -256,9 +257,9 @@ def main() -> None:
     parser.add_argument("--axis", choices=AXES, default="(1, 1, 1)", help="of the spin, ECI")
     parser.add_argument("--states", nargs="*", choices=STEPS, help="step: which states jump (default: all)")
     options = parser.parse_args()
-    with ProcessPoolExecutor(initializer=partial(os.nice, 5)) as pool:
-        for line in FIGURES[options.name](pool, options):
-            print(line, flush=True)
+    os.nice(5)
+    for line in FIGURES[options.name](Executor(Pool()), options):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,8 @@ from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.spin import SpinFilter
 from magcal_service.estimators.two_step import Solution, TwoStep, two_step
 from magcal_service.estimators.ukf import Ukf
+from magcal_service.many.executor import Executor
+from magcal_service.many.pool import Pool
 from magcal_service.model import STATE_NAMES, d_matrix
 from magcal_service.recordings.reader import read_recording
 from magcal_service.studies.bounds import bound_sigma
@@ -44,8 +45,8 @@ SUCHAI = Path(__file__).resolve().parents[3] / "shared" / "data" / "suchai3" / "
 GYRO_S = 300.0
 
 
-def each(pool: ProcessPoolExecutor, work: Callable[[np.random.SeedSequence], Any], seeds: Seeds) -> list[Any]:
-    return list(pool.map(work, seeds, chunksize=4))
+def each(pool: Executor, work: Callable[[np.random.SeedSequence], Any], seeds: Seeds) -> list[Any]:
+    return list(pool.map(work, seeds))
 
 
 def batch_run(
@@ -60,7 +61,7 @@ def batch_run(
     return solution.x - PAPER_X, nees(solution.x - PAPER_X, solution.covariance)
 
 
-def two_step_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+def two_step_figures(pool: Executor, seeds: Seeds) -> Iterable[str]:
     for direction in ((1.0, 1.0, 1.0), NEAR_NORMAL):
         bound = bound_sigma(paper_field(direction).flight(), InformationSet.SCALAR)
         for corrected in (True, False):
@@ -91,7 +92,7 @@ def cold_run(
     return bool(np.any(error > np.maximum(5.0 * sigma, 50.0))), collapsed, float(error.max())
 
 
-def ekf_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+def ekf_figures(pool: Executor, seeds: Seeds) -> Iterable[str]:
     for bias_nt, d in ((1000.0, 0.01), (5000.0, 0.05), (10_000.0, 0.1), (30_000.0, 0.2)):
         for method in (Ekf, ScalarUkf):
             failed, collapsed, errors = zip(
@@ -114,7 +115,7 @@ def fourth_run(seed: np.random.SeedSequence, noise_nt: float, fourth: bool) -> t
     return float(error[2]), float(state.covariance[2, 2] ** 0.5), nees(error, state.covariance), state.restarts
 
 
-def fourth_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+def fourth_figures(pool: Executor, seeds: Seeds) -> Iterable[str]:
     for noise_nt in (1.0, 10.0, 50.0, 300.0, 1000.0):
         for fourth in (False, True):
             results = each(pool, partial(fourth_run, noise_nt=noise_nt, fourth=fourth), seeds)
@@ -158,7 +159,7 @@ def step_run(seed: np.random.SeedSequence, name: str) -> tuple[float, float, flo
     return back_s, before, error
 
 
-def step_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+def step_figures(pool: Executor, seeds: Seeds) -> Iterable[str]:
     for name in ("two-step", "ukf", "ukf, 1 nT/sqrt(s)", "sliding-batch, no re-weighting", "sliding-batch"):
         back, before, error = (
             np.array(column) for column in zip(*each(pool, partial(step_run, name=name), seeds), strict=True)
@@ -170,7 +171,7 @@ def step_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
         )
 
 
-def suchai_figures(pool: ProcessPoolExecutor, seeds: Seeds) -> Iterable[str]:
+def suchai_figures(pool: Executor, seeds: Seeds) -> Iterable[str]:
     """Every attempt of ``spin`` at SUCHAI-3's spin, without its gyro and with nothing configured, beside the gyro."""
     recording = read_recording(SUCHAI).sorted_unique()
     times_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
@@ -218,9 +219,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     seeds = np.random.SeedSequence(options.seed).spawn(options.runs)
-    with ProcessPoolExecutor(initializer=partial(os.nice, 10)) as pool:
-        for line in FIGURES[options.name](pool, seeds):
-            print(line, flush=True)
+    os.nice(10)
+    for line in FIGURES[options.name](Executor(Pool()), seeds):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

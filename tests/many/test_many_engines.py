@@ -168,3 +168,27 @@ def test_a_scheduler_that_does_not_answer_is_refused_with_how_to_start_one() -> 
     pytest.importorskip("distributed")
     with pytest.raises(ConfigError, match=r"--executor: 'dask://127.0.0.1:9' is refused; .*: dask scheduler --host"):
         list(Executor(Cluster("127.0.0.1:9", answer_s=0.3)).map(work.squared, [1]))
+
+
+def test_a_function_of_a_script_is_found_by_its_workers_and_its_code_counts(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    source = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).resolve().parents[2])!r})
+from magcal_service.many.executor import Executor
+from magcal_service.many.identity import code_of
+from magcal_service.many.pool import Pool
+
+def twice(value):
+    return FACTOR * value
+
+if __name__ == "__main__":
+    print(*Executor(Pool(1)).map(twice, [1, 2]), code_of(twice))
+"""
+    told = []
+    for factor in (2, 3):
+        script.write_text(f"FACTOR = {factor}\n{source}", encoding="utf-8")
+        done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+        told.append(done.stdout.split())
+    assert [words[:2] for words in told] == [["2", "4"], ["3", "6"]]
+    assert told[0][2] != told[1][2]
