@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Final
 
 from magcal_service.errors import ConfigError, ExtraMissingError, Fault, MagcalError
@@ -12,6 +14,10 @@ from magcal_service.many.pieces import THREAD_COUNTS, Failed, Outcome, Refused, 
 
 _ANSWER_S: Final = 10.0
 """Choice: a distant network, doubled."""
+
+_GONE: Final = "the dask scheduler is gone; what had finished is kept, and --resume goes on from there"
+_LOGGERS: Final = ("distributed", "distributed.client", "tornado.application")
+"""Each has a level of its own."""
 
 
 class LostError(MagcalError):
@@ -41,17 +47,22 @@ class Cluster:
         """
         if not tasks:
             return
-        client = self._client()
         try:
-            yield from _outcomes(client, tasks)
-        finally:
-            client.close()
-
-    def _client(self) -> Any:
-        try:
-            from distributed import Client
+            import distributed  # noqa: F401
         except ImportError:
             raise ExtraMissingError("distributed", "cluster", "--executor dask://HOST:PORT") from None
+        with _silence():
+            client = self._client()
+            try:
+                yield from _outcomes(client, tasks)
+            except OSError:  # of a connection; what a piece raises is an outcome
+                raise LostError(_GONE) from None
+            finally:
+                client.close()
+
+    def _client(self) -> Any:
+        from distributed import Client
+
         try:
             client = Client(f"tcp://{self.address}", timeout=self.answer_s, set_as_default=False)
         except (OSError, TimeoutError):
@@ -64,6 +75,19 @@ class Cluster:
             accepted = f"its scheduler has no worker; start some with: dask worker tcp://{self.address} --nthreads 1"
             raise ConfigError([Fault("--executor", f"dask://{self.address}", accepted)]) from None
         return client
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Dask logs traces of what is an outcome here, or an error with a text of its own."""
+    before = {logger: logger.level for logger in map(logging.getLogger, _LOGGERS)}
+    for logger in before:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in before.items():
+            logger.setLevel(level)
 
 
 def _outcomes(client: Any, tasks: Sequence[Task]) -> Iterator[tuple[int, Outcome]]:
@@ -92,7 +116,7 @@ def _outcome(future: Any) -> Outcome:
     from distributed import KilledWorker
 
     if future.status in ("cancelled", "lost"):
-        raise LostError("the dask scheduler is gone; what had finished is kept, and --resume goes on from there")
+        raise LostError(_GONE)
     exc = future.exception()
     if exc is None:
         outcome: Outcome = future.result()

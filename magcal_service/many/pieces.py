@@ -26,8 +26,8 @@ class Piece:
     Parameters
     ----------
     name: what people call it, such as a recording's.
-    function, argument: what is to be done.  Function, argument and result have to be picklable, the function one of a
-        module (or a ``partial`` of one), and the result must depend on these, ``inputs`` and the code alone.
+    function, argument: what is to be done.  Argument and result are plain data (``plain.pack``), the function is of
+        a module, or a ``partial`` of one, and the result must depend on these, ``inputs`` and the code alone.
     inputs: files that it reads.
     size: how much it counts in the progress.
     """

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import pickle
 import signal
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -75,7 +74,7 @@ class _Worker:
         """Hand over a task; a worker that is dead shows that when its answer is taken."""
         self.task = number
         with suppress(OSError):
-            self.connection.send_bytes(pickle.dumps(task))
+            self.connection.send(task)
 
     def take(self) -> tuple[int, Outcome | None]:
         """Number and outcome of its task; None where the process died."""
@@ -105,17 +104,17 @@ def _serve(connection: Connection) -> None:
     """The life of a worker: a task, its outcome, until whoever asks is gone."""
     while True:
         try:
-            packed = connection.recv_bytes()
+            answer = perform(connection.recv())
         except (EOFError, OSError):
             return
+        except Exception as exc:  # a task whose function is not to be found here
+            answer = failure(exc)
         try:
-            answer = pickle.dumps(perform(pickle.loads(packed)))
-        except Exception as exc:  # a task or a result that cannot be pickled
-            answer = pickle.dumps(failure(exc))
-        try:
-            connection.send_bytes(answer)
+            connection.send(answer)
         except OSError:
             return
+        except Exception as exc:  # a result that cannot leave its process
+            connection.send(failure(exc))
 
 
 @contextmanager

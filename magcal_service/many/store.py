@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import pickle
 import zlib
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import Fault, InputRefusedError, unwritable
+from magcal_service.errors import unwritable
 from magcal_service.many.pieces import Done
+from magcal_service.many.plain import NotKnownError, pack, unpack
 
 FOLDER: Final = "pieces"
 """Of an output folder: where its finished pieces are."""
@@ -28,22 +28,18 @@ class Store:
     folder: made where it is not there.
     reuse: whether what is there already counts; otherwise it is written anew.
 
-    Raises ``InputRefusedError`` where the folder cannot be written, or is another user's: reading can run code.
+    Raises ``InputRefusedError`` where the folder cannot be made.
     """
 
     def __init__(self, folder: Path, *, reuse: bool) -> None:
         self.folder, self.reuse = folder, reuse
         try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            owner = folder.stat().st_uid
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as exc:
             raise unwritable(folder, exc) from None
-        if owner != os.getuid():
-            accepted = "a folder of your own is accepted: what is kept there is run as it is read"
-            raise InputRefusedError([Fault(str(folder), f"owned by user {owner}", accepted)])
 
     def get(self, key: str) -> Done | None:
-        """The result kept under a key; None where there is none, or only a damaged one."""
+        """The result kept under a key; None where there is none, or only one that cannot be read."""
         if not self.reuse:
             return None
         try:
@@ -53,11 +49,14 @@ class Store:
         digest, packed = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
         if hashlib.sha256(packed).digest() != digest:
             return None
-        return Done(pickle.loads(zlib.decompress(packed)))
+        try:
+            return Done(unpack(zlib.decompress(packed)))
+        except NotKnownError:
+            return None
 
     def put(self, key: str, done: Done) -> None:
-        """Keep a result; raises ``InputRefusedError`` where it cannot be written."""
-        packed = zlib.compress(pickle.dumps(done.value, protocol=pickle.HIGHEST_PROTOCOL))
+        """Keep a result; raises ``InputRefusedError`` where it cannot be written, ``TypeError`` for what is no data."""
+        packed = zlib.compress(pack(done.value))
         path = self.folder / f"{key}{_SUFFIX}"
         partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
         try:
