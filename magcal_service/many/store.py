@@ -16,7 +16,7 @@ from magcal_service.many.plain import NotKnownError, pack, unpack
 FOLDER: Final = "pieces"
 """Of an output folder: where its finished pieces are."""
 
-_DIGEST_BYTES: Final = 32
+_DIGEST_BYTES: Final = 32  # of SHA-256
 _SUFFIX: Final = ".piece"
 
 

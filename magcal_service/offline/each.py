@@ -18,7 +18,7 @@ from magcal_service.recordings.specs import SESSION_SUFFIX
 
 SUMMARY: Final = "summary.json"
 
-_TRUSTED, _FAILED, _REFUSED, _NOT_TRUSTED = 0, 1, 2, 3
+_TRUSTED, _FAILED, _REFUSED, _NOT_TRUSTED = 0, 1, 2, 3  # exit codes of `magcal diagnose` and `calibrate`
 _WORST: Final = (_FAILED, _REFUSED, _NOT_TRUSTED, _TRUSTED)
 """Exit codes from the worst on: the one of many recordings is the first of these that any of them has."""
 

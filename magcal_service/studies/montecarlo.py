@@ -115,7 +115,7 @@ class Statistics:
     mean, spread: mean estimate (9,) and its empirical 1 sigma over runs (9,).
     formal: 1 sigma by the filters' covariances, root mean square over runs (9,).
     mean_error_sigmas: mean error over ``spread`` (9,); it scatters by 1 / sqrt(runs); nan where nothing is estimated.
-    nees: mean normalised estimation error squared; 9 where the covariance is honest, +- sqrt(18 / runs).
+    nees: mean normalised estimation error squared; 9 where the covariance is consistent, +- sqrt(18 / runs).
     """
 
     runs: int

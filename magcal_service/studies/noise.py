@@ -1,4 +1,4 @@
-"""From 50 to 2000 nT of noise: where does the covariance stop being honest?"""
+"""From 50 to 2000 nT of noise: where does the covariance stop being consistent?"""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def run(request: Request) -> Findings:
         plans = [FlightPlan(noise_nt=level, duration_s=duration_s) for level in LEVELS_NT]
         variants = (Variant(f"{p.noise_nt:g} nT", p, p.craft(FilterConfig(method=name))) for p in plans)
         measured = measure_all(variants, request, f"noise, {name}")
-        rows = tuple((each.variant.plan.noise_nt, *each.cells(), each.honest) for each in measured)
-        tables.append(Table(f"{name}: final estimate", ("noise [nT]", *COLUMNS, "honest"), rows))
-        figures[f"{name}: honest up to [nT]"] = _honest_up_to(measured)
+        rows = tuple((each.variant.plan.noise_nt, *each.cells(), each.consistent) for each in measured)
+        tables.append(Table(f"{name}: final estimate", ("noise [nT]", *COLUMNS, "consistent"), rows))
+        figures[f"{name}: consistent up to [nT]"] = _consistent_up_to(measured)
         panels += _panels(name, measured)
     settings: dict[str, Cell] = {"duration [s]": duration_s, "spin axis": "(1, 1, 1)", "noise": "known to the craft"}
     return Findings(tuple(tables), figures, settings, _NOTES, tuple(panels))
 
 
-def _honest_up_to(measured: list[Measured]) -> float | None:
-    """Highest level up to which every level is honest; None where the lowest is not."""
+def _consistent_up_to(measured: list[Measured]) -> float | None:
+    """Highest level up to which every level is consistent; None where the lowest is not."""
     highest = None
     for each in measured:
-        if not each.honest:
+        if not each.consistent:
             break
         highest = each.variant.plan.noise_nt
     return highest
@@ -68,4 +68,4 @@ _NOTES: Final = (
     "The bound leaves out what the noise's own size tells, of order (noise / field)^2.",
 )
 
-STUDY = Study("noise", "50 to 2000 nT of noise: where the covariance stops being honest.", 100, run)
+STUDY = Study("noise", "50 to 2000 nT of noise: where the covariance stops being consistent.", 100, run)

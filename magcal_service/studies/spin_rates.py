@@ -34,8 +34,8 @@ def run(request: Request) -> Findings:
         verdicts = [_trust(each.variant, request.seed) for each in measured]
         rows = tuple(_row(each, trust) for each, trust in zip(measured, verdicts, strict=True))
         tables.append(Table(f"{name}: final estimate", ("spin [rpm]", *COLUMNS, "verdict", "reasons"), rows))
-        dishonest = [f"{each.variant.plan.rate_rpm:g}" for each in measured if not each.honest]
-        figures[f"{name}: rates whose covariance is not honest [rpm]"] = ", ".join(dishonest) or "none"
+        inconsistent = [f"{each.variant.plan.rate_rpm:g}" for each in measured if not each.consistent]
+        figures[f"{name}: rates whose covariance is not consistent [rpm]"] = ", ".join(inconsistent) or "none"
         panels.append(_panel(name, measured))
     settings: dict[str, Cell] = {"duration [s]": duration_s, "noise [nT]": FlightPlan().noise_nt, "samples [Hz]": 1}
     return Findings(tuple(tables), figures, settings, _NOTES, tuple(panels))
@@ -77,4 +77,6 @@ _NOTES: Final = (
     "30 rpm at 1 Hz shows the sensor two directions across the axis alone, 29.7 rpm drifts through all in 200 s.",
 )
 
-STUDY = Study("spin-rates", "0.5 to 30 rpm at 1 Hz, near aliasing included: accuracy, honesty and verdict.", 50, run)
+STUDY = Study(
+    "spin-rates", "0.5 to 30 rpm at 1 Hz, near aliasing included: accuracy, consistency and verdict.", 50, run
+)

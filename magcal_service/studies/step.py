@@ -135,7 +135,8 @@ def _rms(ensemble: Ensemble, axis: int) -> Array:
 
 _NOTES: Final = (
     f"Back: the error of that axis is inside the limit at a time and stays there for {HOLD_S:g} s. A dash: less than "
-    "half of the runs came back before the end. Within 3 own sigma asks for honesty, within a fixed distance for use.",
+    "half of the runs came back before the end. Within 3 own sigma asks for consistency, within a fixed distance for "
+    "use.",
     "A filter without process noise has a sigma that only shrinks; what brings it back is a restart, where it notices. "
     "The adaptive one looks for jumps and gives process noise at the jump alone.",
 )

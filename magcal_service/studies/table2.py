@@ -113,7 +113,7 @@ def _outcome(case: Case, name: str, request: Request) -> Outcome:
 
 
 def _summaries(outcomes: list[Outcome]) -> list[Table]:
-    """Per case one row per method: 3 sigma over the runs, and how honest the method is."""
+    """Per case one row per method: 3 sigma over the runs, and how consistent the method is."""
     columns = ("method", "runs", "with estimate", "NEES", *STATE_NAMES, "worst / bound", "worst mean error [sigma]")
     tables = []
     for case in dict.fromkeys(outcome.case for outcome in outcomes):

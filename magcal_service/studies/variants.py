@@ -45,7 +45,7 @@ class Measured:
     bound: Array
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """Whether NEES is 9 within 10 % or within three times its sampling error, whichever is more."""
         return bool(abs(self.end.nees - 9.0) <= max(0.9, 3.0 * (18.0 / max(self.end.started, 1)) ** 0.5))
 

@@ -34,10 +34,10 @@ def run(request: Request) -> Findings:
         rows = tuple((each.variant.label, *each.cells()) for each in measured)
         tables.append(Table(f"{rate:g} rpm: final estimate", ("window", *COLUMNS), rows))
         panels.append(_panel(rate, measured))
-        honest = [each for each in measured if each.honest]
-        if honest:
-            best = min(honest, key=lambda each: float(each.end.spread[:2].max()))
-            figures[f"{rate:g} rpm: smallest bx, by among the honest"] = best.variant.label
+        consistent = [each for each in measured if each.consistent]
+        if consistent:
+            best = min(consistent, key=lambda each: float(each.end.spread[:2].max()))
+            figures[f"{rate:g} rpm: smallest bx, by among the consistent"] = best.variant.label
     settings: dict[str, Cell] = {"duration [s]": duration_s, "noise [nT]": FlightPlan().noise_nt}
     return Findings(tuple(tables), figures, settings, _NOTES, tuple(panels))
 

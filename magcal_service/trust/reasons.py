@@ -55,8 +55,8 @@ REMEDIES: Final = {
     Reason.SPIN_ALIASING: "the sample period is close to a multiple of half the spin period: change one of them",
     Reason.SPIN_CONTRADICTED: "the spin windows contradict the scalar measurement and are no longer used: check "
     "spin.axis and spin.rate_rpm, and whether the errors drift",
-    Reason.NOISE_TOO_HIGH: "at this noise the covariance is no longer honest: average the sensor faster, or take the "
-    "sigmas as lower bounds",
+    Reason.NOISE_TOO_HIGH: "at this noise the covariance is no longer consistent: average the sensor faster, or take "
+    "the sigmas as lower bounds",
     Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: move through a changing "
     "field, or give attitude",
     Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock",

@@ -16,7 +16,8 @@ from pathlib import Path
 
 from magcal_service.config.settings import CraftConfig, RecordConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.recordings.recorder import Recorder, SessionFile
+from magcal_service.recordings.recorder import Recorder
+from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder
 from magcal_service.recordings.session_info import session_info
 from magcal_service.wire.messages import Estimate, Message

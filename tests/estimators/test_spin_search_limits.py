@@ -11,6 +11,7 @@ import pytest
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.spin import SpinFilter, SpinTracker, configured_tie
+from magcal_service.estimators.steady_spin.candidates import Candidates
 from magcal_service.estimators.steady_spin.search import SpinSearch, SpinStart, retry_at
 from magcal_service.estimators.steady_spin.state import SpinState
 from magcal_service.estimators.steady_spin.watch import SpinGate
@@ -46,7 +47,7 @@ def test_an_attempt_is_put_off_by_15_percent_and_at_least_half_a_minute(seconds:
 def test_rates_are_searched_around_the_configured_one_and_then_up_to_nyquists(
     spin: SpinConfig | None, period_s: float, ranges: list[tuple[float, float]]
 ) -> None:
-    found = SpinSearch(replace(CONFIG, spin=spin))._rate_ranges(period_s)
+    found = Candidates(replace(CONFIG, spin=spin)).rate_ranges(period_s)
     assert len(found) == len(ranges)
     for one, expected in zip(found, ranges, strict=True):
         assert one == pytest.approx(expected, rel=1e-12)
@@ -55,7 +56,7 @@ def test_rates_are_searched_around_the_configured_one_and_then_up_to_nyquists(
 @pytest.mark.parametrize(("rate_rpm", "span_s"), [(None, 240.0), (7.5, 240.0), (-0.4, 300.0), (0.5, 240.0)])
 def test_the_first_fit_has_two_turns_of_a_configured_slow_spin(rate_rpm: float | None, span_s: float) -> None:
     spin = None if rate_rpm is None else SpinConfig(rate_rpm=rate_rpm)
-    assert SpinSearch(replace(CONFIG, spin=spin))._first_span_s() == pytest.approx(span_s)
+    assert Candidates(replace(CONFIG, spin=spin)).first_span_s() == pytest.approx(span_s)
 
 
 @pytest.mark.parametrize(

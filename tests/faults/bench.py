@@ -17,6 +17,7 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import Self
 
+from magcal_service.ticks.rejection import Rejection
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Message
 from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.pty_pair import PtyPair
@@ -24,7 +25,6 @@ from tests.daemon.service_processes import PATIENCE_S, Node, wait_for
 
 RECORD_FLUSH_S = 0.2
 QUIET_S = 15.0  # what has not come by then is lost
-REFUSED = ("late", "doubled", "stuck", "time_behind", "time_ahead", "clock_changed", "zero", "crowded")
 
 
 class Witness(Node):
@@ -68,7 +68,7 @@ class Witness(Node):
     @property
     def refused(self) -> int:
         """Samples that the daemon has refused, by its newest status."""
-        return sum(self.counters().get(kind, 0) for kind in REFUSED)
+        return sum(self.counters().get(kind, 0) for kind in Rejection)
 
 
 class Feeder(Thread):

@@ -71,7 +71,10 @@ ROOMS: Final = (
     ),
     Room(
         "recorder",
-        tuple(f"{S}/recordings/{name}.py" for name in ("recorder", "mcap_writer", "mcap_reader", "session_files")),
+        tuple(
+            f"{S}/recordings/{name}.py"
+            for name in ("recorder", "session_file", "session_files", "mcap_writer", "mcap_reader")
+        ),
         ("tests/recordings",),
     ),
     Room("physics", (f"{S}/physics",), ("tests/physics",)),

@@ -16,8 +16,9 @@ from magcal_service.errors import RecordingError
 from magcal_service.recordings.mcap import RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
-from magcal_service.recordings.recorder import Recorder, SessionFile
+from magcal_service.recordings.recorder import Recorder
 from magcal_service.recordings.session import read_session
+from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder, recover, recover_in_place
 from magcal_service.recordings.session_info import session_info
 from magcal_service.wire.messages import MagnetometerSample

@@ -16,7 +16,8 @@ import pytest
 from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
-from magcal_service.recordings.recorder import Recorder, SessionFile
+from magcal_service.recordings.recorder import Recorder
+from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import Recovered, SessionFolder, recover_in_place
 from magcal_service.wire.messages import Clock
 from tests.recordings.sessions import craft, settings, stream, until

@@ -48,25 +48,33 @@ class Checkpoints:
     def restore(self, pipeline: Pipeline) -> tuple[Pipeline, list[Event]]:
         """The pipeline of the newest checkpoint that is whole and this craft's, or the one given; and what was done.
 
-        After one that is damaged the one before it is tried; one of another craft, version or configuration ends the
-        search, since those before it are older still.
+        After one that is damaged the one before it is tried.  One of another craft, version or configuration ends the
+        search: somebody has flown otherwise since those before it, which hold numbers of messages and an estimate that
+        were given out already.  A command may still roll back to a named one.
         """
         store, events = self._stores[pipeline.config.name], list[Event]()
         for name, found in store.newest():
-            refusal = str(found) if isinstance(found, StateError) else found.refusal(pipeline.config)
-            if isinstance(found, Checkpoint) and not refusal:
-                try:
-                    restored = self._restored(pipeline.config, found)
-                except MISFITS as error:
-                    refusal = str(error)
-                else:
-                    cause = f"checkpoint {name} of {found.samples} samples"
-                    events.append(restored.event("restored", cause))
-                    self._count(restored=1)
-                    return restored, events
-            events.append(pipeline.event("state_dropped", f"checkpoint {name}: {refusal}"))
+            foreign = found.refusal(pipeline.config) if isinstance(found, Checkpoint) else ""
+            restored = foreign or self._restored_or_why(pipeline.config, found)
+            if isinstance(restored, Pipeline):
+                assert isinstance(found, Checkpoint)
+                events.append(restored.event("restored", f"checkpoint {name} of {found.samples} samples"))
+                self._count(restored=1)
+                return restored, events
+            events.append(pipeline.event("state_dropped", f"checkpoint {name}: {restored}"))
             self._count(dropped=1)
+            if foreign:
+                break
         return pipeline, events
+
+    def _restored_or_why(self, config: CraftConfig, found: Checkpoint | StateError) -> Pipeline | str:
+        """The pipeline of a checkpoint, or why there is none."""
+        if isinstance(found, StateError):
+            return str(found)
+        try:
+            return self._restored(config, found)
+        except MISFITS as error:
+            return str(error)
 
     @staticmethod
     def _restored(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:

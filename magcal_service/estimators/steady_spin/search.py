@@ -1,4 +1,4 @@
-"""From samples to a spin that the filter can start from: the buffer, the attempts, and the gates.
+"""From samples to a spin that the filter can start from: the buffer, and when an attempt is made and passes.
 
 No sample is used twice.  The batch fit that starts the filter rests on the samples in the buffer and on what was known
 *before the first of them*: the configured prior, or the scalar estimate as it stood then.  The scalar estimate of the
@@ -24,21 +24,20 @@ import numpy as np
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.parts.start import prior_sigma
-from magcal_service.estimators.parts.start_gates import is_collapsed, vector_sigma
+from magcal_service.estimators.steady_spin.candidates import Candidate, Candidates
 from magcal_service.estimators.steady_spin.fit import AxisTie, Prior, Samples, SpinFit, contradiction, fit_spin
+from magcal_service.estimators.steady_spin.handover import failed_gate
 from magcal_service.estimators.steady_spin.sample_buffer import SampleBuffer
-from magcal_service.estimators.steady_spin.start import SpinGuess, find_spin
+from magcal_service.estimators.steady_spin.start import find_spin
 from magcal_service.estimators.steady_spin.state import (
-    ERRORS,
     SPIN_STATE_SIZE,
     SpinEstimate,
     SpinState,
     spin_estimate,
     walk_variance,
 )
-from magcal_service.estimators.steady_spin.watch import FitQuality, SpinGate, fit_quality
-from magcal_service.model import Array, scalar_residual
-from magcal_service.residuals import rms
+from magcal_service.estimators.steady_spin.watch import SpinGate, fit_quality
+from magcal_service.model import Array
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
@@ -52,9 +51,6 @@ Choice: 15 turns of the paper's spin, and H has turned by 7 to 15 degrees; short
 longer, it starts later.
 """
 
-_FIRST_S: Final = 240.0
-"""The first fit takes the newest so many seconds: H turns by 15 to 30 degrees meanwhile, which attitude rests on."""
-
 _LONGEST_PROOF_S: Final = 3600.0
 """The longest stretch that is asked for after the spin has been lost again and again."""
 
@@ -64,64 +60,14 @@ _NOTICED_RAD: Final = 5e-3
 _CHANGING: Final = 4.0
 """A spin that was not steady throughout has to be for so many times longer than one that was."""
 
-_TURNS: Final = 2.0
-"""Turns of a configured slow spin in the first fit: ``find_axis`` needs one.
-
-Choice: the second is for a configured rate that is too high, and so too short a turn; more turns delay the start.
-"""
-
 _RETRY: Final = 1.15
 """Each attempt or fit waits until there is this much more sample time than at the one before."""
 
 _PAUSE_S: Final = 30.0
 """Least sample time between two attempts; below 200 s it exceeds 15 %. Choice: an attempt costs milliseconds."""
 
-_MEDIAN_TO_SIGMA: Final = 1.4826
-"""Sigma of a normal distribution over the median of its absolute values."""
-
-_SLOWEST_RAD_S: Final = 0.3 * 2.0 * math.pi / 60.0
-"""Slowest rate that is searched, 0.3 rpm: 1.2 turns in the first fit's 240 s; what is slower shows no whole turn."""
-
-_FASTEST_RAD_S: Final = 35.0 * 2.0 * math.pi / 60.0
-"""Fastest rate that is searched, 35 rpm.
-
-Choice: the grid over 240 s has 873 rates either way, and the search's time grows in proportion; a faster craft has to
-be configured.
-"""
-
-_AROUND: Final = (0.8, 1.25)
-"""Factors on a configured rate between which it is searched first: a quarter off either way."""
-
 _AXIS_LIMIT: Final = 11.8
 """Squared norm (expectation 2) beyond which the configured axis is not accepted: 1 in 370 by chance."""
-
-_HANDOVER_SHARE: Final = 0.01
-"""1 sigma of a calibrated vector over |H| below which the filter may take over: second order is noise then."""
-
-_BAD_FIT: Final = 3.0
-"""Residual over the given noise beyond which a fit is no fit."""
-
-_CONTRADICTION: Final = 1.15
-"""Scalar residual (rms) by the spin's calibration over that by the scalar filter's: beyond it they contradict."""
-
-_CLEARLY_WORSE: Final = 30.0
-"""Squares of the noise that a fit has to be worse by to be ruled out; by chance once in 10^6."""
-
-_SAME_TURN_RAD: Final = 0.05
-"""Two fits whose rates differ by less than this over their span are the same fit."""
-
-_GROWTH: Final = 2.0
-"""Factor by which a fit's span grows.
-
-Choice: a fit gives the rate well enough to carry its phase over twice its span; a smaller factor takes more fits, a
-larger one steps over the place where the spin stops being steady more often.
-"""
-
-_SMALLEST_GROWTH: Final = 1.1
-"""Growth below which the longest steady stretch is found; 2, 1.41 and 1.19 are tried.
-
-Choice: the end of the steady stretch is then known to a fifth of its length; finer, more fits.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +78,6 @@ class SpinStart:
     noise_nt: float
     rate_walk: float
     samples: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Candidate:
-    fit: SpinFit
-    quality: FitQuality
-    span_s: float
 
 
 def retry_at(seconds: float) -> float:
@@ -175,6 +114,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
 
     def __init__(self, config: CraftConfig, rate_walk: float = 0.0, axis: AxisTie | None = None) -> None:
         self.config = config
+        self._candidates = Candidates(config)
         self._axis = axis
         self._walks = [walk for walk in RATE_WALKS if walk > rate_walk]
         self._walks.insert(0, rate_walk)
@@ -262,7 +202,7 @@ class SpinSearch(Stateful, SpinSearchMemory):
     def refit(self, samples: Samples, state: SpinState, noise_nt: float) -> SpinState | SpinGate:
         """A new fit to samples from the filter's state at the last of them, or why there is none."""
         fit = fit_spin(samples, state, self._prior, noise_nt)
-        if fit is None or not self._sound(fit_quality(fit)):
+        if fit is None or not self._candidates.is_sound(fit_quality(fit)):
             return SpinGate.INCONSISTENT
         return self._with_axis(fit, samples, noise_nt)
 
@@ -282,88 +222,31 @@ class SpinSearch(Stateful, SpinSearchMemory):
 
     def start_of(self, samples: Samples, scalar: StateEstimate, now_s: float) -> SpinStart | SpinGate:
         """A start from samples up to now and a scalar estimate that is running, or the gate that stops it."""
-        ranges = self._rate_ranges(samples.period_s())
-        samples = self._within_gate(samples, scalar)
+        ranges = self._candidates.rate_ranges(samples.period_s())
+        samples = self._candidates.within_gate(samples, scalar)
         gate = SpinGate.NO_AXIS
         for lowest, highest in ranges:
-            first = samples.newest(self._first_span_s())
+            first = samples.newest(self._candidates.first_span_s())
             guesses = find_spin(first, scalar.x, lowest, highest)
             if guesses and guesses[0].mirrored:
                 gate = SpinGate.MIRRORED
                 continue
-            found = [self._first_fit(first, guess, scalar) for guess in guesses]
+            found = [self._candidates.first_fit(first, guess, scalar) for guess in guesses]
             candidates = [candidate for candidate in found if candidate is not None]
             if not candidates:
                 gate = SpinGate.INCONSISTENT if guesses else gate
                 continue
             nearest = min(candidates, key=lambda candidate: candidate.quality.residual_nt)
-            self._record_spin(nearest, self._noise_nt(scalar), now_s)
-            steady = [candidate for candidate in candidates if self._sound(candidate.quality)]
+            self._record_spin(nearest, self._candidates.noise_nt(scalar), now_s)
+            steady = [candidate for candidate in candidates if self._candidates.is_sound(candidate.quality)]
             if steady:
-                return self._choose(samples, [self._grow(samples, one, scalar) for one in steady], scalar)
+                grown = [self._candidates.grow(samples, one, scalar) for one in steady]
+                best = self._candidates.chosen(grown, scalar)
+                return SpinGate.POOR_COVERAGE if best is None else self._hand_over(samples, best, scalar)
             gate = SpinGate.INCONSISTENT
         return gate
 
-    def _within_gate(self, samples: Samples, scalar: StateEstimate) -> Samples:
-        """Without those that the scalar filter would have stopped at its gate."""
-        magnitude_nt = np.linalg.norm(samples.reference_eci_nt, axis=1)
-        residual = np.abs(scalar_residual(scalar.x, samples.field_nt, magnitude_nt))
-        level = max(_MEDIAN_TO_SIGMA * float(np.median(residual)), self._noise_nt(scalar))
-        return samples.where(residual < self.config.filter.gate_sigma * level)
-
-    def _first_span_s(self) -> float:
-        """A configured spin may be slow: the first fit needs its turns."""
-        if self.config.spin is None:
-            return _FIRST_S
-        return max(_FIRST_S, _TURNS * 60.0 / abs(self.config.spin.rate_rpm))
-
-    def _choose(self, samples: Samples, candidates: list[_Candidate], scalar: StateEstimate) -> SpinStart | SpinGate:
-        """The candidate that holds for longest; of two that hold equally long the clearly better one, or none."""
-        span_s = max(candidate.span_s for candidate in candidates)
-        best, *rivals = sorted(
-            (candidate for candidate in candidates if candidate.span_s == span_s),
-            key=lambda candidate: candidate.quality.residual_nt,
-        )
-        noise_nt = self._noise_nt(scalar)
-        for rival in rivals:
-            worse = rival.quality.squared_sum_nt2 - best.quality.squared_sum_nt2
-            apart = float(np.abs(rival.fit.state.rate_rad_s - best.fit.state.rate_rad_s).max()) * best.span_s
-            if worse < _CLEARLY_WORSE * noise_nt**2 and apart > _SAME_TURN_RAD:
-                return SpinGate.POOR_COVERAGE
-        return self._hand_over(samples, best, scalar)
-
-    def _rate_ranges(self, period_s: float) -> list[tuple[float, float]]:
-        """Around the configured rate first, then everywhere samples so far apart allow."""
-        nyquist = 0.98 * math.pi / period_s
-        ranges = [(_SLOWEST_RAD_S, min(nyquist, _FASTEST_RAD_S))]
-        if self.config.spin is not None:
-            configured = abs(self.config.spin.rate_rpm) * 2.0 * math.pi / 60.0
-            ranges.insert(0, (_AROUND[0] * configured, _AROUND[1] * configured))
-        return [(lowest, highest) for lowest, highest in ranges if highest > lowest]
-
-    def _tie(self, scalar: StateEstimate) -> Prior:
-        return Prior(scalar.x, self.config.filter.start_inflation**2 * scalar.covariance)
-
-    def _first_fit(self, samples: Samples, guess: SpinGuess, scalar: StateEstimate) -> _Candidate | None:
-        nothing = np.zeros((SPIN_STATE_SIZE, SPIN_STATE_SIZE))
-        start = SpinState(scalar.x, guess.body_from_eci, guess.rate_rad_s, nothing)
-        fit = fit_spin(samples, start, self._tie(scalar), self._noise_nt(scalar))
-        return None if fit is None else _Candidate(fit, fit_quality(fit), samples.span_s)
-
-    def _grow(self, samples: Samples, candidate: _Candidate, scalar: StateEstimate) -> _Candidate:
-        """The longest stretch over which the spin is steady: longer by a factor each time, a smaller one on failure."""
-        factor = _GROWTH
-        while candidate.span_s < samples.span_s and factor > _SMALLEST_GROWTH:
-            longer = samples.newest(min(factor * candidate.span_s + 1.0, samples.span_s))
-            fit = fit_spin(longer, candidate.fit.state, self._tie(scalar), self._noise_nt(scalar))
-            trial = None if fit is None else _Candidate(fit, fit_quality(fit), longer.span_s)
-            if trial is None or not self._sound(trial.quality):
-                factor = math.sqrt(factor)
-            else:
-                candidate = trial
-        return candidate
-
-    def _hand_over(self, samples: Samples, longest: _Candidate, scalar: StateEstimate) -> SpinStart | SpinGate:
+    def _hand_over(self, samples: Samples, longest: Candidate, scalar: StateEstimate) -> SpinStart | SpinGate:
         """The fit that counts: with the prior that knows nothing of these samples."""
         steady_throughout = longest.span_s >= samples.span_s
         if not steady_throughout and longest.span_s < _CHANGING * self._required_s:
@@ -371,9 +254,9 @@ class SpinSearch(Stateful, SpinSearchMemory):
         samples = samples.newest(longest.span_s)
         noise_nt = self.config.sensor.noise_nt or longest.quality.residual_nt
         fit = fit_spin(samples, longest.fit.state, self._prior, noise_nt)
-        if fit is None or not self._sound(fit_quality(fit)):
+        if fit is None or not self._candidates.is_sound(fit_quality(fit)):
             return SpinGate.POOR_COVERAGE
-        gate = self._failed_gate(fit, samples, scalar)
+        gate = failed_gate(fit, samples, scalar)
         if gate is not None:
             return gate
         if not steady_throughout:
@@ -396,30 +279,11 @@ class SpinSearch(Stateful, SpinSearchMemory):
         if self._axis is None or contradiction(fit.state, self._axis) > _AXIS_LIMIT:
             return fit.state
         tied = fit_spin(samples, fit.state, self._prior, noise_nt, self._axis)
-        return tied.state if tied is not None and self._sound(fit_quality(tied)) else fit.state
+        return tied.state if tied is not None and self._candidates.is_sound(fit_quality(tied)) else fit.state
 
-    def _failed_gate(self, fit: SpinFit, samples: Samples, scalar: StateEstimate) -> SpinGate | None:
-        state = fit.state
-        if is_collapsed(state.x):
-            return SpinGate.COLLAPSED
-        sigma_nt = vector_sigma(state.covariance[ERRORS, ERRORS], samples.field_nt)
-        magnitude_nt = np.linalg.norm(samples.reference_eci_nt, axis=1)
-        if sigma_nt > min(_HANDOVER_SHARE * magnitude_nt[-1], vector_sigma(scalar.covariance, samples.field_nt)):
-            return SpinGate.POOR_COVERAGE
-        by_spin = rms(scalar_residual(state.x, samples.field_nt, magnitude_nt))
-        by_scalar = rms(scalar_residual(scalar.x, samples.field_nt, magnitude_nt))
-        return SpinGate.CONTRADICTS_SCALAR if by_spin > _CONTRADICTION * by_scalar else None
-
-    def _noise_nt(self, scalar: StateEstimate) -> float:
-        return self.config.sensor.noise_nt or max(scalar.noise_nt, 1e-3)
-
-    def _sound(self, quality: FitQuality) -> bool:
-        given = self.config.sensor.noise_nt
-        return quality.steady and (given is None or quality.residual_nt < _BAD_FIT * given)
-
-    def _record_spin(self, candidate: _Candidate, noise_nt: float, now_s: float) -> None:
+    def _record_spin(self, candidate: Candidate, noise_nt: float, now_s: float) -> None:
         """Record the spin of the newest stretch, whether or not it is accepted."""
         state, level = candidate.fit.state, candidate.quality.residual_nt / noise_nt
         scaled = state.covariance * max(level, 1.0) ** 2
         seen = SpinState(state.x, state.body_from_eci, state.rate_rad_s, scaled)
-        self.seen = spin_estimate(seen, now_s, consistent=self._sound(candidate.quality))
+        self.seen = spin_estimate(seen, now_s, consistent=self._candidates.is_sound(candidate.quality))

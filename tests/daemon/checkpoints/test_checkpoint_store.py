@@ -170,6 +170,29 @@ def test_a_state_that_does_not_fit_the_pipeline_is_dropped_like_a_damaged_one(
     assert "map" in events[0].cause
 
 
+@pytest.mark.parametrize("damaged", [False, True])
+def test_the_search_goes_on_after_a_damaged_checkpoint_and_ends_at_another_configurations(
+    tmp_path: Path, damaged: bool
+) -> None:
+    """Own, another's, and above them nothing or one that is damaged: the older own one is not restored."""
+    other = replace(ONE, filter=replace(ONE.filter, gate_sigma=5.0))
+    for config, samples in ((ONE, 3), (other, 4)):
+        Checkpoints(StateConfig(tmp_path), [config]).save([fed(config, samples)])
+    if damaged:
+        (tmp_path / "one" / "0000000003.state").write_bytes(b"damaged")
+    store, given = Checkpoints(StateConfig(tmp_path), [ONE]), Pipeline(ONE)
+    restored, events = store.restore(given)
+    assert restored is given
+    dropped = ["0000000003.state"] * damaged + ["0000000002.state"]
+    assert [(event.what, event.cause.split(":")[0]) for event in events] == [
+        ("state_dropped", f"checkpoint {name}") for name in dropped
+    ]
+    assert counters(store)["state.dropped"] == len(dropped)
+    assert "configuration is" in events[-1].cause
+    (tmp_path / "one" / "0000000002.state").write_bytes(b"damaged")
+    assert Checkpoints(StateConfig(tmp_path), [ONE]).restore(given)[0].ticks.counters["accepted"] == 3
+
+
 def test_an_empty_folder_leaves_the_pipeline_as_it_is(store: Checkpoints) -> None:
     given = Pipeline(ONE)
     restored, events = store.restore(given)
