@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import reasons
 from magcal_service.diagnosis.blocks import correlation_samples
-from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.explain import Explained, Search, is_recorded
 from magcal_service.diagnosis.field_error import SCALES, FieldError
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
@@ -144,9 +144,13 @@ def diagnose(
     coefficients = _memory(prepared, search.problem, explained.fit)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        search, floor = search.with_noise(problem, coefficients), 0.3 * floor
-        explained = search.run(search.refreshed(baseline), floor)
-        left = structures(search, explained.fit, phase, floor)
+        quiet = search.with_noise(problem, coefficients)
+        other = quiet.run(quiet.recorded_first(explained.fit, baseline, 0.3 * floor), 0.3 * floor)
+        if _drivers(explained) <= _drivers(other):
+            search, explained, floor = quiet, other, 0.3 * floor
+            left = structures(search, explained.fit, phase, floor)
+        else:  # what the blocks bear out of a record is no noise
+            coefficients = np.zeros(0)
     if left and significant(left[0]):
         explained = _outdone(search, baseline, explained, phase, floor)
         left = structures(search, explained.fit, phase, floor)
@@ -200,6 +204,11 @@ def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared
         if names_hold or not explained.fit.terms:  # wider noise brings no new names
             floor = _FLOOR * prepared.problem.noise_nt
             return prepared, search, search.again(prepared.problem, explained.fit, floor)
+
+
+def _drivers(explained: Explained) -> set[str]:
+    """Recorded channels that drive the terms of a fit."""
+    return {term.hypothesis.driver for term in explained.fit.terms if is_recorded(term.hypothesis)}
 
 
 def _at_scale(prepared: Prepared, usual: FieldError, scale: float) -> Prepared:

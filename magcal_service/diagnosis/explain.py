@@ -20,6 +20,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array, measure
+from magcal_service.physics.interface import Hypothesis
 
 HELD_OUT_SHARE: Final = 0.3
 """Of the drop in squares inside, at least so much has to be seen on blocks that took no part."""
@@ -33,11 +34,15 @@ _WORTH_TEMPERING: Final = 5000.0
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
 
+RECORDED_NATS: Final = 5.0
+"""Nats for what was recorded against a driver that is inferred and against a free shape: odds of 150 to 1.  A record
+was there before the residual was looked at; steps, courses and guesses take whatever form the residual has."""
+
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters
 _RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
-_MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first
+_MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
 _NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
 _MOST_RIVALS: Final = 12  # of them kept as rivals for later steps
@@ -77,6 +82,15 @@ class Search(Screen):
         return replace(self, problem=problem, whitening=coefficients, hypotheses=[], close=set(self.close))
 
     # Selection
+
+    def recorded_first(self, fit: Fit, baseline: Fit, floor_nt: float) -> Fit:
+        """Where to begin under this search's noise: with the recorded drivers of a fit that hold, else without."""
+        terms = [term for term in fit.terms if is_recorded(term.hypothesis)]
+        if terms:
+            began = self._bounded(self.refreshed(solve(self.problem, fit.x, terms)))
+            if (found := self._pruned(began, floor_nt)).terms:
+                return found
+        return self.refreshed(baseline)
 
     def run(self, start: Fit, floor_nt: float) -> Explained:
         """Forward selection with a backward check after every step."""
@@ -134,9 +148,10 @@ class Search(Screen):
         present = {term.hypothesis.effect for term in fit.terms}
         tried: set[str] = set()
         for candidate in self._ranked(fit, floor_nt, sorted(present)):
-            if candidate.nats < ACCEPTED_NATS or len(tried) >= _MOST_TRIED:
+            if candidate.nats < ACCEPTED_NATS:
                 break
-            if candidate.hypothesis.effect in tried:
+            full = len(tried) >= _MOST_TRIED and not is_recorded(candidate.hypothesis)
+            if candidate.hypothesis.effect in tried or full:
                 continue
             tried.add(candidate.hypothesis.effect)
             term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
@@ -212,6 +227,8 @@ class Search(Screen):
         for index in range(len(fit.terms)):
             sigma = max(fit.white_rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
+            if is_recorded(fit.terms[index].hypothesis):
+                ranked = self._tempered(ranked, fit, index, self.workspace(fit, index), self._blocks(fit), sigma)
             own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
             if not ranked or ranked[0].nats < own + CLASS_NATS:
                 continue
@@ -234,7 +251,7 @@ class Search(Screen):
             recorded = [
                 hypothesis
                 for hypothesis in self.hypotheses
-                if hypothesis.effect == term.hypothesis.effect and hypothesis.driver.startswith("channel")
+                if hypothesis.effect == term.hypothesis.effect and is_recorded(hypothesis)
             ]
             space, sigma = self.workspace(fit, index), max(fit.white_rms_nt, floor_nt)
             ranked = self.screen(space, fit, sigma, among=[*recorded, term.hypothesis])
@@ -309,8 +326,15 @@ class Search(Screen):
             if candidate is not own and nats > own.nats - _WORTH_TEMPERING:
                 dispersion = gain_over(left(candidate), best, blocks, sigma**2).dispersion
                 nats = own.nats + (nats - own.nats) / dispersion
+            if is_recorded(mine) and not is_recorded(candidate.hypothesis):
+                nats -= RECORDED_NATS
             found.append(replace(candidate, nats=nats))
         return sorted(found, key=lambda candidate: -candidate.nats)
+
+
+def is_recorded(hypothesis: Hypothesis) -> bool:
+    """Whether a recorded channel drives it."""
+    return hypothesis.driver.startswith("channel")
 
 
 def _held_out(fit: Fit) -> float:

@@ -268,3 +268,23 @@ def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
 
 def candidate(effect: str, nats: float) -> Candidate:
     return Candidate(body_form(effect, "", along(0, SLOW)), np.zeros(0), SimpleNamespace(), nats)  # type: ignore[arg-type]
+
+
+# What was recorded comes first
+
+
+def test_a_record_stays_where_a_free_shape_holds_hardly_more() -> None:
+    """A record with noise of its own holds a little less than the course itself; a far better one takes its place."""
+    rng = np.random.default_rng(5)
+    for noise, kept in ((0.01, "recorded"), (1.0, "course")):
+        record = SLOW + rng.normal(0.0, noise, COUNT)
+        forms = [
+            replace(body_form("recorded", "", along(0, record)), driver="channel:load"),
+            body_form("course", "", along(0, SLOW)),
+        ]
+        search, fit = searching(flown(along(0, 200.0 * SLOW)), *forms)
+        begun = solve(search.problem, X, [Term(search.hypotheses[0], np.zeros(0), np.zeros(1))])
+        search.close = {form.label for form in forms}
+        found = search._exchanged(begun, FLOOR_NT)
+        assert [term.hypothesis.effect for term in found.terms] == [kept]
+        assert fit.rms_nt > found.rms_nt

@@ -34,7 +34,7 @@ PRIORS = {
     "bias_step": (10.0, 5000.0),
     "coloured_noise": (1.0, 2000.0),
     "cubic_response": (5.0, 3000.0),
-    "current_loop": (1.0, 2000.0),
+    "current_loop": (1.0, 30_000.0),
     "external_field": (5.0, 500.0),
     "hysteresis": (10.0, 2000.0),
     "nutation": (10.0, 20000.0),
@@ -285,6 +285,39 @@ def test_a_circuit_that_stands_still_is_left_out() -> None:
     form = forms("current_loop", still)["channel:bus", ""]
     assert form.constants == {"column_0": 1.0}
     assert sizes(form) == {"nt_per_a": (3,)}
+
+
+def test_a_recorded_current_is_bounded_by_its_amperes_and_a_guessed_one_by_its_field() -> None:
+    """5000 nT/A are a single wire 4 cm away; an array that nobody recorded stays below 2000 nT."""
+    current = 7.0 + np.sin(TIME_S / 300.0)
+    drone = replace(scene(), channels={"battery": Telemetry("battery", "current", current[:, None])})
+    found = forms("current_loop", drone)
+    assert found["channel:battery", ""].largest_nt == 30_000.0
+    assert [block.most for block in found["channel:battery", ""].blocks] == [5000.0]
+    small = replace(scene(), channels={"bus": Telemetry("bus", "current", 0.01 * current[:, None])})
+    assert forms("current_loop", small)["channel:bus", ""].largest_nt == pytest.approx(
+        5000.0 * float(np.sqrt(np.mean((0.01 * current) ** 2)))
+    )
+    assert {form.largest_nt for (driver, _), form in found.items() if driver.startswith("inf")} == {2000.0}
+
+
+def test_what_has_no_unit_may_go_along_with_a_current() -> None:
+    """Readings, states, duties and loads, each by itself; a Sun sensor and what is declared something else do not."""
+    steps = np.sign(np.sin(TIME_S / 300.0))[:, None]
+    kinds = ("counts", "dimensionless", "fraction", "power")
+    others = ("temperature", "voltage", "angular rate", "field", "length")
+    channels = {kind: Telemetry(kind, kind, steps) for kind in (*kinds, *others)}
+    channels["two"] = Telemetry("two", "counts", np.concatenate([steps, 0.0 * steps, TIME_S[:, None]], axis=1))
+    channels["sun"] = Telemetry("sun", "counts", np.repeat(steps, 3, axis=1))
+    found = forms("current_loop", replace(scene(), channels=channels))
+    recorded = {key for key in found if key[0].startswith("channel")}
+    wanted = {(f"channel:{kind}", "") for kind in kinds}
+    assert recorded == wanted | {("channel:two", "column 1"), ("channel:two", "column 3")}
+    k = np.array([10.0, -20.0, 5.0])
+    assert added(found["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
+    assert found["channel:two", "column 3"].constants == {"column_0": 2.0}
+    given = replace(scene(), channels=channels, given={"column_0": 2.0})
+    assert added(forms("current_loop", given)["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
 
 
 def test_panels_that_were_not_recorded_follow_the_sun() -> None:

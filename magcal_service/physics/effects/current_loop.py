@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -10,9 +12,22 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.scene import Scene, is_sun_vector
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
+
+_MOST_PER_A_NT: Final = 5000.0
+"""Field per ampere at most [nT/A]: a single wire 4 cm away whose return is far, mu0 / (2 pi r)."""
+
+_MOST_NT: Final = 30_000.0
+"""rms of the field of a recorded current at most [nT]: 0.6 of the Earth's, where ArduPilot's test of motors calls a
+compass unusable (documentation of compassmot)."""
+
+_MOST_GUESSED_NT: Final = 2000.0
+"""The same of an array's current that is inferred: 10 A in a loop of 10 cm2 at 10 cm."""
+
+_LIKE_CURRENTS: Final = ("counts", "dimensionless", "fraction", "power")
+"""Kinds of channels that may go along with a current though they are none: raw readings, states, duties, loads."""
 
 
 def _fixed(signals: Array) -> Callable[[Array], Columns]:
@@ -28,16 +43,17 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             continue
         shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
         rows = (tuple(f"circuit {column + 1}" for column in circuits.tolist()), AXES)
-        block = Block("nt_per_a", "nT/A", shape, labels=rows[2 - len(shape) :])
+        block = Block("nt_per_a", "nT/A", shape, _MOST_PER_A_NT, labels=rows[2 - len(shape) :])
         yield Hypothesis(
             "current_loop",
             f"channel:{channel.name}",
             _fixed(channel.values[:, circuits]),
             (block,),
+            largest_nt=_largest(channel.values[:, circuits]),
             constants={f"column_{index}": float(column) for index, column in enumerate(circuits)},
         )
         for column in circuits if len(circuits) > 1 or scene.is_given else ():
-            one = Block("nt_per_a", "nT/A")
+            one = Block("nt_per_a", "nT/A", most=_MOST_PER_A_NT)
             signal, name = channel.values[:, [column]], f"channel:{channel.name}"
             yield Hypothesis(
                 "current_loop",
@@ -45,10 +61,37 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
                 _fixed(signal),
                 (one,),
                 f"circuit {column + 1}",
+                largest_nt=_largest(signal),
                 constants={"column_0": float(column)},
             )
     yield from _together(scene)
-    yield from _inferred(scene)
+    yield from _alike(scene)
+    for hypothesis in _inferred(scene):
+        yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
+
+
+def _largest(currents: Array) -> float:
+    """rms that the field of currents (n, k) may have [nT]."""
+    return min(_MOST_NT, _MOST_PER_A_NT * float(np.sqrt(np.mean(currents**2) * currents.shape[1])))
+
+
+def _alike(scene: Scene) -> Iterator[Hypothesis]:
+    """Channels of other units that may go along with a current, each by itself."""
+    for channel in scene.of_quantity(*_LIKE_CURRENTS):
+        if is_sun_vector(channel):
+            continue
+        for column, values in enumerate(channel.values.T):
+            if not scene.is_given and not np.std(values) > _LEAST_SWING * np.abs(values).max():
+                continue
+            several = channel.values.shape[1] > 1
+            yield Hypothesis(
+                "current_loop",
+                f"channel:{channel.name}",
+                _fixed(channel.values[:, [column]]),
+                (Block("nt_per_unit", "nT/unit"),),
+                f"column {column + 1}" if several else "",
+                constants={"column_0": float(column)},
+            )
 
 
 def _together(scene: Scene) -> Iterator[Hypothesis]:
@@ -64,9 +107,10 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     driver = "channel:" + "+".join(channel.name for channel in channels)
     names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
     labels = (tuple(names[column] for column in used), AXES)
-    block = Block("nt_per_a", "nT/A", (len(used), 3), labels=labels)
+    block = Block("nt_per_a", "nT/A", (len(used), 3), _MOST_PER_A_NT, labels=labels)
     constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
-    yield Hypothesis("current_loop", driver, _fixed(signals[:, used]), (block,), "all circuits", constants=constants)
+    largest_nt, act = _largest(signals[:, used]), _fixed(signals[:, used])
+    yield Hypothesis("current_loop", driver, act, (block,), "all circuits", (), constants, largest_nt=largest_nt)
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
@@ -115,14 +159,15 @@ EFFECT = Effect(
     title="currents in the harness or the solar arrays",
     switched="the suspected load or array string",
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
-    units={"nt_per_a": "nT/A", "nt_full_sun": "nT"},
-    prior=(1.0, 2000.0),
+    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT"},
+    prior=(1.0, _MOST_NT),
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
         "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
+        "Currents add up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents add up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

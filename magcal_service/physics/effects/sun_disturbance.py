@@ -10,7 +10,7 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Watched
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.scene import Scene, is_sun_vector
 
 
 def _fixed(signals: Array) -> Callable[[Array], Columns]:
@@ -29,18 +29,12 @@ def harmonics(sun: Array) -> Array:
 def _directions(scene: Scene) -> Iterator[tuple[str, Array, dict[str, float]]]:
     """Names of drivers, the Sun in the body (n, 3), zero in shadow, and constants."""
     for channel in scene.channels.values():
-        if _is_sun(channel) and (float(np.std(channel.values)) > 0.0 or scene.is_given):
+        if is_sun_vector(channel) and (float(np.std(channel.values)) > 0.0 or scene.is_given):
             own = float(np.percentile(np.linalg.norm(channel.values, axis=1), 99))
             size = scene.constant("full_sun", own if channel.quantity == "counts" else 1.0)
             yield f"channel:{channel.name}", channel.values / size, {"full_sun": size}
     if scene.sun_body is not None and scene.lit is not None:
         yield "inferred:sun_direction", scene.sun_body * scene.lit[:, None], {}
-
-
-def _is_sun(channel: Telemetry) -> bool:
-    name = channel.name.lower()
-    named = "sun" in name or "photo" in name or "css" in name
-    return channel.values.shape[1] == 3 and named and channel.quantity in ("dimensionless", "counts", "irradiance", "")
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:

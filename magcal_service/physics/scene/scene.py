@@ -53,6 +53,13 @@ class Telemetry:
     values: Array
 
 
+def is_sun_vector(channel: Telemetry) -> bool:
+    """Whether a channel is the Sun's direction in the body, by its name, its kind and its three columns."""
+    name = channel.name.lower()
+    named = "sun" in name or "photo" in name or "css" in name
+    return channel.values.shape[1] == 3 and named and channel.quantity in ("dimensionless", "counts", "irradiance", "")
+
+
 @dataclass(slots=True, eq=False)
 class Memory:
     """What an effect with a memory carries from one scene of a stream to the next, which begins at row ``next_row``."""
