@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.drivers import torquing
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.interface import Columns, Hypothesis, Segments, Sums
 from magcal_service.physics.scene.scene import Scene
 
 PERIOD_S, COUNT = 2.0, 600
@@ -157,3 +158,61 @@ def test_slots_that_are_on_go_round_the_interval() -> None:
     for (share, slot), row in zip(torquing._ON_NUMBERS, torquing._ON, strict=True):
         assert sorted(np.flatnonzero(row)) == sorted((slot + number) % 24 for number in range(share))
     assert torquing._ON_NUMBERS[:2] == [(3, 0), (3, 1)]
+
+
+# Proposals
+
+
+def sums_of(residual_nt: Array) -> Sums:
+    """Sums over stretches of samples for a residual (n, 3) of vectors with nothing else in the model."""
+
+    def sums(columns: Columns, firsts: NDArray[np.intp]) -> Segments:
+        rows = columns.components()
+        rows = rows / np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)
+        ends = np.append(firsts[1:], COUNT)
+        parts = [slice(3 * first, 3 * end) for first, end in zip(firsts.tolist(), ends.tolist(), strict=True)]
+        right = residual_nt.reshape(-1)
+        return Segments(
+            np.stack([rows[part].T @ rows[part] for part in parts]),
+            np.zeros((len(parts), 0, rows.shape[1])),
+            np.stack([rows[part].T @ right[part] for part in parts]),
+        )
+
+    return sums
+
+
+def proposed(hypothesis: Hypothesis, *theta: float, amplitude: float) -> Array:
+    """What is proposed for a pattern with these numbers under noise of a tenth of its field."""
+    assert hypothesis.proposals is not None
+    field = field_of(hypothesis, amplitude * np.eye(3), *theta)
+    noise = np.random.default_rng(3).normal(0.0, 0.1 * np.sqrt(np.mean(field**2)), field.shape)
+    return hypothesis.proposals(sums_of(field + noise))
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "share", "phase", "first", "last"), [(20.0, 0.5, 0.25, 5, 14), (40.0, 0.3, 0.5, 0, 9)]
+)
+def test_detumbling_for_a_while_is_proposed_first_with_its_numbers(
+    cycle_s: float, share: float, phase: float, first: int, last: int
+) -> None:
+    """And once more over the whole recording; each of the six best so."""
+    edges = [*np.linspace(0.0, TIME_S[-1], 25)[:-1], TIME_S[-1] + PERIOD_S]
+    numbers = (cycle_s, share, phase, 0.5, edges[first], edges[last + 1])
+    found = proposed(form("sign of dB/dt on a duty"), *numbers, amplitude=100.0)
+    assert found.shape == (12, 6)
+    assert found[0] == pytest.approx(numbers)
+    assert found[1] == pytest.approx([*numbers[:4], 0.0, edges[-1]])
+
+
+@pytest.mark.parametrize(("step", "slot", "length"), [(2, 6, 5), (0, 20, 7)])
+def test_dumping_is_proposed_first_at_its_interval_with_every_hold(step: int, slot: int, length: int) -> None:
+    hypothesis = form("momentum dumped at intervals")
+    intervals, _, _, holds = (number.grid for number in hypothesis.nonlinear)
+    numbers = (float(intervals[step]), length / 24.0, slot / 24.0, 0.0)
+    found = proposed(hypothesis, *numbers, amplitude=0.01)
+    assert found.shape == (6 * len(holds), 4)
+    best = found[: len(holds)]
+    assert best[:, 3] == pytest.approx(holds)
+    assert np.ptp(best[:, :3], axis=0) == pytest.approx(0.0)
+    assert best[0, :3] == pytest.approx(numbers[:3])
+    assert len(set(found[:, 0].tolist())) == 6
