@@ -16,7 +16,7 @@ import numpy as np
 from magcal_service.errors import MagcalError
 
 _AS_IT_IS: Final = (type(None), bool, float, str, bytes)
-_LEAST_INT, _LARGEST_INT = -(2**63), 2**64 - 1
+_LEAST_INT, _LARGEST_INT = -(2**63), 2**64 - 1  # of msgpack
 _SCRIPT: Final = "__main__"
 
 

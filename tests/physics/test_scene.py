@@ -9,6 +9,7 @@ import pytest
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array
+from magcal_service.physics.scene.motion import smooth_slope
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.view import runs
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, COUNT, PERIOD_S, RATE_RAD_S, scene, turning
@@ -131,14 +132,15 @@ def test_a_smoothed_slope_of_a_line_is_its_slope_at_every_sample() -> None:
     """Also at the ends and across a gap; a stretch of fewer than four samples has none."""
     time_s = np.concatenate([np.arange(40.0), 400.0 + np.arange(4.0), 800.0 + np.arange(3.0)])
     of = small(time_s)
-    slope = of._smooth_slope(7.0 - 0.5 * time_s, 10.0)
+    slope = smooth_slope(7.0 - 0.5 * time_s, 10.0, time_s, of.pauses, of.period_s)
     assert slope == pytest.approx(np.concatenate([np.full(44, -0.5), np.zeros(3)]))
 
 
 def test_a_smoothed_slope_takes_means_of_half_a_width_on_both_sides() -> None:
     values = np.zeros(41)
     values[25] = 1.0
-    slope = small(np.arange(41.0))._smooth_slope(values, 10.0)
+    of = small(np.arange(41.0))
+    slope = smooth_slope(values, 10.0, of.time_s, of.pauses, of.period_s)
     rises = np.zeros(41)
     rises[21:26] = 1.0 / 25.0  # the five samples from each row on, against the five before it, five seconds apart
     rises[26:31] = -1.0 / 25.0

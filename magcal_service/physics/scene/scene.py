@@ -15,13 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
-from magcal_service.errors import ExtraMissingError, InputRefusedError
 from magcal_service.model import Array
-from magcal_service.physics.scene import sunlight
-
-_DIPOLE_POLE_DEG = (80.8, -72.8)  # geomagnetic north pole (IGRF-14, epoch 2025): latitude, longitude
-_KNOT_S = 10.0  # between knots the field of a model, and its differences, are taken as linear
-
+from magcal_service.physics.scene import main_field, motion, sunlight
 
 _KEPT = (
     "memo",
@@ -183,12 +178,7 @@ class Scene:
 
     def slope(self, values: Array) -> Array:
         """Time derivative of values (n, ...), central, one-sided at the ends of each stretch."""
-        result = np.zeros_like(values, dtype=np.float64)
-        ends = np.append(self.pauses[1:], len(self))
-        for first, end in zip(self.pauses.tolist(), ends.tolist(), strict=True):
-            if end - first >= 3:
-                result[first:end] = np.gradient(values[first:end], self.time_s[first:end], axis=0)
-        return result
+        return motion.slope(values, self.time_s, self.pauses)
 
     @cached_property
     def magnitude_slope(self) -> Array:
@@ -199,7 +189,7 @@ class Scene:
     def rate_body(self) -> Array | None:
         """(n, 3) angular rate [rad/s], body, from the attitude or a gyro channel; None without either."""
         if self.body_from_eci is not None and self.period_s < 30.0 and self.turning_rad_s is None:
-            return _rate_of(self.body_from_eci, self)
+            return motion.rate_of(self.body_from_eci, self.time_s, self.pauses)
         for channel in self.of_quantity("angular rate"):
             if channel.values.shape[1] == 3:
                 return channel.values
@@ -228,26 +218,9 @@ class Scene:
         rate = float(np.linalg.norm(mean))
         axis = mean / max(rate, 1e-12)
         width = max(60.0, 8.0 * np.pi / max(rate, 1e-6))
-        along = self._smooth_slope(self.calibrated_nt @ axis, width)
+        along = motion.smooth_slope(self.calibrated_nt @ axis, width, self.time_s, self.pauses, self.period_s)
         corrected: Array = found + (along - found @ axis)[:, None] * axis
         return corrected
-
-    def _smooth_slope(self, values: Array, width_s: float) -> Array:
-        """Slope (n,) of values (n,) between their means over the stretches of a width before and after each."""
-        half = max(round(0.5 * width_s / self.period_s), 1)
-        sums = np.concatenate([[0.0], np.cumsum(values)])
-        times = np.concatenate([[0.0], np.cumsum(self.time_s)])
-        row, result = np.arange(len(self)), np.zeros(len(self))
-        ends = np.append(self.pauses[1:], len(self))
-        for first, end in zip(self.pauses.tolist(), ends.tolist(), strict=True):
-            if end - first < 4:
-                continue
-            middle = np.clip(row[first:end], first + 1, end - 1)
-            low, high = np.maximum(middle - half, first), np.minimum(middle + half, end)
-            rise = (sums[high] - sums[middle]) / (high - middle) - (sums[middle] - sums[low]) / (middle - low)
-            taken = (times[high] - times[middle]) / (high - middle) - (times[middle] - times[low]) / (middle - low)
-            result[first:end] = rise / taken
-        return result
 
     # The Sun
 
@@ -319,16 +292,12 @@ class Scene:
         """(n, 3) axis of the Earth's dipole, towards geomagnetic north, ECI; None without UTC."""
         if not self.utc:
             return None
-        latitude, longitude = np.radians(_DIPOLE_POLE_DEG)
-        pole = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
-        return geomagnetic.eci_from_ecef(self.time_ns, np.broadcast_to(np.array(pole), (len(self), 3)))
+        return main_field.dipole_eci(self.time_ns)
 
     @cached_property
     def knots(self) -> NDArray[np.intp]:
         """Rows (k,) between which a slowly changing field may be interpolated: 10 s apart, and around each gap."""
-        bins = np.floor(self.time_s / max(_KNOT_S, self.period_s)).astype(np.int64)
-        first = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
-        return np.unique(np.concatenate([first, self.pauses, self.pauses[1:] - 1, [len(self) - 1]])).astype(np.intp)
+        return main_field.knots(self.time_s, self.period_s, self.pauses)
 
     def from_knots(self, values: Array) -> Array:
         """Values (k,) at the knots as (n,) at the samples."""
@@ -346,28 +315,4 @@ class Scene:
         """Whether the field model can be evaluated here: UTC within its years, a position in its range, its package."""
         if not self.utc or self.position_ecef_km is None:
             return False
-        try:
-            geomagnetic.igrf_ecef_nt(self.time_ns[:1], self.position_ecef_km[:1])
-        except (InputRefusedError, ExtraMissingError):
-            return False
-        return True
-
-
-def _rate_of(body_from_eci: Array, scene: Scene) -> Array:
-    """(n, 3) body rate [rad/s] of attitudes (n, 3, 3): the turn from each sample to the next, as rotation vectors."""
-    change = np.einsum("nij,nkj->nik", body_from_eci[1:], body_from_eci[:-1])
-    cosine = np.clip((np.trace(change, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
-    angle = np.arccos(cosine)
-    axis = np.stack(
-        [change[:, 1, 2] - change[:, 2, 1], change[:, 2, 0] - change[:, 0, 2], change[:, 0, 1] - change[:, 1, 0]],
-        axis=1,
-    )
-    sine = np.maximum(2.0 * np.sin(angle), 1e-12)
-    steps = np.diff(scene.time_s)
-    rate = axis / sine[:, None] * (angle / steps)[:, None]
-    usable = np.ones(len(steps), dtype=bool)
-    usable[scene.pauses[1:] - 1] = False
-    middle = 0.5 * (scene.time_s[1:] + scene.time_s[:-1])
-    if not usable.any():
-        return np.zeros((len(scene), 3))
-    return np.stack([np.interp(scene.time_s, middle[usable], column[usable]) for column in rate.T], axis=1)
+        return main_field.is_modelled(self.time_ns[:1], self.position_ecef_km[:1])
