@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from magcal_service.config.settings import TickConfig as Ticks
     from magcal_service.config.settings import TrustConfig as Trust
     from magcal_service.daemon.pipeline import Pipeline
-    from magcal_service.diagnosis.answer import Answer, diagnose
+    from magcal_service.diagnosis.answer import Answer, JointAnswer, diagnose
     from magcal_service.errors import ExtraMissingError, InputRefusedError, MagcalError
     from magcal_service.offline.calibrate import Calibration, calibrate
     from magcal_service.offline.fit import Fit, NoSolutionError, fit
@@ -35,6 +35,7 @@ _HOMES: Final = {
     "Filter": ("config.settings", "FilterConfig"),
     "Fit": ("offline.fit", "Fit"),
     "InputRefusedError": ("errors", "InputRefusedError"),
+    "JointAnswer": ("diagnosis.answer", "JointAnswer"),
     "MagcalError": ("errors", "MagcalError"),
     "NoSolutionError": ("offline.fit", "NoSolutionError"),
     "Pipeline": ("daemon.pipeline", "Pipeline"),
@@ -60,6 +61,7 @@ __all__ = [
     "Filter",
     "Fit",
     "InputRefusedError",
+    "JointAnswer",
     "MagcalError",
     "NoSolutionError",
     "Pipeline",

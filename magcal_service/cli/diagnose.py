@@ -19,7 +19,13 @@ from magcal_service.errors import ConfigError, Fault
 
 def add_diagnose(parser: argparse.ArgumentParser) -> None:
     """The arguments of ``magcal diagnose``."""
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument(
+        "recordings",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING.toml|FILE.mcap",
+        help="one recording, or several of one craft: their physics is taken to be common",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for its three files")
     parser.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
@@ -40,10 +46,23 @@ def _diagnose(options: argparse.Namespace) -> int:
     from magcal_service.diagnosis.command import Request, run
     from magcal_service.diagnosis.progress import progress
 
-    if len(options.recordings) != 1:
-        accepted = "several recordings are diagnosed each by itself with --separately; add it"
-        raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
+    if len(options.recordings) > 1:
+        return _diagnose_together(options)
     with progress() as step:
         outcome = run(Request(options.recordings[0], options.out, options.simulation, options.craft), step)
+    print("\n".join(outcome.lines))
+    return DONE if outcome.diagnosis.trusted else NOT_TRUSTED
+
+
+def _diagnose_together(options: argparse.Namespace) -> int:
+    """Recordings of one craft: what physics they have in common."""
+    from magcal_service.diagnosis.joint.command import JointRequest, run_together
+    from magcal_service.diagnosis.progress import progress
+
+    if options.simulation is not None:
+        accepted = "one recording is compared with a scenario; leave it out, or add --separately"
+        raise ConfigError([Fault("--simulation", options.simulation, accepted)])
+    with progress() as step:
+        outcome = run_together(JointRequest(tuple(options.recordings), options.out, options.craft), step)
     print("\n".join(outcome.lines))
     return DONE if outcome.diagnosis.trusted else NOT_TRUSTED

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.diagnose import diagnose as run
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
+from magcal_service.diagnosis.joint.gather import gather
+from magcal_service.diagnosis.joint.result import as_json as joint_json
+from magcal_service.diagnosis.joint.result import summary as joint_summary
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import STATE_SIZE, Array
@@ -76,24 +80,88 @@ class Answer(NineErrors):
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OneOfSeveral(NineErrors):
+    """The nine errors of one recording among several: x (9,) and covariance (9, 9) [nT, -]."""
+
+    x: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class JointAnswer:
+    """What physics several recordings of one craft have in common.
+
+    Parameters
+    ----------
+    verdict: ``none``, ``named`` or ``unknown``.
+    trusted, reasons: whether it may be acted on, and what speaks against it.
+    recordings: nine errors of each, by its name.
+    content: what ``diagnosis.json`` holds: ``effects``, ``shared``, ``predicted_from_the_others``.
+    lines: the summary, as the command prints it.
+    """
+
+    verdict: str
+    trusted: bool
+    reasons: tuple[str, ...]
+    recordings: dict[str, OneOfSeveral]
+    content: dict[str, Any]
+    lines: tuple[str, ...]
+
+    @classmethod
+    def of(cls, diagnosis: JointDiagnosis) -> JointAnswer:
+        """The answer of a finished diagnosis."""
+        return cls(
+            verdict=str(diagnosis.verdict),
+            trusted=diagnosis.trusted,
+            reasons=diagnosis.reasons,
+            recordings={one.name: OneOfSeveral(one.fit.x[:STATE_SIZE], one.covariance) for one in diagnosis.recordings},
+            content=json.loads(joint_json(diagnosis)),
+            lines=tuple(joint_summary(diagnosis, ())),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``magcal diagnose`` writes as ``diagnosis.json``."""
+        return self.content
+
+    def __repr__(self) -> str:
+        doubt = "trusted" if self.trusted else f"do not act on this: {', '.join(self.reasons)}"
+        return "\n".join([f"Diagnosis of {len(self.recordings)} recordings ({doubt})", *self.lines])
+
+
+@overload
+def diagnose(recordings: Recording | Path | str, *, simulation: Array | None = None) -> Answer: ...
+
+
+@overload
+def diagnose(
+    recordings: Sequence[Recording | Path | str], *, simulation: Array | None = None
+) -> Answer | JointAnswer: ...
+
+
 def diagnose(
     recordings: Recording | Path | str | Sequence[Recording | Path | str],
     *,
     simulation: Array | None = None,
-) -> Answer:
-    """Compare a recording with its simulation and name what was left out.
+) -> Answer | JointAnswer:
+    """Compare a recording with its simulation and name what was left out; several, with what they have in common.
 
     Parameters
     ----------
-    recordings: one recording, or the descriptor or session to read one from; a sequence of one is accepted too.
-    simulation: nine errors (9,) of the simulation to compare with; None: as calibrated on the first half.
+    recordings: one recording, or the descriptor or session to read one from; or several of one craft, whose physics is
+        taken to be common.
+    simulation: nine errors (9,) of the simulation to compare one recording with; None: as calibrated on the first half.
 
-    Raises ``InputRefusedError`` where the recording is refused or there are several.
+    Raises ``InputRefusedError`` where a recording is refused, none is given, or several are not of one craft.
     """
     given = [recordings] if isinstance(recordings, Recording | Path | str) else list(recordings)
-    if len(given) != 1:
-        accepted = "one is accepted; diagnose several one after another"
-        raise InputRefusedError([Fault("number of recordings", len(given), accepted)])
+    if len(given) > 1:
+        if simulation is not None:
+            raise InputRefusedError([Fault("simulation", "given", "one recording is compared with a simulation")])
+        gathered = gather(given)
+        return JointAnswer.of(diagnose_together(gathered.inspections, gathered.names))
+    if not given:
+        raise InputRefusedError([Fault("number of recordings", 0, "one is accepted, or several of one craft")])
     recording = given[0] if isinstance(given[0], Recording) else read_recording(given[0])
     inspection = inspect(recording)
     refuse_hopeless(inspection.to_diagnose, inspection.lines())

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.blocks import gain_over, numbered
+from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
 from magcal_service.diagnosis.problem import Fit, is_collapsed
 from magcal_service.model import STATE_SIZE
@@ -19,21 +19,21 @@ SURE: Final = 0.95
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
 
-_STANDS_OUT: Final = 3.0
+STANDS_OUT: Final = 3.0
 """Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
 
-_LITTLE_LEFT: Final = 0.1
+LITTLE_LEFT: Final = 0.1
 """Share of the mismatch without a name beside which names are still acted on: their numbers move by a few per cent."""
 
-_MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
-_MOST_D_SIGMA: Final = 0.05  # the same, by D
+MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
+MOST_D_SIGMA: Final = 0.05  # the same, by D
 """Sigma of the nine errors from which on the field did not point in enough directions; a choice."""
 
 _MOST_NOISE: Final = 0.02
 """Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
 1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
 
-_FEWEST_SAMPLES: Final = 300
+FEWEST_SAMPLES: Final = 300
 """Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
 
 
@@ -84,23 +84,23 @@ def reasons(
     found = {
         "not_converged": not fit.converged,
         "collapsed": is_collapsed(fit.x),
-        "poor_coverage": float(sigma[:3].max()) > _MOST_BIAS_SIGMA_NT or float(sigma[3:].max()) > _MOST_D_SIGMA,
-        "unexplained_structure": unknown or (bool(fit.terms) and unexplained > _LITTLE_LEFT),
-        "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
+        "poor_coverage": float(sigma[:3].max()) > MOST_BIAS_SIGMA_NT or float(sigma[3:].max()) > MOST_D_SIGMA,
+        "unexplained_structure": unknown or (bool(fit.terms) and unexplained > LITTLE_LEFT),
+        "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
-        "rough_residual": bool(fit.terms) and not stated and _is_rough(fit),
-        "gain_in_scatter": bool(fit.terms) and not _stands_out(baseline, fit, floor_nt),
+        "rough_residual": bool(fit.terms) and not stated and is_rough(fit),
+        "gain_in_scatter": bool(fit.terms) and not stands_out(baseline, fit, floor_nt),
     }
     return tuple(name for name, holds in found.items() if holds)
 
 
-def _is_rough(fit: Fit) -> bool:
+def is_rough(fit: Fit) -> bool:
     return fit.problem.noise_nt > _MOST_NOISE * float(np.mean(fit.problem.scene.magnitude_nt))
 
 
-def _stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
+def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
     """Whether held-out blocks gain by the effects by more than their gains scatter."""
-    number = numbered(fit.white_residual, fit.problem.rows_per_sample)
+    number = fit.problem.blocks(fit.white_residual)
     sigma2 = max(fit.white_rms_nt, floor_nt) ** 2
     gain = gain_over(baseline.held_out_white, fit.held_out_white, number, sigma2)
-    return gain.tempered > 2.0 * _STANDS_OUT**2  # nats beyond so many of their sigma, sqrt(2 nats dispersion)
+    return gain.tempered > 2.0 * STANDS_OUT**2  # nats beyond so many of their sigma, sqrt(2 nats dispersion)

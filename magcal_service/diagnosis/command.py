@@ -80,9 +80,9 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     without what the report is drawn with.
     """
     check_packages()
-    _prepare_folder(request.out)
+    prepare_folder(request.out)
     made = make(request, tell)
-    files = tuple(_write(request.out / name, content) for name, content in made.contents.items())
+    files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 
@@ -109,16 +109,17 @@ def make(request: Request, tell: Callable[[str], None]) -> Made:
 def _origin(request: Request, *files: Path) -> Origin:
     """What the report says of where it comes from; a session without a descriptor is one file."""
     paths = [path for path in dict.fromkeys([request.recording, *files]) if path.is_file()]
-    digests = tuple((path.name, _digest(path)) for path in paths)
+    digests = tuple((path.name, digest(path)) for path in paths)
     return Origin(str(request.recording), request.command, digests, request.simulation or "")
 
 
-def _digest(path: Path) -> str:
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _prepare_folder(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
     """Refuse before the work is done what could not be written after it."""
     if "\0" in str(folder):
         raise InputRefusedError([Fault("--out", str(folder), "give a folder that can be made")])
@@ -129,7 +130,8 @@ def _prepare_folder(folder: Path) -> None:
         raise InputRefusedError([Fault(str(folder), exc.strerror or str(exc), accepted)]) from None
 
 
-def _write(path: Path, content: str) -> Path:
+def write(path: Path, content: str) -> Path:
+    """Write one of the files; raises ``InputRefusedError`` where that fails."""
     try:
         path.write_text(content, encoding="utf-8")
     except OSError as exc:

@@ -49,7 +49,7 @@ _LONGEST_MEMORY: Final = 20.0
 structure, until physics and shapes without a name have had their turn."""
 
 
-_FLOOR: Final = 0.3
+FLOOR: Final = 0.3
 """Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
 
 
@@ -137,7 +137,7 @@ def diagnose(
     progress(f"screening {len(effects)} effects")
     prepared, search, explained = _searched(prepared, effects)
     problem, baseline = prepared.problem, prepared.baseline
-    floor = _FLOOR * problem.noise_nt
+    floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
     left = structures(search, explained.fit, phase, floor)
@@ -194,7 +194,7 @@ def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared
         prepared = _at_scale(prepared, usual, taken)
     while True:
         search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
-        explained = search.run(prepared.baseline, _FLOOR * prepared.problem.noise_nt)
+        explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt)
         if usual is None:
             return prepared, search, explained
         scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
@@ -202,7 +202,7 @@ def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared
             return prepared, search, explained
         taken, prepared = scale, _at_scale(prepared, usual, scale)
         if names_hold or not explained.fit.terms:  # wider noise brings no new names
-            floor = _FLOOR * prepared.problem.noise_nt
+            floor = FLOOR * prepared.problem.noise_nt
             return prepared, search, search.again(prepared.problem, explained.fit, floor)
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.diagnosis.blocks import Gain, gain_over, numbered
+from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances
@@ -110,7 +110,7 @@ class Search(Screen):
 
     def again(self, problem: Problem, fit: Fit, floor_nt: float) -> Explained:
         """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful."""
-        self.look_at(problem, hypotheses_of(self.effects, problem))
+        self.look_at(problem, self.forms(problem))
         fit = self._bounded(self.refreshed(solve(problem, fit.x, fit.terms)))
         return self.compared(self._pruned(fit, floor_nt), floor_nt)
 
@@ -121,11 +121,11 @@ class Search(Screen):
         then hold the radial noise that they were freed of one by one.
         """
         for _ in range(_MOST_REFRESHED):
-            clean, measured = self._clean(fit)
+            clean, measured = self.clean(fit)
             scene = self.problem.scene
             moved_nt = float(np.sqrt(np.mean((clean - scene.calibrated_nt) ** 2)))
             problem = replace(self.problem, scene=scene.recalibrated(clean, measured))
-            self.look_at(problem, hypotheses_of(self.effects, problem))
+            self.look_at(problem, self.forms(problem))
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
             fit = solve(
                 self.problem, fit.x, [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
@@ -134,14 +134,13 @@ class Search(Screen):
                 break
         return fit
 
-    def _clean(self, fit: Fit) -> tuple[Array, Array]:
-        """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
-        scene = self.problem.scene
-        if self.problem.is_vector:
-            return scene.calibrated_nt, scene.clean_field_nt
-        body, magnitude = disturbances(fit.terms, scene)
-        clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
-        return clean, measure(fit.x[:STATE_SIZE], clean + body)
+    def forms(self, problem: Problem) -> list[Hypothesis]:
+        """Every hypothesis of the catalogue on a problem."""
+        return hypotheses_of(self.effects, problem)
+
+    def clean(self, fit: Fit) -> tuple[Array, Array]:
+        """As ``clean_vectors``."""
+        return clean_vectors(fit)
 
     def _larger(self, fit: Fit, floor_nt: float) -> Fit | None:
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
@@ -296,7 +295,7 @@ class Search(Screen):
         return Explained(fit, tuple(_best_of_each(ranked) for ranked in rivals), tuple(nats), tuple(gains))
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
-        return numbered(self.white(fit.residual), self.problem.rows_per_sample)
+        return self.problem.blocks(self.white(fit.residual))
 
     def _tempered(
         self,
@@ -335,6 +334,16 @@ class Search(Screen):
 def is_recorded(hypothesis: Hypothesis) -> bool:
     """Whether a recorded channel drives it."""
     return hypothesis.driver.startswith("channel")
+
+
+def clean_vectors(fit: Fit) -> tuple[Array, Array]:
+    """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
+    scene = fit.problem.scene
+    if fit.problem.is_vector:
+        return scene.calibrated_nt, scene.clean_field_nt
+    body, magnitude = disturbances(fit.terms, scene)
+    clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
+    return clean, measure(fit.x[:STATE_SIZE], clean + body)
 
 
 def _held_out(fit: Fit) -> float:

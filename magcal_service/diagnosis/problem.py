@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.diagnosis.blocks import numbered
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.linear import fold_solutions, folds
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
@@ -96,6 +97,18 @@ class Problem:
         """Rows (m,) or (m, k) of the residual in which the noise is white."""
         return rows if self.field_error is None else self.field_error.whitened(rows)
 
+    def is_collapsed(self, x: Array) -> bool:
+        """Whether the nine errors among the unknowns (size,) are no sensor's."""
+        return is_collapsed(x)
+
+    def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
+        """What ``evaluate`` gives."""
+        return _evaluated(self, x, terms, derivatives)
+
+    def blocks(self, white_residual: Array) -> NDArray[np.intp]:
+        """Block number (m,) of each row for evidence that is counted over blocks of the residual (m,)."""
+        return numbered(white_residual, self.rows_per_sample)
+
     def rows(self, columns: Columns, unit: Array) -> Array | None:
         """Columns as rows of the residual (m, k), or None where they are zero in this form."""
         if not self.is_vector:
@@ -157,9 +170,9 @@ class Fit:
 
     @property
     def unknowns(self) -> Array:
-        """(p,) nine errors, amplitudes, and zero for what has no prior to be tied to."""
+        """(p,) nine errors, amplitudes, and zero for nonlinear numbers, which have no prior to be tied to."""
         values = np.zeros(self.linear_size + sum(len(free_numbers(term)) for term in self.terms))
-        values[:STATE_SIZE] = self.x[:STATE_SIZE]
+        values[: self.problem.size] = self.x
         amplitudes = [term.amplitudes for term in self.terms]
         if amplitudes:
             values[self.problem.size : self.linear_size] = np.concatenate(amplitudes)
@@ -233,7 +246,7 @@ def _tie(problem: Problem) -> Array:
     return tie
 
 
-def _amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
+def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
     """(k,) inverse prior variances of a term's amplitudes: what cancels could be of any size otherwise."""
     return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2)
 
@@ -250,6 +263,10 @@ def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
 
 def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool = True) -> Fit:
     """Residual and derivatives at given unknowns."""
+    return problem.evaluated(x, terms, derivatives)
+
+
+def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
     scene = problem.scene
     body, magnitude = disturbances(terms, scene)
     w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
@@ -274,7 +291,7 @@ def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: boo
     for term in terms:
         made = term.hypothesis.columns(term.theta)
         parts.append(_required(problem.rows(made, unit)))
-        ties.append(_amplitude_tie(problem, term, made))
+        ties.append(amplitude_tie(problem, term, made))
         slopes += _slopes(problem, term, unit)
     columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
     tie = np.concatenate([*ties, np.zeros(len(slopes))])

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_numbers, is_collapsed
+from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_numbers
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
@@ -86,7 +86,7 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
         if here.to_go < _CONVERGED * here.sigma2:
             return replace(fit, converged=True)
         trial = _moved(fit, here.damped(damping) / here.scale)
-        if not (is_collapsed(trial[0]) and not is_collapsed(fit.x)):
+        if not (problem.is_collapsed(trial[0]) and not problem.is_collapsed(fit.x)):
             there = evaluate(problem, *trial)
             next_ = _Step.of(there, here.sigma2)
             if _is_better(here, next_):

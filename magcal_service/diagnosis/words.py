@@ -51,6 +51,10 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "what the effects gain on held-out blocks does not stand out of its scatter",
         "record longer: twice the blocks halve the variance of the gain",
     ),
+    "not_predicted": (
+        "a recording is not predicted by the numbers of the others: what was named is not common to them",
+        "see which recording and which effect it is; diagnose that recording alone",
+    ),
     "not_enough_data": ("too few samples for held-out blocks", "record longer: 300 samples at least"),
 }
 """What each reason against trusting a result means, and what would lift it."""

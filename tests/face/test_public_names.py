@@ -18,6 +18,7 @@ PUBLIC = {
     "Filter",
     "Fit",
     "InputRefusedError",
+    "JointAnswer",
     "MagcalError",
     "NoSolutionError",
     "Pipeline",

@@ -267,7 +267,9 @@ class Scene:
             assert self.lit is not None
             drive = self.lit - self.mean_light
             if skin_s > 0.0:
-                drive = sunlight.first_order(self.time_s, drive, skin_s, self.begin("skin", 0.0))
+                drive = sunlight.first_order(
+                    self.time_s, drive, skin_s, self.begin("skin", self.constant("skin_start", 0.0))
+                )
                 self.keep("skin", drive)
             answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
             self.keep("answer", answer)

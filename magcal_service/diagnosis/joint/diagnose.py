@@ -1,0 +1,294 @@
+"""Several recordings of one craft: prepare each -> explain together -> what is common -> what is left -> verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_service.diagnosis.belief import (
+    FEWEST_SAMPLES,
+    LITTLE_LEFT,
+    MOST_BIAS_SIGMA_NT,
+    MOST_D_SIGMA,
+    SURE,
+    is_rough,
+    posterior,
+    stands_out,
+)
+from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Verdict
+from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.field_error import SCALES
+from magcal_service.diagnosis.field_level import at_scale, needed_scale
+from magcal_service.diagnosis.joint.compare import Apart, Compared
+from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, Forms, joint, transferred
+from magcal_service.diagnosis.joint.problem import JointProblem
+from magcal_service.diagnosis.joint.search import JointSearch
+from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.prepare import MOST_ROWS, Prepared, prepare
+from magcal_service.diagnosis.problem import Fit, Problem
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.interface import Effect
+from magcal_service.recordings.inspect.inspection import Inspection
+from magcal_service.recordings.recording import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alone:
+    """One recording in a joint diagnosis.
+
+    Parameters
+    ----------
+    name: of the recording.
+    inspection: what is wrong with it.
+    prepared: its rows, problem and the nine errors alone.
+    baseline: the nine errors alone, under the field model's errors that it needs.
+    fit: its nine errors with the effects, as the joint fit has them.
+    covariance: (9, 9) of those errors.
+    left: structures that are left, best first.
+    """
+
+    name: str
+    inspection: Inspection
+    prepared: Prepared
+    baseline: Fit
+    fit: Fit
+    covariance: Array
+    left: tuple[Structure, ...]
+
+    @property
+    def has_coverage(self) -> bool:
+        """Whether the field pointed in enough directions to fix its nine errors."""
+        sigma = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+        return float(sigma[BIAS].max()) <= MOST_BIAS_SIGMA_NT and float(sigma[D_ALL].max()) <= MOST_D_SIGMA
+
+    @property
+    def explained(self) -> float:
+        """Drop in squares by the effects [nT^2]."""
+        return max(float((self.baseline.residual**2).sum() - (self.fit.residual**2).sum()), 0.0)
+
+    @property
+    def unexplained(self) -> float:
+        """Squares in the best of the structures that are left [nT^2], 0 where it may be noise."""
+        return self.left[0].squares if self.left and significant(self.left[0]) else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointDiagnosis:
+    """Everything that was found on several recordings of one craft.
+
+    Parameters
+    ----------
+    recordings: each of them.
+    explained: effects that were kept, fitted to all.
+    compared: every recording against the others.
+    verdict, reasons: what it comes to, and what speaks against acting on it.
+    effects: the catalogue.
+    seconds: what it took.
+    """
+
+    recordings: tuple[Alone, ...]
+    explained: Explained
+    compared: Compared
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    seconds: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the result may be acted on."""
+        return not self.reasons
+
+    @property
+    def fit(self) -> Fit:
+        """Nine errors of each and effects of all."""
+        return self.explained.fit
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the mismatch that no effect explains."""
+        left = sum(one.unexplained for one in self.recordings)
+        return left / max(left + sum(one.explained for one in self.recordings), 1e-12)
+
+
+def diagnose_together(
+    inspections: Sequence[Inspection],
+    names: Sequence[str],
+    effects: tuple[Effect, ...] | None = None,
+    progress: Progress = lambda _: None,
+) -> JointDiagnosis:
+    """Find the physics that several recordings of one craft have in common.
+
+    While something has to be answered about one of the recordings, no physics is named.
+
+    Parameters
+    ----------
+    inspections, names: two or more recordings with what was found on each, and a name for each.
+    effects: the catalogue; a test may pass its own.
+    progress: told what is being done.
+    """
+    began = time.monotonic()
+    is_open = any(one.open for one in inspections)
+    effects = () if is_open else catalogue() if effects is None else effects
+    progress(f"simulating {len(inspections)} recordings with nine errors each")
+    prepared = [prepare(one, effects) for one in thinned([one.to_diagnose for one in inspections])]
+    progress(f"screening {len(effects)} effects")
+    run = _Run(tuple(effects), prepared, tuple(names))
+    explained = run.explained()
+    progress("comparing the recordings with one another")
+    explained, compared = run.common(explained)
+    progress("looking for what is left")
+    alone = run.alone(explained.fit, inspections)
+    found = JointDiagnosis(
+        tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began
+    )
+    verdict = Verdict.NAMED if explained.fit.terms else Verdict.NONE
+    if is_open or found.unexplained > UNKNOWN_SHARE:
+        verdict = Verdict.UNKNOWN
+    doubts = ("recording_doubtful",) if is_open else ()
+    return replace(found, verdict=verdict, reasons=(*doubts, *_reasons(found, verdict)))
+
+
+def thinned(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with every so many-th row, so that all together are no more than one diagnosis takes."""
+    usable = [recording.sorted_unique() for recording in recordings]
+    stride = -(-sum(len(one) for one in usable) // MOST_ROWS)
+    if stride == 1:
+        return list(recordings)
+    return [one.select(np.arange(0, len(one), stride)) for one in usable]
+
+
+@dataclass(eq=False)
+class _Run:
+    """The steps that follow the preparation, on the recordings' problems under the field-model errors they need."""
+
+    effects: tuple[Effect, ...]
+    prepared: Sequence[Prepared]
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self._usual = [one.problem.field_error for one in self.prepared]
+        self._scales = [min(SCALES)] * len(self.prepared)
+        self.singles = self._scaled()
+        self.catalogue = Forms.of(self.effects, self.singles)
+
+    def _scaled(self) -> list[Problem]:
+        triples = zip(self.prepared, self._usual, self._scales, strict=True)
+        return [one.problem if usual is None else at_scale(one.problem, usual, s) for one, usual, s in triples]
+
+    def explained(self) -> Explained:
+        """A search, repeated while a recording needs larger errors of the field model."""
+        while True:
+            problem = JointProblem.of(self.singles)
+            baseline = solve(problem, np.concatenate([one.baseline.x for one in self.prepared]))
+            forms = self.catalogue.on(problem.parts, self.names)
+            search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
+            found = search.run(baseline, FLOOR * problem.noise_nt)
+            fit = search.arrived(found.fit)
+            if fit is not found.fit:
+                found = search.compared(fit, FLOOR * problem.noise_nt)
+            if not self._grown(baseline, found.fit):
+                return found
+
+    def _grown(self, baseline: Fit, fit: Fit) -> bool:
+        """Whether some recording needs larger errors of the field model than were taken; they are taken from now on."""
+        pairs = zip(_parts(baseline), _parts(fit), strict=True)
+        needed = [
+            min(SCALES) if usual is None else needed_scale(usual, *pair)[0]
+            for usual, pair in zip(self._usual, pairs, strict=True)
+        ]
+        larger = [max(new, old) for new, old in zip(needed, self._scales, strict=True)]
+        grown, self._scales = larger != self._scales, larger
+        self.singles = self._scaled()
+        return grown
+
+    def common(self, explained: Explained) -> tuple[Explained, Compared]:
+        """With amplitudes of each recording's own where the recordings differ in them."""
+        for _ in range(len(explained.fit.terms) + 1):
+            compared = self._apart(explained.fit).compared()
+            apart = [
+                k for k, term in enumerate(explained.fit.terms) if joint(term).common and not compared.is_common(k)
+            ]
+            if not apart:
+                break
+            explained = self._with_own(explained.fit, apart)
+        return explained, compared
+
+    def _apart(self, fit: Fit) -> Apart:
+        return Apart(self.catalogue, fit, self.singles, self.names, FLOOR)
+
+    def _with_own(self, fit: Fit, numbers: Sequence[int]) -> Explained:
+        """The fit with every amplitude of some terms each recording's own."""
+        problem = JointProblem.of(self.singles)
+        forms = self.catalogue.on(problem.parts, self.names)
+        by_label = {form.label: form for form in forms}
+        terms = []
+        for number, term in enumerate(fit.terms):
+            form = joint(term)
+            if number in numbers:
+                own = [one for one in forms if one.base == form.base and one.variant.endswith(EACH_ITS_OWN)]
+                terms.append(transferred(term, own[0]))
+            else:
+                terms.append(transferred(term, by_label[form.label]))
+        search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
+        floor = FLOOR * problem.noise_nt
+        return search.compared(search.arrived(search.refreshed(solve(problem, fit.x, terms))), floor)
+
+    def alone(self, fit: Fit, inspections: Sequence[Inspection]) -> list[Alone]:
+        """What each recording has of the joint fit, and what is left in it."""
+        assert isinstance(fit.problem, JointProblem)
+        found = []
+        first = 0
+        for number, part in enumerate(_parts(fit)):
+            prepared, own = self.prepared[number], slice(first, first + STATE_SIZE)
+            first += part.problem.size
+            spin = prepared.spin
+            spin_hz = None if spin is None else abs(spin.rate_rad_s) / (2.0 * np.pi)
+            search = Search(part.problem, [], self.effects, spin_hz=spin_hz)
+            left = structures(search, part, None if spin is None else spin.phase_rad, FLOOR * part.problem.noise_nt)
+            baseline = solve(self.singles[number], prepared.baseline.x)
+            found.append(
+                Alone(
+                    self.names[number],
+                    inspections[number],
+                    prepared,
+                    baseline,
+                    part,
+                    fit.covariance[own, own],
+                    tuple(left),
+                )
+            )
+        return found
+
+
+def _parts(fit: Fit) -> list[Fit]:
+    """Each recording's own part in a fit of all."""
+    assert isinstance(fit.problem, JointProblem)
+    return fit.problem.fits(fit.x, fit.terms)
+
+
+def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
+    """What speaks against acting on a result, by the names of ``words.REASONS``."""
+    fit, named = found.fit, bool(found.fit.terms)
+    predicts = any(joint(term).common for term in fit.terms) and all(
+        one.stands_out and one.kept > 0.0 for one in found.compared.predicted if one.shows
+    )
+    baseline = solve(fit.problem, fit.x)
+    holds = {
+        "not_converged": not fit.converged,
+        "collapsed": fit.problem.is_collapsed(fit.x),
+        "poor_coverage": not any(one.has_coverage for one in found.recordings),
+        "unexplained_structure": verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
+        "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
+        "name_uncertain": any(posterior(found.explained, index).own < SURE for index in range(len(fit.terms))),
+        "rough_residual": named
+        and any(one.prepared.view.stated_noise_nt is None and is_rough(one.fit) for one in found.recordings),
+        "gain_in_scatter": named and not stands_out(baseline, fit, FLOOR * fit.problem.noise_nt),
+        "not_predicted": named and not predicts,
+    }
+    return tuple(name for name, is_so in holds.items() if is_so)

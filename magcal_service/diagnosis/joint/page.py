@@ -1,0 +1,112 @@
+"""A joint diagnosis as one page: what is common, each recording predicted from the others, and the recordings."""
+
+from __future__ import annotations
+
+import math
+import platform
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.joint.compare import Estimate, Predicted, Shared
+from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
+from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
+from magcal_service.diagnosis.report.page import Origin, check_packages
+from magcal_service.diagnosis.words import chance, driver_in_words, percent, reason_in_words, remedy
+from magcal_service.model import BIAS
+from magcal_service.physics.saying import measured
+from magcal_service.version import __version__
+
+_TEMPLATE: Final = "page.html"
+
+
+def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
+    """The page as HTML.  Raises ``ExtraMissingError`` without jinja2 or matplotlib."""
+    check_packages()
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    return environment.get_template(_TEMPLATE).render(
+        diagnosis=diagnosis,
+        sentence=sentence(diagnosis),
+        reasons=[{"code": code, "means": reason_in_words(code), "remedy": remedy(code)} for code in diagnosis.reasons],
+        names=[one.name for one in diagnosis.recordings],
+        effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
+        predicted=[_predicted(one) for one in diagnosis.compared.predicted if diagnosis.compared.shared],
+        recordings=[_recording(one) for one in diagnosis.recordings],
+        origin=origin,
+        version=__version__,
+        python=platform.python_version(),
+        numpy=np.__version__,
+    )
+
+
+def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
+    effect, believed = effect_of(diagnosis, index), posterior(diagnosis.explained, index)
+    return {
+        "name": effect.name,
+        "title": effect.title,
+        "says": says(diagnosis, index),
+        "commonness": commonness(diagnosis, index),
+        "probability": chance(believed.own),
+        "members": ", ".join(believed.members[1:]),
+        "separated_by": effect.separated_by,
+        "driver": driver_in_words(diagnosis.fit.terms[index].hypothesis.driver),
+        "numbers": [_number(diagnosis, one) for one in diagnosis.compared.shared if one.index == index],
+    }
+
+
+def _number(diagnosis: JointDiagnosis, one: Shared) -> dict[str, Any]:
+    return {
+        "name": one.parameter,
+        "unit": "" if one.unit == "1" else one.unit,
+        "together": _in_words(one.together),
+        "own": [_in_words(each.own) for each in one.each],
+        "agrees": one.agrees,
+        "agreement": agreement(diagnosis, one),
+    }
+
+
+def _in_words(one: Estimate) -> str:
+    pairs = zip(one.value.tolist(), one.sigma.tolist(), strict=True)
+    return ", ".join(measured(value, sigma) for value, sigma in pairs)
+
+
+def _predicted(one: Predicted) -> dict[str, Any]:
+    worse = one.predicted_nt > one.alone_nt
+    kept = percent(max(one.kept, 0.0)) if one.shows else "shows too little"
+    return {
+        "name": one.name,
+        "alone": f"{one.alone_nt:.0f} nT",
+        "predicted": f"{one.predicted_nt:.0f} nT",
+        "own": f"{one.own_nt:.0f} nT",
+        "worse": worse,
+        "kept": "worse than nine errors alone" if worse else kept,
+        "effects": ["" if part is None else _share(part.share) for part in one.effects],
+    }
+
+
+def _share(share: float) -> str:
+    """What is kept of one effect, in words."""
+    if not math.isfinite(share):
+        return "not seen"
+    return "worse than without it" if share < 0.0 else percent(share)
+
+
+def _recording(one: Alone) -> dict[str, Any]:
+    sigma = np.sqrt(np.maximum(np.diagonal(one.covariance), 0.0))[BIAS].tolist()
+    bias = ", ".join(measured(value, s) for value, s in zip(one.fit.x[BIAS].tolist(), sigma, strict=True))
+    share = left_share(one)
+    return {
+        "name": one.name,
+        "rows": len(one.prepared.problem.scene),
+        "noise": f"{one.prepared.problem.noise_nt:.0f} nT",
+        "before": f"{one.baseline.rms_nt:.0f} nT",
+        "after": f"{one.fit.rms_nt:.0f} nT",
+        "bias": bias if one.has_coverage else f"{bias}: not fixed, the field pointed in too few directions",
+        "left": percent(share) if share > 0.0 else "nothing that could not be noise",
+    }

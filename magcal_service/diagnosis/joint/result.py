@@ -1,0 +1,302 @@
+"""A joint diagnosis as JSON, as a model, and in a dozen lines."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magcal_service.diagnosis.belief import Posterior, posterior
+from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.entry import plain
+from magcal_service.diagnosis.handover import model_term
+from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
+from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
+from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint, started
+from magcal_service.diagnosis.parameters import parameters_of
+from magcal_service.diagnosis.problem import Term
+from magcal_service.diagnosis.words import chance, percent, reason_in_words
+from magcal_service.model import BIAS, STATE_SIZE, d_matrix
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.interface import Effect, Value, Values
+from magcal_service.wire.messages import Clock
+
+
+def as_json(diagnosis: JointDiagnosis) -> str:
+    """The ``diagnosis.json`` of several recordings."""
+    content: dict[str, Any] = {
+        "verdict": str(diagnosis.verdict),
+        "recordings": [_recording(one) for one in diagnosis.recordings],
+        "effects": [_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
+        "shared": [_shared(one) for one in diagnosis.compared.shared],
+        "predicted_from_the_others": [_predicted(diagnosis, one) for one in diagnosis.compared.predicted],
+        "unexplained_share": round(diagnosis.unexplained, 4),
+        "seconds": round(diagnosis.seconds, 2),
+        "converged": diagnosis.fit.converged,
+        "trusted": diagnosis.trusted,
+        "reasons": list(diagnosis.reasons),
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _recording(one: Alone) -> dict[str, Any]:
+    sigma = np.sqrt(np.maximum(np.diagonal(one.covariance), 0.0))
+    left = one.left[0] if one.unexplained > 0.0 else None
+    return {
+        "name": one.name,
+        "file": one.prepared.recording.name,
+        "rows": dict(one.prepared.counts) | {"used": len(one.prepared.problem.scene)},
+        "noise_floor_nt": one.prepared.problem.noise_nt,
+        "held_out_rms_nt": {"recalibrated": one.baseline.held_out_rms_nt},
+        "rms_nt": {"recalibrated": one.baseline.rms_nt, "with_effects": one.fit.rms_nt},
+        "bias_nt": one.fit.x[BIAS].tolist(),
+        "D": d_matrix(one.fit.x[:STATE_SIZE]).tolist(),
+        "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+        "bias_before_nt": one.baseline.x[BIAS].tolist(),
+        "has_coverage": one.has_coverage,
+        "left": None if left is None else {"shape": left.shape.says, "share": round(left_share(one), 4)},
+        "seen_in_samples": sorted(one.prepared.findings),
+        "findings": [finding.to_dict() for finding in one.inspection.findings],
+    }
+
+
+def left_share(one: Alone) -> float:
+    """Share of a recording's mismatch without a name."""
+    return one.unexplained / max(one.unexplained + one.explained, 1e-12)
+
+
+def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
+    term, believed = diagnosis.fit.terms[index], posterior(diagnosis.explained, index)
+    form, gain = joint(term), diagnosis.explained.gains[index]
+    return {
+        "effect": form.effect,
+        "says": says(diagnosis, index),
+        "common": bool(form.common),
+        "probability": round(believed.own, 6),
+        "rivals": [{"effect": name, "probability": round(p, 6)} for name, p in believed.rivals[:4]],
+        "class": list(believed.members),
+        "separated_by": effect_of(diagnosis, index).separated_by,
+        "driver": form.driver,
+        "variant": form.variant,
+        "parameters": {name: _value(value) for name, value in parameters(diagnosis, index).items()},
+        "constants": dict(form.constants),
+        "own": {name: _own(diagnosis, index, name) for name in sorted(form.own)},
+        "recordings": [name for name in form.names if form.acts_on(name)],
+        "evidence_nats": round(diagnosis.explained.nats[index], 2),
+        "seen_in_blocks": [gain.seen, gain.expected],
+    }
+
+
+def effect_of(diagnosis: JointDiagnosis, index: int) -> Effect:
+    """The catalogue's entry of a term."""
+    name = diagnosis.fit.terms[index].hypothesis.effect
+    return next(effect for effect in diagnosis.effects if effect.name == name)
+
+
+def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
+    """The numbers of a term with 1 sigma, without start states; an instant on the clock of its own recording."""
+    term = diagnosis.fit.terms[index]
+    form = joint(term)
+    found = dict(parameters_of(diagnosis.fit, index, effect_of(diagnosis, index)))
+    for number, nonlinear in enumerate(form.nonlinear):
+        if nonlinear.role == "instant":
+            acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
+            own = form.theta_of(acting, term.theta)[number]
+            found[nonlinear.name] = replace(found[nonlinear.name], value=np.asarray(own))
+    return {name: value for name, value in found.items() if not name.startswith(START)}
+
+
+def says(diagnosis: JointDiagnosis, index: int) -> str:
+    """What a term is, in a sentence with its numbers."""
+    form = joint(diagnosis.fit.terms[index])
+    sentence = effect_of(diagnosis, index).sentence(parameters(diagnosis, index), form.driver)
+    if form.solo:
+        return f"In {form.solo}: {sentence}"
+    return sentence if form.common else f"In each recording its own, in the order of the recordings: {sentence}"
+
+
+def _own(diagnosis: JointDiagnosis, index: int, block: str) -> dict[str, Any]:
+    """What each recording has itself."""
+    term = diagnosis.fit.terms[index]
+    form, one = joint(term), estimate(diagnosis.fit, index, block)
+    shape = next(b.shape for b in form.blocks if b.name == block)
+    acting = [name for name in form.names if form.acts_on(name)]
+    values, sigmas = one.value.reshape(shape), one.sigma.reshape(shape)
+    unit = next(b.unit for b in form.blocks if b.name == block)
+    return {
+        name: {"value": value.tolist(), "sigma": sigma.tolist(), "unit": unit}
+        for name, value, sigma in zip(acting, values, sigmas, strict=True)
+    }
+
+
+def _value(value: Value) -> dict[str, Any]:
+    return {"value": plain(value.value), "sigma": plain(value.sigma), "unit": value.unit}
+
+
+def _shared(one: Shared) -> dict[str, Any]:
+    return {
+        "effect": one.effect,
+        "parameter": one.parameter,
+        "unit": one.unit,
+        "together": _estimate(one.together, one.shape),
+        "probability": float(f"{one.probability:.4g}"),
+        "agrees": one.agrees,
+        "recordings": [
+            {
+                "name": each.name,
+                "own": _estimate(each.own, one.shape),
+                "others": _estimate(each.others, one.shape),
+                "probability": float(f"{each.probability:.4g}"),
+            }
+            for each in one.each
+        ],
+    }
+
+
+def _estimate(one: Estimate, shape: tuple[int, ...]) -> dict[str, Any]:
+    return {"value": one.value.reshape(shape).tolist(), "sigma": one.sigma.reshape(shape).tolist()}
+
+
+def _predicted(diagnosis: JointDiagnosis, one: Predicted) -> dict[str, Any]:
+    kept = zip(diagnosis.fit.terms, one.effects, strict=True)
+    return {
+        "name": one.name,
+        "held_out_rms_nt": {"recalibrated": one.alone_nt, "predicted": one.predicted_nt, "own": one.own_nt},
+        "share_of_own_gain": round(one.kept, 4) if one.shows else None,
+        "worse_than_nothing": one.predicted_nt > one.alone_nt,
+        "stands_out": one.stands_out,
+        "gain_nats": round(one.gain.tempered, 2),
+        "seen_in_blocks": [one.gain.seen, one.gain.expected],
+        "effects": {term.hypothesis.effect: _kept(part) for term, part in kept if part is not None},
+    }
+
+
+def _kept(part: Kept) -> float | None:
+    return round(part.share, 4) if math.isfinite(part.share) else None
+
+
+# The model
+
+
+def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
+    """The common physics, with nine errors and start states of the latest recording, to begin from.
+
+    What each recording has its own, and what acts in one of them alone, is no model of the next and is left out.
+    """
+    latest = max(diagnosis.recordings, key=lambda one: one.prepared.problem.scene.origin_ns)
+    scene = latest.prepared.problem.scene
+    sigma = np.sqrt(np.maximum(np.diagonal(latest.covariance), 0.0))
+    terms = [(k, term) for k, term in enumerate(diagnosis.fit.terms) if joint(term).common]
+    return PhysicsModel(
+        recording=latest.prepared.recording.name,
+        origin_ns=scene.origin_ns,
+        clock=Clock.UTC if scene.utc else Clock.ELAPSED,
+        x=latest.fit.x[:STATE_SIZE],
+        sigma=sigma[:STATE_SIZE],
+        noise_nt=latest.prepared.problem.noise_nt,
+        terms=tuple(_model_term(diagnosis, k, term, latest) for k, term in terms),
+        notes=(),
+        spin=None,
+    )
+
+
+def _model_term(diagnosis: JointDiagnosis, index: int, term: Term, latest: Alone) -> ModelTerm:
+    form = joint(term)
+    number = form.names.index(latest.name)
+    own = form.term_of(number, term)
+    assert own is not None
+    found = model_term(own.hypothesis, own.theta, own.amplitudes)
+    variance = np.diagonal(diagnosis.fit.covariance)
+    at = diagnosis.fit.problem.size + sum(t.hypothesis.size for t in diagnosis.fit.terms[:index])
+    spread = np.sqrt(np.maximum(variance[at + form.index[number]], 0.0))
+    sigma = model_term(own.hypothesis, own.theta, spread).amplitudes
+    constants = started(latest.prepared.problem.scene, own.hypothesis.constants)
+    return replace(found, sigma=sigma, constants=dict(constants))
+
+
+# In words
+
+
+def sentence(diagnosis: JointDiagnosis) -> str:
+    """What it comes to, in one sentence."""
+    count, terms = len(diagnosis.recordings), diagnosis.fit.terms
+    common = [effect_of(diagnosis, k).title for k, term in enumerate(terms) if joint(term).common]
+    own = [effect_of(diagnosis, k).title for k, term in enumerate(terms) if not joint(term).common]
+    if not terms:
+        left = "agree with the simulation to the noise" if diagnosis.verdict is Verdict.NONE else "are not explained"
+        return f"{count} recordings {left}: no physics is named from them."
+    parts = [f"{count} recordings have in common {' and '.join(common)}"] if common else []
+    parts += [f"not common {'is' if len(own) == 1 else 'are'} {' and '.join(own)}"] if own else []
+    left = f"{percent(diagnosis.unexplained)} of the mismatch has no name" if diagnosis.unexplained > 0.0 else ""
+    text = "; ".join(filter(None, (*parts, left)))
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
+    """What was found, what is common, how well each recording is predicted, and where the files are."""
+    lines = [f"verdict: {diagnosis.verdict}", f"  {sentence(diagnosis)}"]
+    for index, term in enumerate(diagnosis.fit.terms):
+        believed = posterior(diagnosis.explained, index)
+        lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
+        lines.append(f"    {says(diagnosis, index)}")
+    lines += [f"  {line}" for line in shared_lines(diagnosis)]
+    lines += [f"  {line}" for line in predicted_lines(diagnosis)]
+    lines.append(f"left: {percent(diagnosis.unexplained)} of the mismatch")
+    lines += [f"not to be trusted: {reason} ({reason_in_words(reason)})" for reason in diagnosis.reasons]
+    lines += ["files: " + ", ".join(str(path) for path in files)] if files else []
+    return lines
+
+
+def _sure(believed: Posterior) -> str:
+    others = f"; not told from {', '.join(believed.members[1:])}" if len(believed.members) > 1 else ""
+    return f"probability {chance(believed.own)}{others}"
+
+
+def commonness(diagnosis: JointDiagnosis, index: int) -> str:
+    """Whether an effect is common to all recordings."""
+    form: JointHypothesis = joint(diagnosis.fit.terms[index])
+    if form.solo:
+        return f"in {form.solo} alone"
+    return "common to all" if form.common else "not common: each recording has numbers of its own"
+
+
+def shared_lines(diagnosis: JointDiagnosis) -> list[str]:
+    """One line for each number: whether the recordings agree in it."""
+    return [f"{one.effect} {one.parameter}: {agreement(diagnosis, one)}" for one in diagnosis.compared.shared]
+
+
+def agreement(diagnosis: JointDiagnosis, one: Shared) -> str:
+    """Whether the recordings agree in a number, with the evidence."""
+    by_chance = f"probability of the largest difference by chance {percent(one.probability)}"
+    if one.agrees:
+        return f"shared ({by_chance})"
+    kept = [recording.effects[one.index] for recording in diagnosis.compared.predicted]
+    shares = [part.share for part in kept if part is not None and math.isfinite(part.share)]
+    if not diagnosis.compared.is_common(one.index) or not shares:
+        return f"not shared ({by_chance})"
+    return (
+        f"shared, but the recordings differ by more than their sigma ({by_chance}); the others' numbers do "
+        f"{percent(min(shares))} or more of what a recording's own do"
+    )
+
+
+def predicted_lines(diagnosis: JointDiagnosis) -> list[str]:
+    """One line for each recording: what the others' numbers do for it."""
+    return [f"{one.name}: {prediction(one)}" for one in diagnosis.compared.predicted]
+
+
+def prediction(one: Predicted) -> str:
+    """What the other recordings' numbers do for one, in words."""
+    levels = (
+        f"{one.alone_nt:.0f} nT with nine errors, {one.predicted_nt:.0f} predicted, {one.own_nt:.0f} by its own fit"
+    )
+    if one.predicted_nt > one.alone_nt:
+        return f"{levels}; the others' numbers make it worse"
+    if not one.shows:
+        return f"{levels}; it shows too little to be predicted"
+    return f"{levels}; predicted from the others, {percent(max(one.kept, 0.0))} of its own fit's gain is kept"

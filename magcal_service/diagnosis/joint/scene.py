@@ -1,0 +1,85 @@
+"""The samples of several recordings as one scene: one after another, each with its own drivers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.scene.scene import Scene
+
+_BETWEEN_S: Final = 3600.0
+"""Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
+
+_SAME_UNDER_CONSTANTS: Final = (
+    "period_s",
+    "pauses",
+    "time_ns",
+    "magnitude_slope",
+    "position_eci_km",
+    "sun_eci",
+    "lit",
+    "sun_body",
+    "dipole_eci",
+    "knots",
+    "has_model",
+)
+"""Results of a scene that no constant of a model changes."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointScene(Scene):
+    """As ``Scene``, with the scenes of the recordings; times rise over all of them, with pauses between.
+
+    Parameters
+    ----------
+    parts: one scene a recording, each on its own clock.
+    """
+
+    parts: tuple[Scene, ...] = ()
+
+    @classmethod
+    def of(cls, parts: Sequence[Scene]) -> JointScene:
+        """The scenes one after another."""
+        times = [part.time_s + offset for part, offset in zip(parts, offsets_s(parts), strict=True)]
+        return cls(
+            time_s=np.concatenate(times),
+            origin_ns=parts[0].origin_ns,
+            utc=all(part.utc for part in parts),
+            field_nt=np.concatenate([part.field_nt for part in parts]),
+            calibrated_nt=np.concatenate([part.calibrated_nt for part in parts]),
+            clean_field_nt=np.concatenate([part.clean_field_nt for part in parts]),
+            magnitude_nt=np.concatenate([part.magnitude_nt for part in parts]),
+            in_orbit=all(part.in_orbit for part in parts),
+            parts=tuple(parts),
+        )
+
+    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> JointScene:
+        """The same recordings with other calibrated vectors (n, 3), all of them one after another."""
+        ends = np.cumsum([len(part) for part in self.parts])[:-1]
+        pairs = zip(np.split(calibrated_nt, ends), np.split(clean_field_nt, ends), strict=True)
+        return JointScene.of([part.recalibrated(*pair) for part, pair in zip(self.parts, pairs, strict=True)])
+
+
+def offsets_s(parts: Sequence[Scene]) -> list[float]:
+    """What is added to each recording's own time [s] on the common clock."""
+    found = [0.0]
+    for part in parts[:-1]:
+        found.append(found[-1] + float(part.time_s[-1]) + _BETWEEN_S)
+    return found
+
+
+def under(scene: Scene, constants: Mapping[str, float], warmed: dict[Any, Any]) -> Scene:
+    """A scene to which a model with these constants is applied.
+
+    ``warmed`` keeps answers to light, which depend on the constants but not on calibrated vectors.
+    """
+    for name in _SAME_UNDER_CONSTANTS:
+        getattr(scene, name)
+    given = replace(scene, given=constants)
+    given.__dict__.update({name: scene.__dict__[name] for name in _SAME_UNDER_CONSTANTS})
+    given.__dict__["_warmed"] = warmed
+    return given

@@ -1,0 +1,144 @@
+"""A search over several recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.explain import Search, clean_vectors
+from magcal_service.diagnosis.joint.forms import (
+    EACH_ITS_OWN,
+    Forms,
+    JointHypothesis,
+    frozen,
+    frozen_term,
+    joint,
+    like,
+    transferred,
+)
+from magcal_service.diagnosis.joint.problem import JointProblem
+from magcal_service.diagnosis.linear import Workspace
+from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
+from magcal_service.diagnosis.screen import Candidate
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
+
+COMMON_SHARE: Final = 0.5
+"""Of what amplitudes of every recording's own hold, what common ones have to hold to be preferred: one craft has one
+set of numbers, and no model is so exact that a set for each day would not fit better.  How far they differ is said
+by the comparison of each recording with the others."""
+
+
+@dataclass(eq=False)
+class JointSearch(Search):
+    """As ``Search``, over the forms of several recordings.
+
+    Parameters
+    ----------
+    catalogue: the forms.
+    names: of the recordings in the problem.
+    only: forms that are made; None: all of them.
+    held: terms whose common numbers are taken as known, by the label that their forms have in a recording.
+    """
+
+    catalogue: Forms = field(default_factory=lambda: Forms((), {}))
+    names: tuple[str, ...] = ()
+    only: tuple[JointHypothesis, ...] | None = None
+    held: Mapping[str, Term] = field(default_factory=dict)
+
+    def forms(self, problem: Problem) -> list[Hypothesis]:
+        """Every hypothesis of the catalogue on a problem of several recordings."""
+        assert isinstance(problem, JointProblem)
+        found = self.catalogue.on(problem.parts, self.names, self.only)
+        return [frozen(form, self.held[form.base]) if form.base in self.held else form for form in found]
+
+    def screen(
+        self,
+        space: Workspace,
+        fit: Fit,
+        sigma_nt: float,
+        skip: Sequence[str] = (),
+        among: Sequence[Hypothesis] | None = None,
+    ) -> list[Candidate]:
+        """As ``Screen.screen``, without amplitudes of each recording's own where common ones do nearly as well."""
+        found = super().screen(space, fit, sigma_nt, skip, among)
+        common = {_base(one): one.gain.squares for one in found if not _is_own(one)}
+        return [
+            one for one in found if not (_is_own(one) and common.get(_base(one), 0.0) > COMMON_SHARE * one.gain.squares)
+        ]
+
+    def arrived(self, fit: Fit) -> Fit:
+        """A fit from other nonlinear numbers where it has stalled, the best that arrives; else as it is.
+
+        Two time constants in a row answer alike whichever comes first: where they meet, derivatives say nothing.
+        """
+        if fit.converged:
+            return fit
+        for index, term in enumerate(fit.terms):
+            for theta in _other_starts(term):
+                terms = [replace(term, theta=theta) if k == index else other for k, other in enumerate(fit.terms)]
+                trial = solve(self.problem, fit.x, terms)
+                if trial.converged and trial.white_rms_nt < 1.001 * fit.white_rms_nt:
+                    return self.refreshed(trial)
+        return fit
+
+    def clean(self, fit: Fit) -> tuple[Array, Array]:
+        """As ``clean_vectors``, of all recordings one after another."""
+        assert isinstance(fit.problem, JointProblem)
+        each = [clean_vectors(one) for one in fit.problem.fits(fit.x, fit.terms)]
+        return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each])
+
+
+def _other_starts(term: Term) -> Iterator[Array]:
+    """Nonlinear numbers of a term one for the other, and each half and twice as large."""
+    if len(free_numbers(term)) != len(term.theta) or not len(term.theta):
+        return
+    if len(term.theta) > 1:
+        yield term.theta[::-1]
+    for index in range(len(term.theta)):
+        for factor in (0.5, 2.0):
+            yield np.where(np.arange(len(term.theta)) == index, factor * term.theta, term.theta)
+
+
+def _base(candidate: Candidate) -> str:
+    assert isinstance(candidate.hypothesis, JointHypothesis)
+    return candidate.hypothesis.base
+
+
+def _is_own(candidate: Candidate) -> bool:
+    return candidate.hypothesis.variant.endswith(EACH_ITS_OWN)
+
+
+def refitted(
+    catalogue: Forms,
+    singles: Sequence[Problem],
+    names: Sequence[str],
+    x: Array,
+    terms: Sequence[Term] = (),
+    held: Sequence[Term] = (),
+) -> Fit:
+    """A fit of some of the recordings, with columns of the vectors that it calibrates itself.
+
+    Parameters
+    ----------
+    catalogue, singles, names: the forms; the recordings' problems and names.
+    x: start of their unknowns, one after another.
+    terms: fitted on recordings among which these are; what does not act on these is left out.
+    held: terms of other recordings, whose common numbers are taken for those of ``terms`` with the same form.
+    """
+    problem = JointProblem.of(singles)
+    known = {joint(term).base: term for term in held}
+    forms = catalogue.on(problem.parts, names, [joint(term) for term in terms])
+    started = []
+    for term in terms:
+        form = like(joint(term), forms)
+        if form is not None:
+            one = transferred(term, form)
+            started.append(frozen_term(one, known[form.base]) if form.base in known else one)
+    only = tuple(joint(term) for term in started)
+    search = JointSearch(problem, [], catalogue=catalogue, names=tuple(names), only=only, held=known)
+    return search.arrived(search.refreshed(solve(problem, x, started)))
