@@ -76,9 +76,10 @@ class Lines:
 
     def carried_on(self, values: Array) -> Array:
         """Values (q, k) at all rows (n, k)."""
-        share = self.share[:, None]
-        result: Array = values[self.before] * (1.0 - share) + values[self.before + 1] * share
-        return result
+        result = np.diff(values, axis=0).take(self.before, axis=0)
+        result *= self.share[:, None]
+        result += values.take(self.before, axis=0)
+        return np.asarray(result)
 
     def gathered(self, rows: Array) -> Array:
         """The transpose: rows (n, k) to (q, k)."""

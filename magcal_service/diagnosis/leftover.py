@@ -87,9 +87,11 @@ def _transients(search: Search, space: Workspace, fit: Fit, sigma: float, cost: 
         firsts = np.arange(0, len(scene) - 2 * step, step)
         if len(firsts) < 4:
             continue
-        segments = space.segments(rows, firsts)
-        pairs = np.eye(len(firsts))[:-1] + np.eye(len(firsts), k=1)[:-1]
-        gains = 0.5 * segments.drop(pairs) / sigma**2 - 1.5 * math.log(2.0 * step) - math.log(len(firsts) * 3.0)
+        gains = (
+            0.5 * space.segments(rows, firsts).pairs.drops / sigma**2
+            - 1.5 * math.log(2.0 * step)
+            - math.log(len(firsts) * 3.0)
+        )
         trials += [
             (gain, int(first), int(first) + 2 * step) for gain, first in zip(gains.tolist(), firsts, strict=False)
         ]

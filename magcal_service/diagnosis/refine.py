@@ -17,6 +17,8 @@ _LINE_END: Final = 0.005  # of the same: a phase of two degrees over the recordi
 _INSTANT_END: Final = 0.4  # of a sample period: instants between two samples are indistinguishable
 _RELATIVE_END: Final = 0.02  # of a number itself: a time constant is seldom known better
 _PASSES: Final = 2  # over the numbers where there are several: the second sees the others moved
+_NEAR: Final = 0.25  # of the first step from a grid: the first one from where a number was at its best before
+_FINEST: Final = 1.0 / 64.0  # of the first step, the last one: a number at zero has no relative precision
 
 
 def refined(
@@ -26,13 +28,19 @@ def refined(
     best: Gain,
     grids: Sequence[Array],
     problem: Problem,
+    near: bool = False,
 ) -> tuple[Array, Gain]:
-    """The nonlinear numbers moved one after another by shrinking steps while the evidence grows."""
+    """The nonlinear numbers moved one after another by shrinking steps while the evidence grows.
+
+    ``near``: they were at their best for another residual, not on a grid; so the steps begin small.
+    """
     theta = np.array(theta)
-    for _ in range(_PASSES if len(grids) > 1 else 1):
+    for _ in range(_PASSES if len(grids) > 1 and not near else 1):
         for index, number in enumerate(hypothesis.nonlinear):
             step = _first_step(number, float(theta[index]), grids[index], problem)
-            while step > _last_step(number, float(theta[index]), problem):
+            last = max(_last_step(number, float(theta[index]), problem), _FINEST * step)
+            step *= _NEAR if near else 1.0
+            while step > last:
                 for sign in (1.0, -1.0):
                     trial = np.array(theta)
                     trial[index] += sign * step

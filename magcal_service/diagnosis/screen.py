@@ -25,6 +25,9 @@ ACCEPTED_NATS: Final = 12.0
 LEAST_VISIBLE: Final = 0.03
 """Of an effect's size in the residual, what the nine errors have not absorbed; less is rounding, no evidence."""
 
+LEAST_LEFT: Final = 0.1
+"""Of an effect's size, what the nine errors leave at least of something as large as a shifted orbit."""
+
 _SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which are another hypothesis
 _SLOWEST_TONE_SPUN_HZ: Final = 1.0 / 600.0
 """Converters, wheels and heaters are faster, and what is slower follows the orbit or the attitude; a choice."""
@@ -35,6 +38,11 @@ _SLOWEST_TONE_HZ: Final = 1.0 / 120.0
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
 _OF_LINES: Final = ("frequency", "period")
+
+_WORTH_REFINING: Final = 0.3
+"""Of the best evidence on the grids: what has less there does not come first by being refined."""
+
+_MOST_KNOWN: Final = 3  # sets of numbers that a hypothesis was at its best with, kept for when it is a rival
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +74,7 @@ class Screen:
     whitening: Array = field(default_factory=lambda: np.zeros(0))
     spin_hz: float | None = None
     _cache: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[str, list[Array]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.look_at(self.problem, self.hypotheses)
@@ -123,7 +132,7 @@ class Screen:
         skip: Sequence[str] = (),
         among: Sequence[Hypothesis] | None = None,
     ) -> list[Candidate]:
-        """Every hypothesis (or those ``among``) at its best, best first."""
+        """Every hypothesis at its best, best first; or those ``among``, from where they have been at their best."""
         lines: Array | None = None
         found = []
         for hypothesis in self.hypotheses if among is None else among:
@@ -131,10 +140,17 @@ class Screen:
                 continue
             if lines is None and any(number.role in _OF_LINES for number in hypothesis.nonlinear):
                 lines = self._lines(space, fit)
-            candidate = self._best(hypothesis, space, fit, sigma_nt, lines)
-            if candidate is not None:
-                found.append(candidate)
-        return sorted(found, key=lambda candidate: -candidate.nats)
+            trial = self._coarse(hypothesis, space, fit, sigma_nt, lines, afresh=among is None)
+            if trial is not None:
+                found.append(trial)
+        best = max((one.gain.nats for one in found), default=0.0) if among is None else 0.0
+        least = max(_WORTH_REFINING * best, 0.5 * ACCEPTED_NATS)
+        fine = [
+            self._fine(one, space, fit, sigma_nt, lines, afresh=among is None) if one.gain.nats > least else one
+            for one in found
+        ]
+        believed = [one for one in fine if self._is_believable(one, space, fit)]
+        return sorted(believed, key=lambda candidate: -candidate.nats)
 
     def _lines(self, space: Workspace, fit: Fit) -> Array:
         if self.problem.is_vector:
@@ -147,45 +163,76 @@ class Screen:
         enough = space.gain(rows, math.sqrt(space.squares / space.count)).nats > _LEAST_LINE_NATS
         return found if enough else found[:0]
 
-    def _best(
-        self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float, lines: Array | None
+    def _coarse(
+        self,
+        hypothesis: Hypothesis,
+        space: Workspace,
+        fit: Fit,
+        sigma_nt: float,
+        lines: Array | None,
+        afresh: bool,
     ) -> Candidate | None:
+        """The best of a hypothesis' grid or proposals; not ``afresh``, of what it was at its best with before."""
         cost = math.log(self._forms[hypothesis.effect]) + hypothesis.odds
         grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
-        if any(len(grid) == 0 for grid in grids):
+        if any(len(grid) == 0 for grid in grids) or LEAST_LEFT * hypothesis.least_nt > fit.rms_nt:
             return None
-
-        def gain(theta: Array) -> Gain | None:
-            rows = self.rows_of(hypothesis, theta, fit)
-            return None if rows is None else space.gain(rows, sigma_nt)
-
-        if not grids:
-            only = gain(np.zeros(0))
-            if only is None:
-                return None
-            return self._believable(Candidate(hypothesis, np.zeros(0), only, only.nats - cost), space, fit)
-        if hypothesis.nonlinear[0].role == "instant":
-            found = self._instant(hypothesis, space, fit, sigma_nt)
-            if found is None:
-                return None
-            cost += search_cost(hypothesis.nonlinear[0], self.problem)
-            return self._believable(Candidate(hypothesis, found[0], found[1], found[1].nats - cost), space, fit)
-        best: tuple[float, Array, Gain] | None = None
-        if hypothesis.proposals is None:
-            tried = _product(grids)
-        else:
-            tried = hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), rows))
-        for values in tried:
-            trial = gain(values)
-            if trial is not None and (best is None or trial.nats > best[0]):
-                best = (trial.nats, values, trial)
-        if best is None:
-            return None
-        theta, refined = best[1], best[2]
-        if best[0] > 0.5 * ACCEPTED_NATS:
-            theta, refined = refined_numbers(hypothesis, gain, theta, refined, grids, self.problem)
         cost += sum(search_cost(number, self.problem) for number in hypothesis.nonlinear)
-        return self._believable(Candidate(hypothesis, theta, refined, refined.nats - cost), space, fit)
+        if grids and hypothesis.nonlinear[0].role == "instant":
+            found = self._instant(hypothesis, space, fit, sigma_nt)
+            return None if found is None else Candidate(hypothesis, *found, found[1].nats - cost)
+        best: tuple[Array, Gain] | None = None
+        for values in self._trials(hypothesis, grids, space, fit, afresh):
+            trial = self._gain(hypothesis, values, space, fit, sigma_nt)
+            if trial is not None and (best is None or trial.nats > best[1].nats):
+                best = values, trial
+        return None if best is None else Candidate(hypothesis, *best, best[1].nats - cost)
+
+    def _trials(
+        self, hypothesis: Hypothesis, grids: Sequence[Array], space: Workspace, fit: Fit, afresh: bool
+    ) -> Array | list[Array]:
+        """Nonlinear numbers (q, m) to try."""
+        if not grids:
+            return np.zeros((1, 0))
+        if not afresh and not any(number.role in _OF_LINES for number in hypothesis.nonlinear):
+            own = [term.theta for term in fit.terms if term.hypothesis is hypothesis]
+            known = [*self._known.get(hypothesis.label, []), *own]
+            if known:
+                return known
+        if hypothesis.proposals is None:
+            return _product(grids)
+        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), rows))
+
+    def _gain(self, hypothesis: Hypothesis, theta: Array, space: Workspace, fit: Fit, sigma_nt: float) -> Gain | None:
+        rows = self.rows_of(hypothesis, theta, fit)
+        return None if rows is None else space.gain(rows, sigma_nt)
+
+    def _fine(
+        self,
+        candidate: Candidate,
+        space: Workspace,
+        fit: Fit,
+        sigma_nt: float,
+        lines: Array | None,
+        afresh: bool,
+    ) -> Candidate:
+        """A candidate with its nonlinear numbers moved to their best."""
+        hypothesis = candidate.hypothesis
+        if not hypothesis.nonlinear or hypothesis.nonlinear[0].role == "instant":
+            return candidate
+        grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
+        before = self._known.get(hypothesis.label, [])
+        theta, gain = refined_numbers(
+            hypothesis,
+            lambda trial: self._gain(hypothesis, trial, space, fit, sigma_nt),
+            candidate.theta,
+            candidate.gain,
+            grids,
+            self.problem,
+            near=not afresh and len(before) > 0,
+        )
+        self._known[hypothesis.label] = [*before[1 - _MOST_KNOWN :], theta]
+        return Candidate(hypothesis, theta, gain, candidate.nats - candidate.gain.nats + gain.nats)
 
     def _instant(
         self, hypothesis: Hypothesis, space: Workspace, fit: Fit, sigma_nt: float
@@ -209,20 +256,20 @@ class Screen:
         row = int(finer[finer > 0][top])
         return np.array([0.5 * (times[row] + times[max(row - 1 - 2 * self.problem.is_vector, 0)])]), gains[top]
 
-    def _believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> Candidate | None:
-        """The candidate, unless it is larger than its physics ever is, or nearly absorbed by the rest of the model."""
+    def _is_believable(self, candidate: Candidate, space: Workspace, fit: Fit) -> bool:
+        """Whether a candidate is no larger than its physics ever is, and not nearly absorbed by the other columns."""
         if candidate.nats < 0.5 * ACCEPTED_NATS:
-            return candidate
+            return True
         if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
-            return None
+            return False
         rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
         assert rows is not None
         signal = rows @ candidate.gain.amplitudes
         size = float(signal @ signal)
         if math.sqrt(size / len(signal)) > self.problem.largest(candidate.hypothesis):
-            return None
+            return False
         seen = space.projected(signal[:, None])
-        return candidate if float((seen**2).sum()) > LEAST_VISIBLE**2 * size else None
+        return float((seen**2).sum()) > LEAST_VISIBLE**2 * size
 
 
 def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:

@@ -24,6 +24,10 @@ from magcal_service.physics.interface import Hypothesis
 _ITERATIONS: Final = 60
 """Steps, taken or refused; a sound start takes 3 to 8, a far one on real recordings up to 40."""
 
+_PATIENCE: Final = 10
+"""Steps after which the cost has to have fallen by what noise pulls, or half of the way to be gone: at a kink of the
+model, or at the edge of what a number may be, none gets anywhere."""
+
 _CONVERGED: Final = 1e-4
 """Square of the step still to go, in sigmas of the solution: it ends a hundredth of a sigma from the zero."""
 
@@ -82,7 +86,12 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
     """
     fit, damping = evaluate(problem, start, terms), 0.0
     here = _Step.of(fit, _variance(fit))
-    for _ in range(_ITERATIONS):
+    mark = here
+    for iteration in range(_ITERATIONS):
+        if iteration % _PATIENCE == _PATIENCE - 1:
+            if not _is_nearer(mark, here):
+                break
+            mark = here
         if here.to_go < _CONVERGED * here.sigma2:
             return replace(fit, converged=True)
         trial = _moved(fit, here.damped(damping) / here.scale)
@@ -110,6 +119,11 @@ def _is_better(here: _Step, there: _Step) -> bool:
     if there.cost < here.cost - _CONVERGED * here.sigma2 and here.to_go > _MAY_COST * here.sigma2:
         return True
     return there.cost < here.cost + _MAY_COST * here.sigma2 and there.to_go < here.to_go
+
+
+def _is_nearer(before: _Step, now: _Step) -> bool:
+    """Whether steps are getting anywhere: the cost has fallen by more than noise, or less than half is left to go."""
+    return now.cost < before.cost - _MAY_COST * now.sigma2 or now.to_go < 0.5 * before.to_go
 
 
 def _moved(fit: Fit, step: Array) -> tuple[Array, tuple[Term, ...]]:

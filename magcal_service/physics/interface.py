@@ -140,19 +140,50 @@ class Segments:
     inside: Array
     right: Array
 
-    def grouped(self, number: NDArray[np.intp], count: int) -> Segments:
-        """The stretches put together by number (g,), 0 to ``count`` - 1."""
-        chosen = np.zeros((count, len(number)))
-        chosen[number, np.arange(len(number))] = 1.0
-        return Segments(*(self._sum(chosen, part) for part in (self.normal, self.inside, self.right)))
+    @property
+    def running(self) -> Segments:
+        """Sums (g + 1, ...) over the first 0, 1 ... g stretches, for ``folded``."""
+
+        def summed(part: Array) -> Array:
+            return np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)])
+
+        return Segments(summed(self.normal), summed(self.inside), summed(self.right))
+
+    def folded(self, cuts: NDArray[np.intp]) -> Segments:
+        """From ``running`` sums those over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
+
+        ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
+        """
+
+        def between(part: Array) -> Array:
+            wide = part.reshape(len(part), int(np.prod(part.shape[1:])))
+            at = wide.take(cuts.ravel(), axis=0).reshape(*cuts.shape, wide.shape[1]).sum(axis=0)
+            return np.asarray(np.diff(at, axis=0).reshape(len(at) - 1, *part.shape[1:]))
+
+        return Segments(between(self.normal), between(self.inside), between(self.right))
+
+    @property
+    def alone(self) -> Segments:
+        """The same as if nothing else were fitted: quicker, and no smaller a normal matrix."""
+        return Segments(self.normal, self.inside[:, :0], self.right)
+
+    @property
+    def pairs(self) -> Segments:
+        """Each stretch with the next one (g - 1, ...)."""
+        return Segments(*(part[:-1] + part[1:] for part in (self.normal, self.inside, self.right)))
 
     def drop(self, chosen: Array) -> Array:
         """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
-        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
-        left = normal - np.swapaxes(inside, 1, 2) @ inside
-        trace = np.trace(normal, axis1=1, axis2=2) / normal.shape[1]
-        left += (1e-6 * trace + 1e-9)[:, None, None] * np.eye(normal.shape[1])
-        return np.asarray(np.einsum("mk,mk->m", right, np.linalg.solve(left, right[:, :, None])[:, :, 0]))
+        return Segments(*(self._sum(chosen, part) for part in (self.normal, self.inside, self.right))).drops
+
+    @property
+    def drops(self) -> Array:
+        """Drop in squares (g,) [nT^2] by the columns switched on in each stretch alone."""
+        left = self.normal - np.swapaxes(self.inside, 1, 2) @ self.inside
+        trace = np.trace(self.normal, axis1=1, axis2=2) / self.normal.shape[1]
+        diagonal = np.einsum("mii->mi", left)
+        diagonal += (1e-6 * trace + 1e-9)[:, None]
+        return np.asarray(np.einsum("mk,mk->m", self.right, np.linalg.solve(left, self.right[:, :, None])[:, :, 0]))
 
     @staticmethod
     def _sum(chosen: Array, part: Array) -> Array:
@@ -178,6 +209,7 @@ class Hypothesis:
     constants: numbers that belong to the form and are no parameters, such as the temperature that counts as zero.
     odds: natural logarithm of the prior odds against the plain form.
     largest_nt: rms that this form may have at most [nT], where that is less than the effect's.
+    least_nt: rms that this form has at least [nT], whatever its numbers: a small residual rules it out.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
@@ -191,6 +223,7 @@ class Hypothesis:
     constants: Mapping[str, float] = field(default_factory=dict)
     odds: float = 0.0
     largest_nt: float = math.inf
+    least_nt: float = 0.0
     is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
 

@@ -153,12 +153,25 @@ def test_a_drop_is_that_of_the_normal_equations_of_what_is_switched_on() -> None
     assert nothing.tolist() == [0.0]
 
 
-def test_stretches_are_put_together_by_their_number() -> None:
+def test_folded_stretches_are_the_sums_between_cuts() -> None:
+    """Two rounds of two: stretches 0 and 3 belong to the first part, 1 and 2 and 4 to the second."""
+    of = random_segments(5)
+    folded = of.running.folded(np.array([[0, 1, 3], [3, 4, 5]]))
+    assert folded.normal[0] == pytest.approx(of.normal[0] + of.normal[3])
+    assert folded.right[1] == pytest.approx(of.right[1] + of.right[2] + of.right[4])
+    assert folded.inside[1] == pytest.approx(of.inside[1] + of.inside[2] + of.inside[4])
+
+
+def test_alone_leaves_out_what_else_is_fitted() -> None:
     of = random_segments(4)
-    grouped = of.grouped(np.array([1, 0, 1, 2]), 3)
-    assert grouped.normal[1] == pytest.approx(of.normal[0] + of.normal[2])
-    assert grouped.right[0] == pytest.approx(of.right[1])
-    assert grouped.inside[2] == pytest.approx(of.inside[3])
+    assert of.alone.inside.shape == (4, 0, 2)
+    assert (of.alone.drops >= of.drops * (1.0 - 1e-5)).sum() == 0  # less is left of a column beside others
+
+
+def test_pairs_are_each_stretch_with_the_next() -> None:
+    of = random_segments(4)
+    chosen = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+    assert of.pairs.drops == pytest.approx(of.drop(chosen))
 
 
 def term(amplitudes: Array, driver: str = "channel:coils") -> ModelTerm:

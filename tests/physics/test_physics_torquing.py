@@ -98,13 +98,3 @@ def test_sums_over_stretches_give_the_drop_of_columns_that_are_made() -> None:
         both = np.concatenate([model, columns * np.repeat(row, 50)[:, None]], axis=1)
         after = residual - both @ np.linalg.lstsq(both, residual, rcond=None)[0]
         assert drop == pytest.approx(float(left @ left - after @ after), rel=1e-4)
-
-
-def test_stretches_put_together_are_their_sums() -> None:
-    """Grouping by number, then choosing groups, is choosing the stretches of these groups."""
-    rng = np.random.default_rng(9)
-    square = rng.normal(size=(6, 2, 2))
-    segments = Segments(square @ np.swapaxes(square, 1, 2), rng.normal(size=(6, 4, 2)) * 0.1, rng.normal(size=(6, 2)))
-    number = np.array([0, 1, 2, 0, 1, 2])
-    grouped = segments.grouped(number, 3).drop(np.array([[1.0, 0.0, 1.0]]))
-    assert grouped == pytest.approx(segments.drop((number != 1).astype(float)[None]))

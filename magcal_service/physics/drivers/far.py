@@ -68,7 +68,16 @@ def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], wit
     block = Block("share", "1", ())
     return [
         Hypothesis(
-            effect, "none", columns, (block,), variant, (shift, growth), odds=2.0, largest_nt=LARGEST_NT, is_whole=True
+            effect,
+            "none",
+            columns,
+            (block,),
+            variant,
+            (shift, growth),
+            odds=2.0,
+            largest_nt=LARGEST_NT,
+            least_nt=STEP_S * float(np.sqrt(np.mean(scene.magnitude_slope**2))),
+            is_whole=True,
         )
     ]
 
@@ -81,14 +90,14 @@ def _table(scene: Scene, with_earth: bool) -> tuple[NDArray[np.intp], Array]:
     knots = np.unique(np.append(np.flatnonzero(np.diff(bins, prepend=bins[0] - 1.0)), len(scene) - 1))
     times_ns = scene.time_ns[knots]
 
-    def magnitude(shift_s: float) -> Array:
-        place = _ahead(scene, inertial, scene.time_s[knots] + shift_s)
-        turned_ns = times_ns + round(shift_s * 1e9) if with_earth else times_ns
-        ecef = geomagnetic.ecef_from_eci(turned_ns, place)
-        return np.asarray(np.linalg.norm(geomagnetic.igrf_ecef_nt(times_ns, ecef), axis=1))
-
-    here = magnitude(0.0)
-    return knots.astype(np.intp), np.stack([magnitude(float(shift)) - here for shift in _SHIFTS_S])
+    places, turned_ns = [], []
+    for shift_s in _SHIFTS_S.tolist():
+        places.append(_ahead(scene, inertial, scene.time_s[knots] + shift_s))
+        turned_ns.append(times_ns + round(shift_s * 1e9) if with_earth else times_ns)
+    ecef = geomagnetic.ecef_from_eci(np.concatenate(turned_ns), np.concatenate(places))
+    field = geomagnetic.igrf_ecef_nt(np.tile(times_ns, len(_SHIFTS_S)), ecef)  # one call: each reads the coefficients
+    magnitude = np.linalg.norm(field, axis=1).reshape(len(_SHIFTS_S), -1)
+    return knots.astype(np.intp), magnitude - magnitude[len(_SHIFTS_S) // 2]
 
 
 def _ahead(scene: Scene, inertial: NDArray[np.float64], times_s: Array) -> NDArray[np.float64]:

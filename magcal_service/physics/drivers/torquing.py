@@ -51,11 +51,19 @@ _SLOTS: Final = 24
 _ON_SLOTS: Final = (3, 5, 7, 10)
 """Lengths of a dump that are tried, in slots: 12 to 42 % of the interval, each about half longer than the last."""
 
+_LONGEST_BEAT_S: Final = 86400.0
+"""Length of a recording up to which dumps are taken to keep one beat [s]: a wheel's load and a schedule change daily;
+and intervals to be told apart grow with the length, as do the sums for each."""
+
 _SEGMENT_S: Final = 8.0
 """Length of the sums that intervals are folded from [s]; choice: below a slot, few in a long recording."""
 
 _MOST: Final = 6
 """Best patterns of the sums that are evaluated by columns; choice: the sums rank well, and each costs a fit."""
+
+_FULLY, _FEWEST_FULLY = 10, 60
+"""One in so many intervals, and the least number of them, whose sums are evaluated with the model's columns beside
+them: those that come first without, which costs a third and ranks nearly the same."""
 
 _LONGEST_PERIOD_S: Final = 20.0
 """Sample period beyond which no pattern is searched [s]: most of ``CYCLES_S`` would be sampled less than once."""
@@ -189,7 +197,7 @@ def _held(scene: Scene, into_s: Array, hold_s: float) -> NDArray[np.intp]:
 
 def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     span = float(scene.time_s[-1] - scene.time_s[0])
-    if span < 3.0 * INTERVAL_S[0] and not scene.is_given:
+    if not 3.0 * INTERVAL_S[0] <= span <= _LONGEST_BEAT_S and not scene.is_given:
         return
     periods = _intervals(max(span, 3.0 * INTERVAL_S[0]))
     numbers = (
@@ -216,18 +224,21 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
         segments = sums(Columns(body=body), firsts)
         times = scene.time_s[firsts] + 0.5 * width - middle_s
-        drops, places = [], []
-        for period_s in periods.tolist():
-            slot = np.minimum((np.mod(times / period_s, 1.0) * _SLOTS).astype(np.intp), _SLOTS - 1)
-            folded = segments.grouped(slot, _SLOTS)
-            drops.append(folded.drop(_ON))
-            places.append(period_s)
-        table = np.array(drops)
-        best = np.argsort(table.max(axis=1))[::-1][:_MOST]
+
+        def table(of: Segments, among: NDArray[np.intp]) -> Array:
+            running = of.running
+            return np.array([running.folded(_cuts(times, float(periods[row]))).drop(_ON) for row in among])
+
+        rough = table(segments.alone, np.arange(len(periods))).max(axis=1)
+        among = np.argsort(rough)[::-1][: max(len(periods) // _FULLY, _FEWEST_FULLY)]
+        drops = table(segments, among)
+        best = np.argsort(drops.max(axis=1))[::-1][:_MOST]
         found = []
         for row in best.tolist():
-            share, slot = _ON_NUMBERS[int(np.argmax(table[row]))]
-            found += [[places[row], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in numbers[3].grid.tolist()]
+            share, slot = _ON_NUMBERS[int(np.argmax(drops[row]))]
+            found += [
+                [periods[among[row]], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in numbers[3].grid.tolist()
+            ]
         return np.array(found)
 
     block = Block("dumping", "1", (3, 3), labels=(_ALONG, AXES))
@@ -243,6 +254,14 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         largest_nt=LARGEST_NT,
         proposals=proposals,
     )
+
+
+def _cuts(times_s: Array, period_s: float) -> NDArray[np.intp]:
+    """Where the slots of each interval begin, and the last ends, among rising times (g,): (intervals, slots + 1)."""
+    first, last = np.floor(times_s[[0, -1]] / period_s)
+    begin = np.arange(first, last + 1.0)[:, None] * period_s
+    found: NDArray[np.intp] = np.searchsorted(times_s, begin + np.arange(_SLOTS + 1) / _SLOTS * period_s)
+    return found
 
 
 def _intervals(span_s: float) -> Array:

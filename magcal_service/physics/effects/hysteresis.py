@@ -15,6 +15,9 @@ from magcal_service.physics.scene.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
 
+_MANY: Final = 64
+"""Samples from which on all of them at once, in log2(n) passes, are faster than one after another."""
+
 
 def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
     """The play operator (n, 3) of each axis: it follows the input once the slack of +-half_width is used up.
@@ -23,16 +26,24 @@ def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
 
     Source: Visintin 1994, Differential Models of Hysteresis, chapter III.
     """
-    answer = np.empty_like(values)
     before = np.broadcast_to(start, values.shape[1:])
-    for axis in range(values.shape[1]):
-        state, found = float(before[axis]), []
-        for value in values[:, axis].tolist():
-            low, high = value - half_width, value + half_width
-            state = low if state < low else high if state > high else state
-            found.append(state)
-        answer[:, axis] = found
-    return answer
+    if len(values) < _MANY:
+        return np.stack([_stepped(*each, half_width) for each in zip(values.T, before.tolist(), strict=True)], axis=1)
+    low, high = values - half_width, values + half_width
+    span = 1
+    while span < len(values):  # maps x -> min(max(x, low), high) of 1, 2, 4 ... samples one after another
+        low[span:], high[span:] = (np.clip(edge[:-span], low[span:], high[span:]) for edge in (low, high))
+        span *= 2
+    return np.asarray(np.clip(before, low, high))
+
+
+def _stepped(values: Array, state: float, half_width: float) -> Array:
+    """One axis (n,), sample by sample."""
+    found = []
+    for value in values.tolist():
+        state = min(max(state, value - half_width), value + half_width)
+        found.append(state)
+    return np.array(found)
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:

@@ -31,7 +31,8 @@ def truncated_change(scene: Scene, degree: int) -> Array:
     """(n,) what the terms above a degree add to |H| [nT]."""
     assert scene.position_ecef_km is not None
     position = scene.position_ecef_km[scene.knots]
-    return scene.from_knots(scene.model_magnitude(position) - scene.model_magnitude(position, degree=degree))
+    whole = scene.once("whole series", lambda: scene.model_magnitude(position))
+    return scene.from_knots(whole - scene.model_magnitude(position, degree=degree))
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
