@@ -38,9 +38,9 @@ def refined(
     for _ in range(_PASSES if len(grids) > 1 and not near else 1):
         for index, number in enumerate(hypothesis.nonlinear):
             step = _first_step(number, float(theta[index]), grids[index], problem)
-            last = max(_last_step(number, float(theta[index]), problem), _FINEST * step)
+            finest = _FINEST * step
             step *= _NEAR if near else 1.0
-            while step > last:
+            while step > max(_last_step(number, float(theta[index]), problem), finest):
                 for sign in (1.0, -1.0):
                     trial = np.array(theta)
                     trial[index] += sign * step
