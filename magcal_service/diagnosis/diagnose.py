@@ -190,8 +190,7 @@ def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared
     """A search under the field-model errors that the recording needs, and what it was prepared as for it."""
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     usual, taken = prepared.problem.field_error, min(SCALES)
-    if usual is not None:
-        prepared = _at_scale(prepared, usual, taken)
+    prepared = _settled(prepared, prepared.problem) if usual is None else _at_scale(prepared, usual, taken)
     while True:
         search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
         explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt)
@@ -212,8 +211,13 @@ def _drivers(explained: Explained) -> set[str]:
 
 
 def _at_scale(prepared: Prepared, usual: FieldError, scale: float) -> Prepared:
-    problem = at_scale(prepared.problem, usual, scale)
-    return replace(prepared, problem=problem, baseline=solve(problem, prepared.baseline.x))
+    return _settled(prepared, at_scale(prepared.problem, usual, scale))
+
+
+def _settled(prepared: Prepared, problem: Problem) -> Prepared:
+    """Under a problem's noise, with the vectors that its nine errors calibrate: other vectors' columns hold noise."""
+    baseline = Search(problem, []).refreshed(solve(problem, prepared.baseline.x))
+    return replace(prepared, problem=baseline.problem, baseline=baseline)
 
 
 def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
@@ -264,11 +268,14 @@ def _each_its_own(search: Search, explained: Explained, phase: Array | None, flo
     while len(explained.fit.terms) > 1:
         fit = explained.fit
         weakest = int(np.argmin(explained.nats))
-        without = solve(search.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
-        best = structures(search, without, phase, floor)[0]
+        beside = replace(search)
+        without = beside.refreshed(
+            solve(search.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
+        )
+        best = structures(beside, without, phase, floor)[0]
         if _squares(search, without) - _squares(search, fit) > NEEDED_SHARES[0] * best.squares:
             break
-        explained = search.compared(without, floor)
+        explained = search.compared(search.refreshed(without), floor)
     return explained
 
 
