@@ -25,6 +25,9 @@ STANDS_OUT: Final = 3.0
 LITTLE_LEFT: Final = 0.1
 """Share of the mismatch without a name beside which names are still acted on: their numbers move by a few per cent."""
 
+_MORE_THAN_LEFT: Final = 4.0
+"""Times what is left without a name, what each name has to hold: of two true ones hardly anything is left."""
+
 MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
 MOST_D_SIGMA: Final = 0.05  # the same, by D
 """Sigma of the nine errors from which on the field did not point in enough directions; a choice."""
@@ -67,7 +70,13 @@ def posterior(explained: Explained, index: int) -> Posterior:
 
 
 def reasons(
-    baseline: Fit, explained: Explained, unexplained: float, unknown: bool, floor_nt: float, stated: bool = True
+    baseline: Fit,
+    explained: Explained,
+    unexplained: float,
+    unknown: bool,
+    floor_nt: float,
+    stated: bool = True,
+    left_nt2: float = 0.0,
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``words.REASONS``.
 
@@ -78,6 +87,7 @@ def reasons(
     unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
     floor_nt: least noise that evidence is counted in [nT].
     stated: whether the sensor's noise was stated, not estimated from the residual.
+    left_nt2: sum of squares that a family of shapes without a name still holds [nT^2].
     """
     fit = explained.fit
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
@@ -85,13 +95,20 @@ def reasons(
         "not_converged": not fit.converged,
         "collapsed": is_collapsed(fit.x),
         "poor_coverage": float(sigma[:3].max()) > MOST_BIAS_SIGMA_NT or float(sigma[3:].max()) > MOST_D_SIGMA,
-        "unexplained_structure": unknown or (bool(fit.terms) and unexplained > LITTLE_LEFT),
+        "unexplained_structure": unknown
+        or (bool(fit.terms) and (unexplained > LITTLE_LEFT or _hardly_more(explained, left_nt2, floor_nt))),
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
         "rough_residual": bool(fit.terms) and not stated and is_rough(fit),
         "gain_in_scatter": bool(fit.terms) and not stands_out(baseline, fit, floor_nt),
     }
     return tuple(name for name, holds in found.items() if holds)
+
+
+def _hardly_more(explained: Explained, left_nt2: float, floor_nt: float) -> bool:
+    """Whether one of the names holds hardly more than what is left without one: it may be a part of that instead."""
+    left_nats = left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2)
+    return any(gain.nats < _MORE_THAN_LEFT * left_nats for gain in explained.gains)
 
 
 def is_rough(fit: Fit) -> bool:

@@ -176,6 +176,7 @@ def diagnose(
             verdict is Verdict.UNKNOWN,
             floor,
             prepared.view.stated_noise_nt is not None,
+            left[0].squares if left and significant(left[0]) else 0.0,
         ),
         spin=spin,
         simulation_x=simulated[0],

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import AFTER_BIAS, Block, Columns, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    field = scene.clean_field_nt
+    yield from _forms(scene.clean_field_nt)
+    for hypothesis in _forms(scene.calibrated_nt):
+        yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".removesuffix(", "))
+
+
+def _forms(field: Array) -> Iterator[Hypothesis]:
+    """Cubes of ``field`` (n, 3): what is measured, or the field where the bias arises behind what bends."""
     own = np.zeros((3, len(field), 3))
     across = np.zeros((6, len(field), 3))
     index = 0
@@ -40,7 +47,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.CUBE, ""),),
     title="the sensor's answer bends with the field",
-    equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2",
+    equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2; or of w behind a bias that does not bend",
     units={"per_nt2": "1/nT2", "cross_per_nt2": "1/nT2", "common_per_nt2": "1/nT2"},
     prior=(5.0, 3000.0),
     valid="small against the field: 0.02-0.5 % of full scale",

@@ -28,9 +28,12 @@ def _find(view: View) -> Finding | None:
     for axis in range(3):
         coarse = step_of(field[:, axis]) > view.noise_nt
         shortest = _COARSE_SHORTEST if coarse else SHORTEST
+        stops = (field[:, axis].max(), field[:, axis].min())  # what repeats there is clipped, not stuck
         same = np.concatenate([[False], np.diff(field[:, axis]) == 0.0])
         for first, end in runs(same):
             begin = first - 1
+            if field[begin, axis] in stops:
+                continue
             others = np.delete(field[begin:end], axis, axis=1)
             if end - begin < shortest or float(np.ptp(others, axis=0).max()) < _MOTION_SIGMAS * view.noise_nt:
                 continue
