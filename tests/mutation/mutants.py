@@ -31,6 +31,9 @@ STARTING_S: Final = (
 )
 LONGEST_TEST_S: Final = 1200  # of wall clock in one test that waits for ever; the longest take 30 s on an idle machine
 
+_NOT_UNDERSTOOD: Final = 4  # exit status of pytest: its arguments, a missing file among them
+_NO_TESTS: Final = 5  # exit status of pytest
+
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
@@ -158,7 +161,7 @@ class Bench:
     def processor_time(self, room: Room) -> float:
         """[s] of processor that the room's tests take without a mutant; RuntimeError where one of them fails."""
         before = _children_s()
-        failed = self._first_failure(room.test_files(room.files()[0]))
+        failed = self._first_failure(room.test_files(room.files()[0], self.folder))
         if failed:
             raise RuntimeError(f"{room.name}: {failed} fails without a mutant")
         return _children_s() - before
@@ -176,7 +179,9 @@ class Bench:
         assert changed is not None
         path.write_text(changed, encoding="utf-8")
         try:
-            killed_by = self._first_failure(room.test_files(Path(mutant.file)), SLOWER * processor_s + STARTING_S)
+            killed_by = self._first_failure(
+                room.test_files(Path(mutant.file), self.folder), SLOWER * processor_s + STARTING_S
+            )
         finally:
             path.write_text(source, encoding="utf-8")
         return Outcome(room.name, mutant, killed_by)
@@ -205,10 +210,15 @@ class Bench:
 
 
 def _noticed(status: int, output: str) -> str:
-    """What ended a run of pytest with that exit status and output: a test, time, or nothing."""
+    """What ended a run of pytest with that exit status and output: a test, time, or nothing.
+
+    RuntimeError where it did not run at all: a file that is not there would notice every mutant.
+    """
     if status == 0:
         return ""
     failed = [line for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    if status in (_NOT_UNDERSTOOD, _NO_TESTS) and "while loading conftest" not in output:
+        raise RuntimeError(f"pytest did not run: {output}")
     if not failed:
         return BY_TIME if status in (-signal.SIGXCPU, -signal.SIGKILL) else "the run itself"
     return BY_TIME if "Timeout (>" in failed[0] else failed[0].split(" ")[1]

@@ -32,12 +32,12 @@ class Room:
         left_out = {path for part in self.without for path in _python(ROOT / part)}
         return sorted(path.relative_to(ROOT) for path in set(found) - left_out)
 
-    def test_files(self, mutated: Path) -> list[str]:
-        """The room's test files, those that name the mutated module first: most mutants die there."""
+    def test_files(self, mutated: Path, root: Path = ROOT) -> list[str]:
+        """The room's test files under a root, those that name the mutated module first: most mutants die there."""
         module = mutated.with_suffix("").as_posix().replace("/", ".")
-        files = sorted({path for test in self.tests for path in _python(ROOT / test) if path.name.startswith("test_")})
+        files = sorted({path for test in self.tests for path in _python(root / test) if path.name.startswith("test_")})
         return [
-            path.relative_to(ROOT).as_posix()
+            path.relative_to(root).as_posix()
             for path in sorted(files, key=lambda path: module not in path.read_text(encoding="utf-8"))
         ]
 
