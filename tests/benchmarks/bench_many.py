@@ -50,11 +50,11 @@ def main() -> None:
     """Make the recordings, do the runs, compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=int, default=12)
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="of recordings and results, kept (default: neither)")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="magcal-many-") as folder:
-        bench = Bench(Path(folder), options.recordings)
-        runs = list(bench.runs())
+        runs = list(Bench(options.folder or Path(folder), options.recordings).runs())
     same = len({run.digest for run in runs if run.exit_code != -signal.SIGINT and run.exit_code != 130}) == 1
     print(f"{options.recordings} recordings, every run that ended: {'the same bits' if same else 'DIFFERENT BITS'}")
     write(options.json, {"recordings": options.recordings, "same": same, "runs": [asdict(run) for run in runs]})
@@ -67,9 +67,12 @@ class Bench:
     def __init__(self, folder: Path, count: int) -> None:
         self.folder, self.count = folder, count
         for number in range(count):
+            target = folder / "flights" / f"{number:03}"
+            if (target / RECORDING).exists():
+                continue
             seconds = SHORTEST_S + (LONGEST_S - SHORTEST_S) * number // count
             simulation = Simulation(load_scenario("random-errors"), 1 + number, float(seconds))
-            record_simulation(simulation, folder / "flights" / f"{number:03}")
+            record_simulation(simulation, target)
 
     def runs(self) -> Iterator[Run]:
         """Each run as it ends."""
@@ -96,7 +99,7 @@ class Bench:
             str(target),
             *options,
         ]
-        command += sorted(str(path) for path in self.folder.glob(f"flights/*/{RECORDING}"))
+        command += sorted(str(path) for path in self.folder.glob(f"flights/*/{RECORDING}"))[: self.count]
         before = pieces(target)
         began = time.monotonic()
         with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
