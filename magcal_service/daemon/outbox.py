@@ -43,7 +43,11 @@ class Stamp:
 
 
 def calibrated_vector(
-    sample: MagnetometerSample, state: StateEstimate, covariance: Array, verdict: Verdict
+    sample: MagnetometerSample,
+    state: StateEstimate,
+    covariance: Array,
+    verdict: Verdict,
+    unknown: Array | None = None,
 ) -> CalibratedVector:
     """A sample's vector by equation (5), with the covariance of noise and estimate together.
 
@@ -53,10 +57,13 @@ def calibrated_vector(
     state: the present estimate.
     covariance: its covariance (9, 9), grown by the random walk since the newest sample that it learned from.
     verdict: how far it is to be trusted.
+    unknown: covariance (3, 3) [nT^2] of what the sample was corrected for; None: it is known.
     """
     b1, b2, b3 = sample.field_body_nt
     jacobian = vector_jacobian(b1, b2, b3)
     of_vector = jacobian @ covariance @ jacobian.T + state.noise_nt**2 * _IDENTITY_3
+    if unknown is not None:
+        of_vector = of_vector + unknown
     dx, dy, dz = (jacobian @ state.x).tolist()  # w = B + J(B) x
     xx, xy, xz, yy, yz, zz = of_vector[_UPPER_3].tolist()
     return CalibratedVector(

@@ -25,6 +25,7 @@ from magcal_service.daemon.outbox import (
 )
 from magcal_service.daemon.plain_branch import PlainBranch, learned, newest_of
 from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
+from magcal_service.daemon.settling import Settling
 from magcal_service.errors import DecodeError, InputRefusedError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate
@@ -90,6 +91,7 @@ class PipelineMemory:
     compensation: Compensation | None
     stopped: str
     plain: PlainBranch | None
+    settling: Settling | None
     watch: ModelWatch
 
 
@@ -126,7 +128,8 @@ class Pipeline(Stateful, PipelineMemory):
         self._physics = ""
         self.compensation = None
         self.stopped = ""  # why compensation was stopped
-        self.plain = None  # the craft without compensation, while there is one
+        self.plain = None  # the craft without compensation, beside one that compensates
+        self.settling = None  # what is to be compensated once its start is known
         self.watch = ModelWatch(config.filter.gate_sigma)
         if config.physics is not None:
             self._compensate_by(config.physics.text)
@@ -138,17 +141,30 @@ class Pipeline(Stateful, PipelineMemory):
         self.ticks.wait_longer(self.compensation.wait_s)
         self._compare()
 
-    def _compare(self) -> None:
-        """Compensate, and hold that from now on against the craft without it, which begins anew with its samples."""
+    def _compare(self, raw: TickAssembler | None = None) -> None:
+        """Compensate, and hold that from now on against the craft without it, which begins anew with its samples.
+
+        ``raw``: the tick stage of samples as they came, where it is not that of the craft beside or its own.
+        """
         assert self.compensation is not None
         plain = PlainBranch(self.config, self.compensation.model.x)
-        plain.ticks.restore_state((self.ticks if self.plain is None else self.plain.ticks).export_state())
-        self.plain, self.stopped = plain, ""
+        raw = raw or (self.ticks if self.plain is None else self.plain.ticks)
+        plain.ticks.restore_state(raw.export_state())
+        self.plain, self.settling, self.stopped = plain, None, ""
 
     @property
     def compensates(self) -> bool:
-        """Whether samples are corrected by ``physics.toml``: one is loaded, and it was not found to harm."""
-        return self.compensation is not None and not self.stopped
+        """Whether samples are corrected by ``physics.toml``: its start is known, and it was not found to harm."""
+        return self.compensation is not None and not self.stopped and self.settling is None
+
+    def _settle(self) -> None:
+        """Be a craft without compensation until what is compensated has a start."""
+        assert self.compensation is not None
+        assert self.plain is not None
+        self.compensation.free_start()
+        self.settling = Settling(self.config, self.compensation)
+        self.settling.ticks.restore_state(self.plain.ticks.export_state())
+        self.ticks, self.plain = self.plain.ticks, None
 
     def load_physics(self, physics: str) -> None:
         """Compensate by another model from now on; what was estimated under the one before is discarded."""
@@ -166,6 +182,8 @@ class Pipeline(Stateful, PipelineMemory):
                 self._compensate_by(physics)
             except InputRefusedError as error:
                 raise SnapshotError(f"{where}._physics: {error}") from None
+        if isinstance(saved, dict) and saved.get("settling") is not None and self.settling is None:
+            self._settle()
         super().restore_state(saved, where, given)
         self._refresh_estimate()
         self._check_publishable(where)
@@ -201,12 +219,17 @@ class Pipeline(Stateful, PipelineMemory):
         """Compensate as the checkpoint's pipeline did, where both have a model: its estimate is of such samples."""
         if self.compensation is None or saved.compensation is None:
             return
+        raw = self.ticks if self.plain is None else self.plain.ticks
         if saved.plain is None:
-            if self.plain is not None:
-                self.ticks = self.plain.ticks
-            self.plain, self.stopped = None, saved.stopped
+            self.ticks, self.plain, self.settling, self.stopped = raw, None, None, saved.stopped
+            if saved.settling is not None:
+                self._compare()
+                self._settle()
             return
-        self._compare()
+        if self.settling is not None:
+            self.ticks = self.settling.ticks
+            self.compensation.take_start(saved.compensation)
+        self._compare(raw)
         if self.plain is not None:
             self.plain.take_over(saved.plain)
 
@@ -286,12 +309,14 @@ class Pipeline(Stateful, PipelineMemory):
     def advance(self) -> list[Message]:
         """Process the ticks that have closed; their estimates."""
         estimates: list[Message] = [self._tick(tick) for tick in self.ticks.ready()]
+        self._advance_settling()
         self._advance_plain()
         return estimates
 
     def flush(self) -> list[Message]:
         """Close every open tick: the end of the stream."""
         estimates: list[Message] = [self._tick(tick) for tick in self.ticks.flush()]
+        self._advance_settling(flush=True)
         self._advance_plain(flush=True)
         return estimates
 
@@ -304,15 +329,66 @@ class Pipeline(Stateful, PipelineMemory):
         if harm:
             self._stop_compensation(harm)
 
+    def _advance_settling(self, *, flush: bool = False) -> None:
+        """Let what is to be compensated follow; where its start is known, compensate from now on."""
+        if self.settling is None or self.compensation is None:
+            return
+        if self.settling.advance(frozen=self.frozen, flush=flush):
+            self._try_start(self.settling, self.compensation)
+        if self.settling is not None and self.settling.is_late:
+            self.settling = None
+            self._say_stopped("with no temperature at the start does it fit better than none")
+
+    def _try_start(self, settling: Settling, compensation: Compensation) -> None:
+        """Give an estimator all ticks so far, compensated; it takes over where it has a start."""
+        fit = settling.settled()
+        if fit is None:
+            return
+        estimator, monitor = self._fresh_estimator(), TrustMonitor(self.config)
+        plain = PlainBranch(self.config, compensation.model.x)
+        for tick, raw in settling.compensated(fit.amplitudes):
+            try:
+                outcome, state = learned(estimator, tick)
+            except np.linalg.LinAlgError:
+                return
+            monitor.observe(tick, outcome, state)
+            plain.harm.compensated(*newest_of(tick))
+            plain.harm.plain(*newest_of(replace(tick, field_body_nt=raw)))
+        if estimator.estimate().phase is not Phase.RUNNING:
+            return
+        compensation.give_start(fit.amplitudes, fit.covariance)
+        plain.go_on(self.ticks, self.estimator, self.monitor, self._learned_s)
+        self.ticks, self.estimator, self.monitor = settling.ticks, estimator, monitor
+        self.plain, self.settling = plain, None
+        self.watch.reset()
+        self._state = estimator.estimate()
+        self.trust = monitor.judge(self._state)
+        sigma = np.sqrt(np.diagonal(fit.covariance))
+        start = ", ".join(f"{y:.3f} +- {one:.3f}" for y, one in zip(fit.amplitudes, sigma, strict=True))
+        self.note("start_known", f"the temperature at the start was {start} of its swing off its mean; compensates")
+
+    def _fresh_estimator(self) -> Estimator:
+        """Of the craft's configuration, with the process noise that a command has set."""
+        settings = self.config.filter
+        if self._process_noise is not None:
+            bias_nt, d = self._process_noise
+            settings = replace(settings, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
+        return find_method(settings.method).build(replace(self.config, filter=settings))
+
     def _stop_compensation(self, why: str) -> None:
         """Publish from now on what a craft without ``physics.toml`` would, and say so."""
         assert self.plain is not None
-        plain, self.plain, self.stopped = self.plain, None, why
+        plain, self.plain = self.plain, None
         self.ticks, self.estimator, self.monitor = plain.ticks, plain.estimator, plain.monitor
         self._state, self._learned_s, self._thawed = plain.state, plain.learned_s, plain.thawed
         self.monitor.observe_fault(None if self._fault is None else SENSOR_FAULTS[self._fault][0])
-        self.monitor.observe_compensation(stopped=True)
         self.watch.reset()
+        self._say_stopped(why)
+
+    def _say_stopped(self, why: str) -> None:
+        self.stopped = why
+        self.monitor.observe_driver(False)
+        self.monitor.observe_compensation(stopped=True)
         self.trust = self.monitor.judge(self._state)
         self.counters["compensation_stopped"] += 1
         self.note("compensation_stopped", why)
@@ -320,10 +396,14 @@ class Pipeline(Stateful, PipelineMemory):
     def _reference(self, sample: ReferenceSample) -> None:
         if self.plain is not None:
             self.plain.reference(sample)
+        if self.settling is not None:
+            self.settling.reference(sample)
         compensation = self.compensation if self.compensates else None
         self.ticks.add_reference(sample if compensation is None else compensation.reference(sample))
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
+        if self.plain is not None and self.compensation is not None and self.compensation.begins_elsewhere(sample):
+            self._settle()
         rejection = self.ticks.rejection(sample)
         if rejection is not None:
             return self._rejected(sample, rejection)
@@ -331,20 +411,32 @@ class Pipeline(Stateful, PipelineMemory):
         self.ticks.take(measured, sample)
         if self.plain is not None:
             self.plain.sample(measured)
+        if self.settling is not None:
+            self.settling.sample(measured)
         self._recover()
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
-        return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict)]
+        unknown = self.compensation.start_variance if self.compensation is not None and self.compensates else None
+        return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict, unknown)]
 
     def _corrected(self, sample: MagnetometerSample) -> MagnetometerSample:
         """Subtract the disturbances that ``physics.toml`` models; those without a driver are counted and named."""
         if self.compensation is None or self.stopped:
             return sample
+        if self.settling is not None:
+            self.counters.update(f"uncompensated.{effect}" for effect in self.compensation.start_terms)
+            self.monitor.observe_driver(True)
+            return sample
         corrected = self.compensation.correct(sample)
         missing = self.compensation.missing
         self.counters.update(f"uncompensated.{effect}" for effect in missing)
-        self.monitor.observe_driver(bool(missing))
+        self.monitor.observe_driver(bool(missing) or self._start_is_vague(self.compensation))
         return corrected
+
+    def _start_is_vague(self, compensation: Compensation) -> bool:
+        """Whether what is not known of a temperature at the start still moves a vector by more than the noise."""
+        unknown = compensation.start_variance
+        return unknown is not None and float(np.trace(unknown)) > 3.0 * self._state.noise_nt**2
 
     def _rejected(self, sample: MagnetometerSample, rejection: Rejection) -> list[Message]:
         """Only a fault of the sensor that has just begun is worth an extra estimate: its verdict has changed."""
@@ -498,6 +590,8 @@ class Pipeline(Stateful, PipelineMemory):
         state = "frozen, " if self.frozen else ""
         if self.stopped:
             state += f"physics.toml is not compensated any more: {self.stopped}; "
+        elif self.settling is not None:
+            state += "not compensated yet: the temperature at the start is being estimated; "
         elif self.compensation is not None and self.compensation.missing:
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
         if self.model_doubt:

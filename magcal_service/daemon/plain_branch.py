@@ -85,6 +85,11 @@ class PlainBranch(Stateful, PlainBranchMemory):
         self.estimator, self.monitor, self.state = saved.estimator, saved.monitor, saved.state
         self.learned_s, self.thawed = saved.learned_s, True
 
+    def go_on(self, ticks: TickAssembler, estimator: Estimator, monitor: TrustMonitor, learned_s: float | None) -> None:
+        """Go on with what a craft without compensation has had so far."""
+        self.ticks, self.estimator, self.monitor, self.learned_s = ticks, estimator, monitor, learned_s
+        self.state = estimator.estimate()
+
     def replace_estimator(self, estimator: Estimator) -> None:
         """Go on with another estimator, which has the state of this one or of a checkpoint."""
         self.estimator, self.state = estimator, estimator.estimate()

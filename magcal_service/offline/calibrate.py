@@ -196,7 +196,7 @@ def residuals_of(recording: Recording, result: Replay, craft: CraftConfig) -> Re
     before = scalar_residual(np.zeros(STATE_SIZE), field, magnitude)
     published = None
     if result.published is not None:
-        times_ns, field, magnitude = result.published.used()
+        times_ns, field, magnitude = result.published.used(as_measured=not result.pipeline.compensates)
         vectors = result.published.since_start()
         published = rms(vectors) if vectors.size else None
     after = scalar_residual(result.x, field, magnitude)

@@ -22,7 +22,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.model import STATE_SIZE, Array, calibrate, field_jacobian
+from magcal_service.estimators.parts.magnitude_fit import are_near, magnitude_fit
+from magcal_service.model import Array
 from magcal_service.snapshot import Stateful
 
 BLOCK_S: Final = 150.0
@@ -58,18 +59,6 @@ _LEAST_SCATTER: Final = 0.02
 
 _LONGEST_WAIT_S: Final = 600.0
 """For the other's tick [s]: no reference comes later."""
-
-_STEPS: Final = 12
-"""Of a fit, at most; from the fit of the block before two or three are taken."""
-
-_ARRIVED: Final = 0.01
-"""Change of the residual's rms in a step that is no progress any more, in parts of its standard error."""
-
-_FAR: Final = 6.0
-"""Sigmas, from the median, beyond which a sample is an outlier of the sensor."""
-
-_UNIT: Final = np.array([30_000.0] * 3 + [1.0] * 6)
-"""Of the nine errors in the fit: columns of one size."""
 
 Kept = tuple[float, float, float, float]
 """B (3) and |H| of a tick's newest sample [nT]."""
@@ -151,11 +140,11 @@ class HarmWatch(Stateful, HarmWatchMemory):
         number = number[counts >= _FEWEST_ROWS]
         if len(number) < _FEWEST:
             return np.zeros(0)
-        self._x_with, ours = _fitted(self._x_with, rows[:, 1:4], rows[:, 4])
-        self._x_without, theirs = _fitted(self._x_without, rows[:, 5:8], rows[:, 8])
-        least = np.minimum(np.abs(ours), np.abs(theirs))
-        near = least < _FAR * _usual(least)
-        squares = [ours**2, theirs**2]
+        ours = magnitude_fit(self._x_with, rows[:, 1:4], rows[:, 4])
+        theirs = magnitude_fit(self._x_without, rows[:, 5:8], rows[:, 8])
+        self._x_with, self._x_without = ours.x, theirs.x
+        near = are_near(np.minimum(np.abs(ours.residual_nt), np.abs(theirs.residual_nt)))  # the sensor's hit both
+        squares = [ours.residual_nt**2, theirs.residual_nt**2]
         found = []
         for one in number.tolist():
             inside = near & (rows[:, 0] // BLOCK_S == one)
@@ -168,39 +157,3 @@ class HarmWatch(Stateful, HarmWatchMemory):
 def _is_kept(time_s: float) -> bool:
     """One second in ``_SHARE``, by the bits of its number times the golden ratio (Knuth's hash)."""
     return (round(time_s) * 2654435761 >> 8) % _SHARE == 0
-
-
-def _usual(residual_nt: Array) -> float:
-    """1 sigma of most residuals (n,) [nT]."""
-    return max(float(np.median(np.abs(residual_nt))) / 0.6745, 1e-6)
-
-
-def _fitted(x: Array, field_nt: Array, magnitude_nt: Array) -> tuple[Array, Array]:
-    """Nine errors (9,) by damped least squares from x on, outliers left out, and the residual (n,) [nT] there."""
-    damping, residual = 1e-3, _residual(x, field_nt, magnitude_nt)
-    near = np.abs(residual) < _FAR * _usual(residual)
-    for _ in range(_STEPS):
-        step = _step(x, field_nt[near], residual[near], damping)
-        tried = _residual(x + step, field_nt, magnitude_nt)
-        before, after = (float(np.mean(one[near] ** 2)) for one in (residual, tried))
-        if not after < before:
-            damping *= 10.0
-            continue
-        x, residual, damping = x + step, tried, 0.1 * damping
-        near = np.abs(residual) < _FAR * _usual(residual)
-        if before - after < _ARRIVED * before / math.sqrt(len(residual)):
-            break
-    return x, residual
-
-
-def _residual(x: Array, field_nt: Array, magnitude_nt: Array) -> Array:
-    return np.asarray(np.linalg.norm(calibrate(x, field_nt), axis=1) - magnitude_nt)
-
-
-def _step(x: Array, field_nt: Array, residual_nt: Array, damping: float) -> Array:
-    w = calibrate(x, field_nt)
-    unit = w / np.linalg.norm(w, axis=1)[:, None]
-    columns = np.einsum("ni,nij->nj", unit, field_jacobian(field_nt)) * _UNIT
-    normal = columns.T @ columns
-    normal += (damping * np.trace(normal) / STATE_SIZE) * np.eye(STATE_SIZE)
-    return np.asarray(-np.linalg.solve(normal, columns.T @ residual_nt) * _UNIT)

@@ -73,6 +73,9 @@ _AT_START_S: Final = 60.0
 Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
 """
 
+_WARMTH: Final = "inferred:temperature"
+"""Driver of the effects whose temperature at the start is not known elsewhere."""
+
 _KNOT_S: Final = 10.0
 """Time between the places that give the direction of flight, and age up to which a reference vector is used [s].
 
@@ -124,6 +127,14 @@ class CompensationMemory:
     _states: list[dict[str, Array]]
     _missing_field: list[str]
     _missing_reference: list[str]
+    _start: Array
+    _start_covariance: Array
+    _start_fields: Array
+    _decay: Array
+    _mean_decay: Array
+    _decays: int
+    _start_known: bool
+    _start_free: bool
 
 
 class Compensation(Stateful, CompensationMemory):
@@ -153,11 +164,65 @@ class Compensation(Stateful, CompensationMemory):
         self._growth_nt = 0.0
         self._states = [{} for _ in model.terms]
         self._missing_field, self._missing_reference = [], []
+        self._groups = _groups_of(self._field_terms)
+        count = len(set(self._groups.values()))
+        self._start, self._start_covariance = np.zeros(count), np.zeros((count, count))
+        self._start_fields = np.zeros((count, 3))
+        self._decay, self._mean_decay, self._decays = np.ones(count), np.ones(count), 0
+        self._start_known = self._start_free = False
 
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the effects that are not compensated for want of their driver."""
         return tuple(sorted({*self._missing_field, *self._missing_reference}))
+
+    # Temperatures at the start
+
+    def begins_elsewhere(self, sample: MagnetometerSample) -> bool:
+        """Whether a stream begins with this sample and its temperature then is not known to the model."""
+        away_ns = abs(sample.time_ns - self.model.origin_ns)
+        return bool(self._groups) and not self._begun_ns and away_ns >= 1e9 * _AT_START_S
+
+    def free_start(self) -> None:
+        """Take the start as zero and tell its fields (``start_fields``), until it is given."""
+        self._start = np.zeros_like(self._start)
+        self._start_known, self._start_free = False, True
+
+    def take_start(self, other: Compensation) -> None:
+        """The start that another has been given."""
+        self.give_start(other._start, other._start_covariance)
+
+    def give_start(self, start: Array, covariance: Array) -> None:
+        """Take a start (k,) with covariance (k, k) from now on, in units of the swing between light and shadow."""
+        self._start, self._start_covariance = start, covariance
+        self._start_known, self._start_free = True, False
+
+    @property
+    def start(self) -> Array:
+        """The start (k,) that was given, in units of the swing between light and shadow."""
+        return self._start
+
+    @property
+    def start_terms(self) -> tuple[str, ...]:
+        """Effects whose temperature at the start has to be known."""
+        return tuple(sorted({self._field_terms[index].effect for index in self._groups}))
+
+    @property
+    def start_fields(self) -> Array:
+        """What one unit of each start adds to the newest sample, g (k, 3) [nT], sensor axes."""
+        return np.asarray(self._start_fields @ self._inverse.T)
+
+    @property
+    def start_variance(self) -> Array | None:
+        """Covariance (3, 3) [nT^2] of the newest calibrated vector by what is not known of the start; None: none.
+
+        Nine errors that were learned from all samples so far hold the mean of what a wrong start has left in them, so
+        what is wrong with a vector is how far the start's decay is from its mean.
+        """
+        if not self._start_known:
+            return None
+        left = self._start_fields * ((self._decay - self._mean_decay) / np.maximum(self._decay, 1e-12))[:, None]
+        return np.asarray(left.T @ self._start_covariance @ left)
 
     @property
     def wait_s(self) -> float:
@@ -214,6 +279,7 @@ class Compensation(Stateful, CompensationMemory):
         row = Row(sample.time_ns, sample.field_body_nt)
         scene = self._scene_of(row, sample.clock, in_order=in_order) if self._needs_scene else None
         corrected, missing = sample.field_body_nt, []
+        self._start_fields = np.zeros_like(self._start_fields)
         for index, term in enumerate(self._field_terms):
             try:
                 d = (
@@ -226,6 +292,8 @@ class Compensation(Stateful, CompensationMemory):
                 missing.append(term.effect)
         if in_order:
             self._last = row
+            self._decays += 1
+            self._mean_decay = self._mean_decay + (self._decay - self._mean_decay) / self._decays
         self._missing_field = missing
         return replace(sample, field_body_nt=corrected)
 
@@ -256,11 +324,24 @@ class Compensation(Stateful, CompensationMemory):
     def _on(self, scene: Scene | None, index: int, row: Row, in_order: bool) -> list[float]:
         """Disturbance of a term at the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
         assert scene is not None
-        memory = Memory(-1, self._states[index] if in_order else dict(self._states[index]))
+        begins_anew = index in self._groups and (self._start_free or self._start_known)
+        memory = Memory(-1, self._states[index] if in_order else dict(self._states[index]), begins_anew)
         with np.errstate(all="ignore"):
-            found: list[float] = (
-                self._bound(self._field_terms[index], scene, memory, row.time_ns).disturbance()[0][-1].tolist()
-            )
+            bound = self._bound(self._field_terms[index], scene, memory, row.time_ns)
+            if begins_anew:
+                return self._from_start(bound, self._groups[index], memory)
+            found: list[float] = bound.disturbance()[0][-1].tolist()
+        return found
+
+    def _from_start(self, bound: Bound, group: int, memory: Memory) -> list[float]:
+        """Disturbance (3,) [nT] of a term whose start is estimated: its amplitudes act on the start's decay as well."""
+        columns = bound.hypothesis.columns(bound.theta)
+        own = bound.amplitudes[: len(bound.amplitudes) // 2]
+        none = np.zeros_like(own)
+        by_light, by_start = (columns.field(np.concatenate(pair))[-1] for pair in ((own, none), (none, own)))
+        self._start_fields[group] += by_start
+        self._decay[group] = float(memory.states["decay"])
+        found: list[float] = (by_light + self._start[group] * by_start).tolist()
         return found
 
     def _scene_of(self, row: Row, clock: Clock, *, in_order: bool) -> Scene:
@@ -277,7 +358,7 @@ class Compensation(Stateful, CompensationMemory):
         effect = effect_named(term.effect)
         if {term.driver, term.variant} & set(effect.not_live) or (effect.needs_rate and scene.rate_body is None):
             raise DriverMissingError(f"{term.effect}, {described(term)}: cannot be followed live")
-        if term.driver == "inferred:temperature" and not self._is_warm(term, time_ns):
+        if term.driver == _WARMTH and not memory.begins_anew and not self._is_warm(term, time_ns):
             raise DriverMissingError(f"{term.effect}: its temperature at the start is not known yet")
         return bind(term, scene, memory)
 
@@ -386,6 +467,17 @@ class Compensation(Stateful, CompensationMemory):
                 missing.append(term.effect)
         self._missing_reference = missing
         return total
+
+
+def _groups_of(terms: Sequence[ModelTerm]) -> dict[int, int]:
+    """For each term (by its place) that an inferred temperature drives, the number of its temperature among others."""
+    numbers: dict[tuple[float, ...], int] = {}
+    found = {}
+    for index, term in enumerate(terms):
+        if term.driver == _WARMTH:
+            constants = tuple(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
+            found[index] = numbers.setdefault(constants, len(numbers))
+    return found
 
 
 def _acts_on(term: ModelTerm) -> ActsOn:

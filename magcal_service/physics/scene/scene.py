@@ -57,10 +57,14 @@ def is_sun_vector(channel: Telemetry) -> bool:
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """What an effect with a memory carries from one scene of a stream to the next, which begins at row ``next_row``."""
+    """What an effect with a memory carries from one scene of a stream to the next, which begins at row ``next_row``.
+
+    ``begins_anew``: the stream does not begin where the model's recording did, so its start is another.
+    """
 
     next_row: int = -1
     states: dict[str, Array] = field(default_factory=dict)
+    begins_anew: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,8 +277,16 @@ class Scene:
                 self.keep("skin", drive)
             answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
             self.keep("answer", answer)
-            self._warmed[key] = answer, np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
+            self._warmed[key] = answer, self._decay(tau_s)
         return self._warmed[key]
+
+    def _decay(self, tau_s: float) -> Array:
+        """What is left (n,) of a temperature at the start: of the recording, or of a stream that begins elsewhere."""
+        if self.memory is None or not self.memory.begins_anew:
+            return np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
+        decay = self.begin("decay", 1.0) * np.exp(-(self.time_s - self.time_s[0]) / tau_s)
+        self.keep("decay", decay)
+        return np.asarray(decay)
 
     @cached_property
     def _warmed(self) -> dict[tuple[float, float], tuple[Array, Array]]:

@@ -1,0 +1,152 @@
+"""A stream that begins where the model's recording did not: the temperature at the start is known within minutes.
+
+The flight is the simulator's: its light, its warmth and what that does share no code with the catalogue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from magcal_service.daemon import settling
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.model import Array
+from magcal_service.physics.apply.model_file import ModelTerm
+from magcal_service.wire.messages import CalibratedVector, TelemetrySample, Verdict
+from sim_sensor.scenario import PositionPlan, Scenario
+from sim_sensor.simulation import Simulation
+from tests.physics.live_models import NOISE_NT, craft, hot, physics
+
+DURATION_S = 1200.0
+DAY_NS = 86_400 * 10**9
+NT_PER_K = np.array([40.0, -30.0, 60.0])
+HOT_DEGC, COLD_DEGC, TAU_S, MEAN_LIGHT = 45.0, -10.0, 1200.0, 0.6
+SWING_K = HOT_DEGC - COLD_DEGC
+
+
+def warming(start_degc: float) -> Scenario:
+    """The hot board with five times its bias and no gain that follows; nobody sends its temperature, but places."""
+    scenario = hot(position=PositionPlan(rate_hz=0.1))
+    thermal = scenario.effects.thermal
+    assert thermal is not None
+    k = tuple(NT_PER_K.tolist())
+    thermal = replace(thermal, bias_nt_per_k=k, scale_per_k=(0.0, 0.0, 0.0), start_degc=start_degc)
+    return replace(scenario, effects=replace(scenario.effects, thermal=thermal))
+
+
+def model() -> tuple[ModelTerm, ...]:
+    """What a diagnosis of another day would have found: the swing right, the start of that day."""
+    amplitudes = {"nt_swing": SWING_K * NT_PER_K, "start_nt_swing": np.array([100.0, 200.0, -300.0])}
+    numbers = {"time_constant_s": TAU_S, "skin_s": 0.0}
+    constants = {"mean_light": MEAN_LIGHT}
+    name, driver = "thermal_bias", "inferred:temperature"
+    return (ModelTerm(name, driver, "answer to light", amplitudes, nonlinear=numbers, constants=constants),)
+
+
+def start_of(start_degc: float) -> float:
+    """The start in units of the swing, from where the mean light would hold it."""
+    return (start_degc - (COLD_DEGC + SWING_K * MEAN_LIGHT)) / SWING_K
+
+
+@cache
+def flown(start_degc: float) -> tuple[Pipeline, list[tuple[float, str]], Array, Array, Array]:
+    """The pipeline, its events with their times [s], each vector's error (n, 3), variance (n,), whether doubted."""
+    scenario = warming(start_degc)
+    simulation = Simulation(scenario, 5, DURATION_S)
+    truth = simulation.arrays().ambient_body_nt
+    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    error, variance, doubtful, events = [], [], [], []
+    for message in simulation.messages():
+        if isinstance(message, TelemetrySample):
+            continue
+        for out in pipeline.handle(message):
+            if isinstance(out, CalibratedVector):
+                error.append(np.array(out.field_body_nt) - truth[len(error)])
+                variance.append((out.covariance_nt2[0] + out.covariance_nt2[3] + out.covariance_nt2[5]) / 3.0)
+                doubtful.append(out.verdict in (Verdict.DOUBTFUL, Verdict.NOT_STARTED))
+        now_s = (pipeline.last_time_ns - pipeline.first_time_ns) * 1e-9
+        events += [(now_s, event.what) for event in pipeline.take_events()]
+    return pipeline, events, np.array(error), np.array(variance), np.array(doubtful)
+
+
+STARTS = (45.0,)
+
+
+@pytest.mark.parametrize("start_degc", STARTS)
+def test_the_start_is_known_in_minutes_and_within_its_sigma(start_degc: float) -> None:
+    """Three time constants, which it was waited for before, are an hour."""
+    pipeline, events, _, _, _ = flown(start_degc)
+    known_s = next(time_s for time_s, what in events if what == "start_known")
+    assert known_s < 1000.0
+    assert pipeline.compensates
+    assert pipeline.compensation is not None
+    sigma = float(np.sqrt(pipeline.compensation._start_covariance[0, 0]))
+    assert sigma < 0.15
+    assert abs(pipeline.compensation.start[0] - start_of(start_degc)) < 4.0 * sigma
+
+
+@pytest.mark.parametrize("start_degc", STARTS)
+def test_from_then_on_the_vectors_are_right_to_what_they_say(start_degc: float) -> None:
+    """The heat moves the field by up to 4 uT; what is left of it is within the published sigma."""
+    _, events, error, variance, doubtful = flown(start_degc)
+    known = round(next(time_s for time_s, what in events if what == "start_known")) + 2
+    square = (error[known:] ** 2).mean(axis=1)
+    assert 0.4 < float(np.mean(square / variance[known:])) < 1.3  # one start, one error: mostly less than 1 sigma
+    assert np.sqrt(square[-200:].mean()) < 1.2 * NOISE_NT
+    assert doubtful[: known - 2].all()
+    assert (variance[known:] > NOISE_NT**2).all()
+
+
+def test_a_start_that_is_being_estimated_is_restored_bit_for_bit() -> None:
+    scenario = warming(45.0)
+    one = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    messages = [m for m in Simulation(scenario, 5, 260.0).messages() if not isinstance(m, TelemetrySample)]
+    for message in messages[:300]:
+        one.handle(message)
+    assert one.settling is not None
+    assert "temperature at the start is being estimated" in one.summary()
+    two = Pipeline(one.config)
+    two.restore_state(one.export_state())
+    assert [one.handle(m) for m in messages[300:]] == [two.handle(m) for m in messages[300:]]
+    assert one.export_state() == two.export_state()
+
+
+def test_at_the_models_own_start_nothing_is_waited_for() -> None:
+    scenario = warming(45.0)
+    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns)))
+    for message in Simulation(scenario, 5, 30.0).messages():
+        pipeline.handle(message)
+    assert pipeline.settling is None
+    assert pipeline.compensates
+
+
+def test_without_places_the_effect_is_left_out_and_said_and_others_are_compensated() -> None:
+    """Light needs a place; after some minutes without, the file's other effects are compensated."""
+    scenario = warming(20.0)
+    loop = ModelTerm("bias_step", "none", "", {"step_nt": np.array([10.0, 0.0, 0.0])}, nonlinear={"at_s": -1.0})
+    pipeline = Pipeline(craft("hot", physics(*model(), loop, origin_ns=scenario.start_ns - DAY_NS)))
+    bare = replace(scenario, position=PositionPlan())
+    for message in Simulation(bare, 5, 900.0).messages():
+        if not isinstance(message, TelemetrySample):
+            pipeline.handle(message)
+    assert pipeline.compensates
+    assert "not compensated for want of a driver: thermal_bias" in pipeline.summary()
+
+
+def test_a_model_that_fits_with_no_start_is_given_up_within_an_orbit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as none is found, and after it was given up, the craft is one without the file, and says so."""
+    monkeypatch.setattr(settling, "_LATEST", 400)
+    monkeypatch.setattr(settling, "_WORSE", 0.1)
+    scenario = warming(45.0)
+    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    bare = Pipeline(craft("hot", None))
+    for message in Simulation(scenario, 5, 500.0).messages():
+        if not isinstance(message, TelemetrySample):
+            vectors = [[m for m in one.handle(message) if isinstance(m, CalibratedVector)] for one in (pipeline, bare)]
+            assert [m.field_body_nt for m in vectors[0]] == [m.field_body_nt for m in vectors[1]]
+    assert "no temperature at the start" in pipeline.stopped
+    assert "compensation_stopped" in pipeline.trust.reasons
+    assert "driver_missing" not in pipeline.trust.reasons
