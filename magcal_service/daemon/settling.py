@@ -51,8 +51,8 @@ _WORSE: Final = 1.02
 _LATEST: Final = 5400
 """Ticks after which a model that has fitted no better than none with any start does not fit: an orbit."""
 
-_SKIPPED: Final = 300
-"""Ticks without light after which nothing is waited for: the other effects are compensated, these are left out."""
+_SKIPPED: Final = 1200
+"""Ticks without some driver after which none is waited for: the other effects are compensated, these are left out."""
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -120,8 +120,7 @@ class Settling(Stateful, SettlingMemory):
             return
         corrected = self._compensation.correct(sample)
         self.ticks.take(sample, corrected)
-        is_there = not set(self._compensation.missing) & set(self._compensation.start_terms)
-        if is_there or self._skipped >= _SKIPPED:
+        if not self._compensation.missing or self._skipped >= _SKIPPED:
             elapsed_s = self.ticks.elapsed_s(sample)
             self._fields[elapsed_s] = self._compensation.start_fields
             self._raw[elapsed_s] = np.array(sample.field_body_nt)

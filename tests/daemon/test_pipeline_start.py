@@ -14,11 +14,19 @@ import pytest
 from magcal_service.daemon import settling
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import Array
-from magcal_service.physics.apply.model_file import ModelTerm
-from magcal_service.wire.messages import CalibratedVector, TelemetrySample, Verdict
+from magcal_service.physics.apply.compensation import Compensation
+from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    MagnetometerSample,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+    Verdict,
+)
 from sim_sensor.scenario import PositionPlan, Scenario
 from sim_sensor.simulation import Simulation
-from tests.physics.live_models import NOISE_NT, craft, hot, physics
+from tests.physics.live_models import NOISE_NT, craft, hot, model_of, physics
 
 DURATION_S = 1200.0
 DAY_NS = 86_400 * 10**9
@@ -123,11 +131,38 @@ def test_at_the_models_own_start_nothing_is_waited_for() -> None:
     assert pipeline.compensates
 
 
-def test_without_places_the_effect_is_left_out_and_said_and_others_are_compensated() -> None:
-    """Light needs a place; after some minutes without, the file's other effects are compensated."""
+def test_the_spin_axis_in_space_is_that_of_the_day() -> None:
+    """The model's is of another day, at a right angle; until this one is known, panels are not compensated."""
+    scenario = warming(20.0)
+    spin = ModelSpin((0.0, 0.0, 1.0), (-(0.5**0.5), 0.5**0.5, 0.0), 2.0 * np.pi * 7.5 / 60.0)
+    numbers = {f"face_{index}": float(index) for index in range(3)}
+    driver, form = "inferred:array_current", "every panel its own circuit"
+    panels = ModelTerm("current_loop", driver, form, {"nt_full_sun": np.full((3, 3), 50.0)}, constants=numbers)
+    compensation = Compensation(model_of(panels, origin_ns=scenario.start_ns - DAY_NS, spin=spin))
+    missing = []
+    for message in Simulation(scenario, 5, 1250.0).messages():
+        if isinstance(message, ReferenceSample):
+            compensation.reference(message)
+        elif isinstance(message, PositionSample):
+            compensation.position(message)
+        elif isinstance(message, MagnetometerSample):
+            compensation.correct(message)
+            missing.append(bool(compensation.missing))
+    assert all(missing[:100])
+    assert not any(missing[1150:])
+    found = compensation._axis_sums[:3, :3], compensation._axis_sums[:3, 3]
+    axis = np.linalg.solve(*found)
+    assert axis == pytest.approx(np.full(3, 3.0**-0.5), abs=0.1)
+
+
+def test_without_places_the_effect_is_left_out_and_said_and_others_are_compensated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Light needs a place; after some time without, the file's other effects are compensated."""
     scenario = warming(20.0)
     loop = ModelTerm("bias_step", "none", "", {"step_nt": np.array([10.0, 0.0, 0.0])}, nonlinear={"at_s": -1.0})
     pipeline = Pipeline(craft("hot", physics(*model(), loop, origin_ns=scenario.start_ns - DAY_NS)))
+    monkeypatch.setattr(settling, "_SKIPPED", 300)
     bare = replace(scenario, position=PositionPlan())
     for message in Simulation(bare, 5, 900.0).messages():
         if not isinstance(message, TelemetrySample):

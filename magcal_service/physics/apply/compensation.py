@@ -23,7 +23,7 @@ from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
-from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
@@ -57,6 +57,15 @@ _POSITION_S: Final = 120.0
 
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
+
+_AXIS_RAD: Final = 0.1
+"""1 sigma to which the spin axis in space has to be known [rad]: the Sun on a panel is then right to a tenth."""
+
+_AXIS_MEMORY: Final = 30.0
+"""Samples that count as one for it: what the model does not hold of w along the axis changes slowly."""
+
+_AXIS_LENGTH: Final = 0.1
+"""By how much it may miss the length of 1: more is no turn about the model's axis of the body."""
 
 _ABSURD_NT: Final = 1e100
 """No disturbance reaches it; its products still fit a double."""
@@ -130,6 +139,7 @@ class CompensationMemory:
     _start: Array
     _start_covariance: Array
     _start_fields: Array
+    _axis_sums: Array
     _decay: Array
     _mean_decay: Array
     _decays: int
@@ -170,6 +180,7 @@ class Compensation(Stateful, CompensationMemory):
         self._start_fields = np.zeros((count, 3))
         self._decay, self._mean_decay, self._decays = np.ones(count), np.ones(count), 0
         self._start_known = self._start_free = False
+        self._axis_sums = np.zeros((5, 5))  # of h, v and 1: products of the field's direction and w along the axis
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -179,9 +190,13 @@ class Compensation(Stateful, CompensationMemory):
     # Temperatures at the start
 
     def begins_elsewhere(self, sample: MagnetometerSample) -> bool:
-        """Whether a stream begins with this sample and its temperature then is not known to the model."""
-        away_ns = abs(sample.time_ns - self.model.origin_ns)
-        return bool(self._groups) and not self._begun_ns and away_ns >= 1e9 * _AT_START_S
+        """Whether a stream begins with this sample, and its temperature or spin axis then is not known to the model."""
+        unknown = bool(self._groups) or (self._needs_scene and self.model.spin is not None)
+        return unknown and not self._begun_ns and not self._is_at_start(sample.time_ns)
+
+    def _is_at_start(self, time_ns: int) -> bool:
+        """Whether a time is that of the model's start."""
+        return abs(time_ns - self.model.origin_ns) < 1e9 * _AT_START_S
 
     def free_start(self) -> None:
         """Take the start as zero and tell its fields (``start_fields``), until it is given."""
@@ -364,7 +379,7 @@ class Compensation(Stateful, CompensationMemory):
 
     def _is_warm(self, term: ModelTerm, time_ns: int) -> bool:
         """Whether an inferred temperature is known: from the model's start on, or once its start has decayed."""
-        if abs(self._begun_ns - self.model.origin_ns) < 1e9 * _AT_START_S:
+        if self._is_at_start(self._begun_ns):
             return True
         settled_s = _WARM * sum(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
         return (time_ns - self._begun_ns) * 1e-9 > settled_s
@@ -415,10 +430,35 @@ class Compensation(Stateful, CompensationMemory):
         spin = self.model.spin
         if spin is None or self._reference is None or abs(now_ns - self._reference_ns) > 1e9 * _KNOT_S:
             return None
-        body, inertial = np.array(spin.axis_body), np.array(spin.axis_eci)
+        body, inertial = np.array(spin.axis_body), self._axis_eci(calibrated[-1], spin)
+        if inertial is None:
+            return None
         reference = np.broadcast_to(np.array(self._reference), calibrated.shape)
         turn, _ = turns_of(calibrated, reference, body, inertial)
         return attitude_of(body, inertial, np.angle(turn))
+
+    def _axis_eci(self, calibrated: Array, spin: ModelSpin) -> Array | None:
+        """The spin axis in space (3,): the model's at its start; elsewhere that of this stream, None until it is known.
+
+        With a the axis in the body and c in space, w . a = H . c at every instant, whatever the phase: a line through
+        the origin in H / |H| and (w . a) / |H|, by least squares on all samples so far.
+        """
+        if self._is_at_start(self._begun_ns):
+            return np.array(spin.axis_eci)
+        size = float(np.linalg.norm(self._reference or (0.0, 0.0, 0.0)))
+        if size == 0.0:
+            return None
+        row = np.array([*(np.array(self._reference) / size), float(calibrated @ np.array(spin.axis_body)) / size, 1.0])
+        self._axis_sums = self._axis_sums + np.outer(row, row)
+        count = float(self._axis_sums[4, 4])
+        normal = self._axis_sums[:3, :3] + 1e-9 * np.eye(3)
+        axis = np.linalg.solve(normal, self._axis_sums[:3, 3])
+        left = max(float(self._axis_sums[3, 3] - self._axis_sums[:3, 3] @ axis), 0.0) / count
+        variance = _AXIS_MEMORY * left * float(np.linalg.eigvalsh(np.linalg.inv(normal))[-1])
+        length = float(np.linalg.norm(axis))
+        if count < _AXIS_MEMORY or variance > _AXIS_RAD**2 or abs(length - 1.0) > _AXIS_LENGTH:
+            return None
+        return np.asarray(axis / length)
 
     def _grown(self, sample: ReferenceSample) -> ReferenceSample:
         """The reference brought to the magnitude that acts; computed once a second, held in between."""
