@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig, FilterConfig
-from magcal_service.daemon.command_table import PROCESS_NOISE_LIMITS, unknown
+from magcal_service.daemon.command_table import unknown
+from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.outbox import (
     SOURCE,
@@ -169,13 +170,13 @@ class Pipeline(Stateful, PipelineMemory):
     def load_physics(self, physics: str) -> None:
         """Compensate by another model from now on; what was estimated under the one before is discarded."""
         self._compensate_by(physics)
-        self._reset()
+        self.reset()
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Restore an exported state, with the verdict that follows from it."""
         noise = saved.get("_process_noise") if isinstance(saved, dict) else None
         if noise is not None:
-            self._set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
+            self.set_process_noise(*restored(noise, tuple[float, float], f"{where}._process_noise"))
         physics = saved.get("_physics") if isinstance(saved, dict) else None
         if isinstance(physics, str) and physics != self._physics:
             try:
@@ -233,7 +234,7 @@ class Pipeline(Stateful, PipelineMemory):
         if self.plain is not None:
             self.plain.take_over(saved.plain)
 
-    def _set_process_noise(self, bias_nt: float, d: float) -> None:
+    def set_process_noise(self, bias_nt: float, d: float) -> None:
         """Estimators with other process noise, and the state of those before."""
         settings = replace(self.config.filter, process_noise_bias_nt=(bias_nt,) * 3, process_noise_D=(d,) * 6)
 
@@ -492,7 +493,7 @@ class Pipeline(Stateful, PipelineMemory):
             outcome, state = learned(self.estimator, tick)
         except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
-            self._reset()
+            self.reset()
             self.note("estimator_failed", f"{error}; it starts anew")
             return
         self._note_phase(self._state, state)
@@ -523,7 +524,8 @@ class Pipeline(Stateful, PipelineMemory):
         if before.phase is Phase.STARTING and now.phase is Phase.RUNNING:
             self.note("started", f"the start passed every gate after {now.samples} samples")
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
+        """Begin estimate and verdict anew; samples and counters stay."""
         self.estimator.reset()
         self.monitor.reset()
         self.watch.reset()
@@ -552,31 +554,6 @@ class Pipeline(Stateful, PipelineMemory):
         """Carry out a command of the craft; an unknown one is refused."""
         work = CRAFT_COMMANDS.get(command.name)
         return self.reply(command, unknown(command.name) if work is None else work(self, command))
-
-    def _freeze_or_resume(self, command: Command) -> str:
-        self.frozen = command.name == "freeze"
-        self.note("frozen" if self.frozen else "resumed", "command", command.source)
-        return ""
-
-    def _reset_command(self, command: Command) -> str:
-        self._reset()
-        self.note("reset", "command", command.source)
-        return ""
-
-    def _process_noise_command(self, command: Command) -> str:
-        """Set the random walk by ``bias_nt`` and ``D``, 0 where not given; why that is refused, or empty."""
-        given, limits = command.arguments, PROCESS_NOISE_LIMITS
-        if not find_method(self.estimator.name).has_process_noise:
-            return f"method {self.estimator.name} has no process noise"
-        if not given or not set(given) <= set(limits):
-            return f"arguments {dict(given)!r}: bias_nt (nT/sqrt(s)) and D (1/sqrt(s)) are accepted"
-        for name, value in given.items():
-            if isinstance(value, bool | str) or not 0.0 <= value <= limits[name]:
-                return f"{name} is {value!r}; 0 to {limits[name]:g} is accepted"
-        bias_nt, d = (float(given.get(name, 0.0)) for name in limits)
-        self._set_process_noise(bias_nt, d)
-        self.note("process_noise", f"bias {bias_nt:g} nT/sqrt(s), D {d:g} /sqrt(s)", command.source)
-        return ""
 
     def reply(self, command: Command, refusal: str = "") -> CommandReply:
         """The answer to a command that was carried out, or refused for a reason; it is counted."""
@@ -612,16 +589,6 @@ class Pipeline(Stateful, PipelineMemory):
         stamp = Stamp(self.config.name, self._number(), self.last_time_ns, self._clock)
         counted = self.ticks.counters + self.counters + own + counters
         return status_message(stamp, uptime_s, self.trust, counted, self.summary())
-
-
-CRAFT_COMMANDS: Final[dict[str, Callable[[Pipeline, Command], str]]] = {
-    "status": lambda _pipeline, _command: "",
-    "freeze": Pipeline._freeze_or_resume,
-    "resume": Pipeline._freeze_or_resume,
-    "reset": Pipeline._reset_command,
-    "process_noise": Pipeline._process_noise_command,
-}
-"""Those of ``command_table`` that a craft carries out itself: name -> why it is refused, empty where it was done."""
 
 
 def _walk_of(settings: FilterConfig) -> Array | None:

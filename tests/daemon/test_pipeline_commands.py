@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from magcal_service.daemon.command_table import COMMANDS
-from magcal_service.daemon.pipeline import CRAFT_COMMANDS, Pipeline
+from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from magcal_service.daemon.command_table import COMMANDS, By
 from magcal_service.daemon.commands import DAEMON_COMMANDS
-from magcal_service.daemon.pipeline import CRAFT_COMMANDS
+from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[3]
 TEXT = (ROOT / "docs/state.md").read_text(encoding="utf-8")
