@@ -136,6 +136,7 @@ class _Pair:
         self._scene = self._fit.problem.scene
         white = self._white(self._fit.residual, self._scene)
         self._sigma2 = max(float(np.mean(white**2)), 1e-12)
+        self._of_reference: dict[int, Term | None] = {}
         self._dispersion = diagnosis.explained.gains[index].dispersion
 
     @property
@@ -223,10 +224,18 @@ class _Pair:
         return found[::step]
 
     def _on(self, term: Term, scene: Scene) -> Term | None:
-        """A term with the columns that it has on another scene."""
+        """A term with the columns that it has on another scene; an error of the reference is the same on all."""
         effect = self._known.get(_name(term))
         if effect is None:
             return None
+        if not effect.acts_on.is_reference:
+            return self._formed(effect, term, scene)
+        if id(term) not in self._of_reference:
+            self._of_reference[id(term)] = self._formed(effect, term, scene)
+        return self._of_reference[id(term)]
+
+    @staticmethod
+    def _formed(effect: Effect, term: Term, scene: Scene) -> Term | None:
         own = term.hypothesis
         for form in effect.hypotheses(replace(scene, given=own.constants)):
             if (form.driver, form.variant, form.size) == (own.driver, own.variant, own.size):
