@@ -1,7 +1,7 @@
 """Many recordings diagnosed at once: on a pool and on dask, with workers killed and a run cut, the same bits.
 
     python -m tests.benchmarks.bench_many                        # 12 recordings, two workers
-    python -m tests.benchmarks.bench_many --recordings 200       # what docs/many.md tells of; half an hour on two cores
+    python -m tests.benchmarks.bench_many --recordings 200       # 600 diagnoses
 
 Four runs of ``magcal diagnose --separately`` over the same simulated recordings: on the pool with a worker killed and
 cut half way; that one resumed; on dask with a worker killed; on the pool, undisturbed.
