@@ -53,6 +53,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, metavar="DIR", help="of recordings and results, kept (default: neither)")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's background job has it ignored, for children too
     with tempfile.TemporaryDirectory(prefix="magcal-many-") as folder:
         runs = list(Bench(options.folder or Path(folder), options.recordings).runs())
     same = len({run.digest for run in runs if run.exit_code != -signal.SIGINT and run.exit_code != 130}) == 1
