@@ -12,6 +12,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import STANDS_OUT
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.joint.forms import Forms, joint, like
+from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import refitted
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
@@ -93,12 +94,17 @@ class Kept:
 
     Parameters
     ----------
-    share: of the gain by its own numbers, below 0 where the others' are worse than none; NaN where it shows nothing.
+    share: of the gain by its own numbers, below 0 where the others' are worse than none; NaN where those gain nothing.
     nats: gain by its own numbers, as far as it stands out of the blocks' scatter.
     """
 
     share: float
     nats: float
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the recording shows the effect at all, beside the others."""
+        return self.nats > ACCEPTED_NATS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,12 +152,17 @@ class Compared:
     def is_common(self, index: int) -> bool:
         """Whether a term's numbers are the same in all recordings, as far as they show it.
 
-        Either they differ by no more than chance, or the others' numbers do most of what a recording's own would.
+        Either they differ by no more than chance, or the others' numbers do most of what the recordings' own would.
         """
-        if all(one.agrees for one in self.shared if one.index == index):
-            return True
-        kept = [recording.effects[index] for recording in self.predicted]
-        return all(one is None or not one.nats > ACCEPTED_NATS or one.share >= LEAST_KEPT for one in kept)
+        return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= LEAST_KEPT
+
+    def kept(self, index: int) -> float:
+        """Share of what the recordings' own numbers of a term gain that the others' have, weighed by evidence.
+
+        A recording may show what no other does (a face that is lit on that day alone); NaN where none shows it.
+        """
+        seen = [one for recording in self.predicted if (one := recording.effects[index]) is not None and one.is_seen]
+        return float(np.average([one.share for one in seen], weights=[one.nats for one in seen])) if seen else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +194,7 @@ class Apart:
 
     def _refitted(self, numbers: Sequence[int], terms: Sequence[Term] | None = None, held: Sequence[Term] = ()) -> Fit:
         """The fit again on some of the recordings, all of its terms or these."""
+        assert isinstance(self.fit.problem, JointProblem)
         x = np.split(self.fit.x, np.cumsum([single.size for single in self.singles])[:-1])
         return refitted(
             self.catalogue,
@@ -191,6 +203,7 @@ class Apart:
             np.concatenate([x[number] for number in numbers]),
             self.fit.terms if terms is None else terms,
             held,
+            self.fit.problem.dispersion,
         )
 
     def _predicted(self, number: int, own: Fit, others: Fit) -> Predicted:
@@ -214,7 +227,7 @@ class Apart:
             free = own if not rest else self._refitted([number], None, rest)
             most, kept = (_held_out(without) - _held_out(one) for one in (free, guess))
             nats = gain(without, free).tempered
-            effects.append(Kept(kept / most if nats > ACCEPTED_NATS and most > 0.0 else math.nan, nats))
+            effects.append(Kept(kept / most, nats) if most > 0.0 else Kept(math.nan, 0.0))
         return Predicted(
             self.names[number],
             alone.held_out_rms_nt,

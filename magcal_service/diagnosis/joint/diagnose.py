@@ -174,6 +174,7 @@ class _Run:
     def __post_init__(self) -> None:
         self._usual = [one.problem.field_error for one in self.prepared]
         self._scales = [min(SCALES)] * len(self.prepared)
+        self._dispersion = 1.0
         self.singles = self._scaled()
         self.catalogue = Forms.of(self.effects, self.singles)
 
@@ -182,33 +183,45 @@ class _Run:
         return [one.problem if usual is None else at_scale(one.problem, usual, s) for one, usual, s in triples]
 
     def explained(self) -> Explained:
-        """A search, repeated while a recording needs larger errors of the field model."""
+        """A search, repeated while a recording needs larger errors of the field model; wider noise brings no names."""
+        found: Explained | None = None
+        names_hold = False
         while True:
             problem = JointProblem.of(self.singles)
             baseline = solve(problem, np.concatenate([one.baseline.x for one in self.prepared]))
             forms = self.catalogue.on(problem.parts, self.names)
             search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
-            found = search.run(baseline, FLOOR * problem.noise_nt)
-            fit = search.arrived(found.fit)
-            if fit is not found.fit:
-                found = search.compared(fit, FLOOR * problem.noise_nt)
-            if not self._grown(baseline, found.fit):
+            floor = FLOOR * problem.noise_nt
+            if found is not None and (names_hold or not found.fit.terms):
+                return self._arrived(search, search.again(problem, found.fit, floor))
+            found = self._arrived(search, search.run(baseline, floor))
+            grown, names_hold = self._grown(baseline, found.fit)
+            if not grown:
                 return found
 
-    def _grown(self, baseline: Fit, fit: Fit) -> bool:
-        """Whether some recording needs larger errors of the field model than were taken; they are taken from now on."""
+    @staticmethod
+    def _arrived(search: JointSearch, found: Explained) -> Explained:
+        fit = search.arrived(found.fit)
+        return found if fit is found.fit else search.compared(fit, FLOOR * search.problem.noise_nt)
+
+    def _grown(self, baseline: Fit, fit: Fit) -> tuple[bool, bool]:
+        """Whether some recording needs larger errors of the field model, taken from now on; and whether names hold."""
         pairs = zip(_parts(baseline), _parts(fit), strict=True)
         needed = [
-            min(SCALES) if usual is None else needed_scale(usual, *pair)[0]
+            (min(SCALES), True) if usual is None else needed_scale(usual, *pair)
             for usual, pair in zip(self._usual, pairs, strict=True)
         ]
-        larger = [max(new, old) for new, old in zip(needed, self._scales, strict=True)]
-        grown, self._scales = larger != self._scales, larger
+        grown = [scale > old for (scale, _), old in zip(needed, self._scales, strict=True)]
+        hold = all(holds for (_, holds), is_grown in zip(needed, grown, strict=True) if is_grown)
+        self._scales = [max(scale, old) for (scale, _), old in zip(needed, self._scales, strict=True)]
         self.singles = self._scaled()
-        return grown
+        return any(grown), hold
 
     def common(self, explained: Explained) -> tuple[Explained, Compared]:
-        """With amplitudes of each recording's own where the recordings differ in them."""
+        """Under the scatter that the blocks have, with amplitudes of each recording's own where they differ in them."""
+        if explained.fit.terms:
+            self._dispersion = max(gain.dispersion for gain in explained.gains)
+            explained = self._with_own(explained.fit, [])
         for _ in range(len(explained.fit.terms) + 1):
             compared = self._apart(explained.fit).compared()
             apart = [
@@ -224,7 +237,7 @@ class _Run:
 
     def _with_own(self, fit: Fit, numbers: Sequence[int]) -> Explained:
         """The fit with every amplitude of some terms each recording's own."""
-        problem = JointProblem.of(self.singles)
+        problem = JointProblem.of(self.singles, self._dispersion)
         forms = self.catalogue.on(problem.parts, self.names)
         by_label = {form.label: form for form in forms}
         terms = []

@@ -181,7 +181,7 @@ def joined(
         nonlinear=nonlinear,
         constants=label.constants,
         odds=label.odds,
-        largest_nt=label.largest_nt,
+        largest_nt=max(part.largest_nt for part in parts if part is not None),
         is_whole=label.is_whole,
         base=label.label,
         parts=given,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import platform
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.belief import posterior
-from magcal_service.diagnosis.joint.compare import Estimate, Predicted, Shared
+from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
 from magcal_service.diagnosis.report.page import Origin, check_packages
@@ -86,15 +85,15 @@ def _predicted(one: Predicted) -> dict[str, Any]:
         "own": f"{one.own_nt:.0f} nT",
         "worse": worse,
         "kept": "worse than nine errors alone" if worse else kept,
-        "effects": ["" if part is None else _share(part.share) for part in one.effects],
+        "effects": ["" if part is None else _share(part) for part in one.effects],
     }
 
 
-def _share(share: float) -> str:
+def _share(part: Kept) -> str:
     """What is kept of one effect, in words."""
-    if not math.isfinite(share):
+    if not part.is_seen:
         return "not seen"
-    return "worse than without it" if share < 0.0 else percent(share)
+    return "worse than without it" if part.share < 0.0 else percent(part.share)
 
 
 def _recording(one: Alone) -> dict[str, Any]:

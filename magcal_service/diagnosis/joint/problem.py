@@ -27,18 +27,23 @@ class JointProblem(Problem):
     scene: a ``JointScene``.
     noise_nt: noise in which white rows are given, 1 sigma per axis [nT].
     singles: each recording's own problem, whose scene is replaced by that in ``scene``.
+    dispersion: how many times less evidence counts than independent samples would have it (``blocks``), and so how
+        many times more the prior of the amplitudes does: what the samples hardly tell is not made certain by their
+        number, and the next recording would have it wrong.
     """
 
     singles: tuple[Problem, ...] = ()
+    dispersion: float = 1.0
 
     @classmethod
-    def of(cls, singles: Sequence[Problem]) -> JointProblem:
+    def of(cls, singles: Sequence[Problem], dispersion: float = 1.0) -> JointProblem:
         """The problems of the recordings together, white rows in the noise of the quietest."""
         return cls(
             scene=JointScene.of([single.scene for single in singles]),
             noise_nt=min(single.noise_nt for single in singles),
             largest_nt=singles[0].largest_nt,
             singles=tuple(singles),
+            dispersion=dispersion,
         )
 
     @cached_property
@@ -144,7 +149,7 @@ class JointProblem(Problem):
             at_full_nt = largest if block.unit == "nT" else np.inf  # of a signal that is 1 at its fullest
             found.append(np.full(block.size, min(block.most, at_full_nt) ** -2.0))
         rms = amplitude_tie(self, term, term.hypothesis.columns(term.theta))
-        return np.asarray(np.maximum(rms, np.concatenate([*found, np.zeros(0)])))
+        return np.asarray(self.dispersion * np.maximum(rms, np.concatenate([*found, np.zeros(0)])))
 
     def fits(self, x: Array, terms: Sequence[Term], derivatives: bool = True) -> list[Fit]:
         """Each recording's own residual and derivatives at given unknowns of all."""

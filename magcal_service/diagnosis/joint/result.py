@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -177,7 +176,7 @@ def _predicted(diagnosis: JointDiagnosis, one: Predicted) -> dict[str, Any]:
 
 
 def _kept(part: Kept) -> float | None:
-    return round(part.share, 4) if math.isfinite(part.share) else None
+    return round(part.share, 4) if part.is_seen else None
 
 
 # The model
@@ -245,7 +244,7 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
         lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
         lines.append(f"    {says(diagnosis, index)}")
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
-    lines += [f"  {line}" for line in predicted_lines(diagnosis)]
+    lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
     lines.append(f"left: {percent(diagnosis.unexplained)} of the mismatch")
     lines += [f"not to be trusted: {reason} ({reason_in_words(reason)})" for reason in diagnosis.reasons]
     lines += ["files: " + ", ".join(str(path) for path in files)] if files else []
@@ -275,13 +274,11 @@ def agreement(diagnosis: JointDiagnosis, one: Shared) -> str:
     by_chance = f"probability of the largest difference by chance {percent(one.probability)}"
     if one.agrees:
         return f"shared ({by_chance})"
-    kept = [recording.effects[one.index] for recording in diagnosis.compared.predicted]
-    shares = [part.share for part in kept if part is not None and math.isfinite(part.share)]
-    if not diagnosis.compared.is_common(one.index) or not shares:
+    if not diagnosis.compared.is_common(one.index):
         return f"not shared ({by_chance})"
     return (
         f"shared, but the recordings differ by more than their sigma ({by_chance}); the others' numbers do "
-        f"{percent(min(shares))} or more of what a recording's own do"
+        f"{percent(diagnosis.compared.kept(one.index))} of what the recordings' own would"
     )
 
 

@@ -56,6 +56,17 @@ class JointSearch(Search):
         found = self.catalogue.on(problem.parts, self.names, self.only)
         return [frozen(form, self.held[form.base]) if form.base in self.held else form for form in found]
 
+    def refreshed(self, fit: Fit) -> Fit:
+        """As ``Search.refreshed``; forms that are not in the fit are made once, at its end."""
+        wanted, self.only = self.only, tuple(joint(term) for term in fit.terms)
+        fit = super().refreshed(fit)
+        self.only = wanted
+        if wanted is not None:
+            return fit
+        self.look_at(self.problem, self.forms(self.problem))
+        known = {form.label: form for form in self.hypotheses}
+        return replace(fit, terms=tuple(replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms))
+
     def screen(
         self,
         space: Workspace,
@@ -120,6 +131,7 @@ def refitted(
     x: Array,
     terms: Sequence[Term] = (),
     held: Sequence[Term] = (),
+    dispersion: float = 1.0,
 ) -> Fit:
     """A fit of some of the recordings, with columns of the vectors that it calibrates itself.
 
@@ -128,9 +140,10 @@ def refitted(
     catalogue, singles, names: the forms; the recordings' problems and names.
     x: start of their unknowns, one after another.
     terms: fitted on recordings among which these are; what does not act on these is left out.
+    dispersion: as of ``JointProblem``.
     held: terms of other recordings, whose common numbers are taken for those of ``terms`` with the same form.
     """
-    problem = JointProblem.of(singles)
+    problem = JointProblem.of(singles, dispersion)
     known = {joint(term).base: term for term in held}
     forms = catalogue.on(problem.parts, names, [joint(term) for term in terms])
     started = []
