@@ -204,9 +204,8 @@ class _Pair:
                     both = np.concatenate([plain, self._white(rows, self._scene)], axis=1)
                     nats.append(self._left(signal, both, tie))
             if nats:
-                words = (
-                    f"record the {driver.replace('_', ' ')}, which shows whether it can be {_name(self._terms[wrong])}"
-                )
+                name = _name(self._terms[wrong])
+                words = f"record what drives {name} ({driver.replace('_', ' ')}), which shows whether it is that"
                 found.append(Separation(words, self.rival_name, float(np.median(nats))))
         return found
 

@@ -158,7 +158,7 @@ def test_a_driver_that_nobody_recorded_is_asked_for() -> None:
     inferred = form("thermal_bias", "inferred:temperature", "answer to light")
     warm = term(inferred, 150.0, np.array([1200.0, 300.0]))
     found = told(diagnosis(DRIFT, warm))
-    assert "record the temperature, which shows whether it can be thermal_bias" in found
+    assert "record what drives thermal_bias (temperature), which shows whether it is that" in found
 
 
 def test_a_name_that_stands_alone_needs_nothing() -> None:
