@@ -61,7 +61,7 @@ _WARM: Final = 3.0
 _AXIS_RAD: Final = 0.1
 """1 sigma to which the spin axis in space has to be known [rad]: the Sun on a panel is then right to a tenth."""
 
-_AXIS_MEMORY: Final = 30.0
+_AXIS_MEMORY: Final = 10.0
 """Samples that count as one for it: what the model does not hold of w along the axis changes slowly."""
 
 _AXIS_LENGTH: Final = 0.1
@@ -294,7 +294,8 @@ class Compensation(Stateful, CompensationMemory):
         row = Row(sample.time_ns, sample.field_body_nt)
         scene = self._scene_of(row, sample.clock, in_order=in_order) if self._needs_scene else None
         corrected, missing = sample.field_body_nt, []
-        self._start_fields = np.zeros_like(self._start_fields)
+        if self._groups:
+            self._start_fields = np.zeros_like(self._start_fields)
         for index, term in enumerate(self._field_terms):
             try:
                 d = (
@@ -307,6 +308,7 @@ class Compensation(Stateful, CompensationMemory):
                 missing.append(term.effect)
         if in_order:
             self._last = row
+        if in_order and self._groups:
             self._decays += 1
             self._mean_decay = self._mean_decay + (self._decay - self._mean_decay) / self._decays
         self._missing_field = missing
