@@ -41,17 +41,18 @@ def spin_innovation(
     clean = projected - mean[..., None, :] @ across
     field_clean = (clean + bias) @ np.linalg.inv(matrix)
     points = sigma_points(x, root, weights)
-    steps = np.einsum("...kij,...pj->...pki", field_jacobian(field_clean), points)
-    moved = _to_magnitude(field_clean[..., None, :, :] + steps, magnitude)
+    moved = np.einsum("...kij,...pj->...pki", field_jacobian(field_clean), points)
+    moved += field_clean[..., None, :, :]
+    moved = _to_magnitude(moved, magnitude)
     outputs = np.einsum("k,...pki->...pi", window.weights, moved) @ across.T
     noise = _noise_of_mean(window, (projected / magnitude[:, None]) @ across.T, noise_variance)
     return transformed_innovation(root, weights, outputs, outputs[..., 0, :] - mean, noise)
 
 
 def _to_magnitude(vectors: Array, magnitude_nt: Array) -> Array:
-    """Vectors (..., k, 3) scaled to the lengths |H| (k,)."""
-    scaled: Array = vectors * (magnitude_nt / np.sqrt((vectors * vectors).sum(axis=-1)))[..., None]
-    return scaled
+    """Vectors (..., k, 3), scaled in place to the lengths |H| (k,): for many runs copies cost more than arithmetic."""
+    vectors *= (magnitude_nt / np.sqrt((vectors * vectors).sum(axis=-1)))[..., None]
+    return vectors
 
 
 def _noise_of_mean(window: Window, unit: Array, noise_variance: float) -> Array:

@@ -133,8 +133,8 @@ class BatchedUkf:
         self._time_s = now_s
 
     def _window_fields(self, window: Window, runs: NDArray[np.intp]) -> Array:
-        """The measured vectors of a window that ends in this tick (3, k, runs) [nT]."""
-        newest = [self._recent[i][runs].T for i in range(-len(window.weights), 0)]
+        """The measured vectors of a window that ends in this tick (runs, k, 3) [nT]."""
+        newest = [self._recent[i][runs] for i in range(-len(window.weights), 0)]
         return np.stack(newest, axis=1)
 
     def _collect(self, tick: Tick, field_nt: Array, window: Window | None) -> None:
@@ -143,7 +143,7 @@ class BatchedUkf:
         if not len(waiting):
             return
         fields = self._window_fields(window, np.arange(len(field_nt))) if window is not None else None
-        self._start.push(tick, field_nt, window, fields.transpose(2, 1, 0) if fields is not None else None)
+        self._start.push(tick, field_nt, window, fields)
         starts = self._start.attempt(waiting)
         self.left[starts.irregular] = True
         for run, solution in starts.solutions.items():
@@ -184,8 +184,8 @@ class BatchedUkf:
         count = self._active
         x, covariance, root = self._x[:, :count], self._covariance[:, :, :count], self._root[:, :, :count]
         field = self._window_fields(window, self._run[:count])
-        factors = np.moveaxis(roots(covariance, root), 2, 0)
-        found = spin_innovation(x.T, factors, self._weights, window, field.transpose(2, 1, 0), self._variance)
+        states = np.ascontiguousarray(x.T), np.ascontiguousarray(np.moveaxis(roots(covariance, root), 2, 0))
+        found = spin_innovation(*states, self._weights, window, field, self._variance)
         squared = (found.value * np.linalg.solve(found.covariance, found.value[..., None])[..., 0]).sum(axis=1)
         gain = np.moveaxis(found.gain(), 0, 2) * (squared <= self._gate + 2.0)  # (9, 2, r)
         x += (gain * found.value.T).sum(axis=1)
