@@ -1,4 +1,4 @@
-"""Samples in, vectors and estimates out: who is answered, when, and how honestly."""
+"""Samples in, vectors and estimates out: who is answered, when, and with what covariance."""
 
 from __future__ import annotations
 

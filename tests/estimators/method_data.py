@@ -112,5 +112,5 @@ def sigmas_off(estimator: Estimator, x: Array) -> Array:
 
 
 def nees(error: Array, covariance: Array) -> float:
-    """Normalised estimation error squared; 9 on average for an honest covariance."""
+    """Normalised estimation error squared; 9 on average for a consistent covariance."""
     return float(error @ np.linalg.solve(covariance, error))

@@ -46,5 +46,5 @@ def test_at_high_noise_the_covariance_no_longer_contains_the_error() -> None:
     assert mean_nees(1000.0, True) > 25.0
 
 
-def test_without_it_the_covariance_at_high_noise_is_honest() -> None:
+def test_without_it_the_covariance_at_high_noise_is_consistent() -> None:
     assert mean_nees(1000.0, False) < 17.0

@@ -248,7 +248,7 @@ def test_ticks_of_one_to_five_samples_are_taken(name: str) -> None:
 
 @every_method
 def test_a_gap_of_ten_minutes_does_no_harm(name: str) -> None:
-    """The estimate afterwards is as honest as without it."""
+    """The estimate afterwards is as consistent as without it."""
     field = paper_field().until(SECONDS + 600)
     values = field.measured(np.random.default_rng(102), truth(name), NOISE_NT)
     whole = [*range(900), *range(1500, SECONDS + 600)]

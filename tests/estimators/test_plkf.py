@@ -1,4 +1,4 @@
-"""The pseudo-linear filter: the bias across the spin axis, and honesty about the rest."""
+"""The pseudo-linear filter: the bias across the spin axis, and a consistent covariance of the rest."""
 
 from __future__ import annotations
 

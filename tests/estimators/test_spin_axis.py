@@ -1,4 +1,4 @@
-"""The configured spin axis: what it is worth, when it is not believed, and honesty while it is held."""
+"""The configured spin axis: what it is worth, when it is not believed, and consistency while it is held."""
 
 import math
 
@@ -56,7 +56,7 @@ def test_the_true_axis_is_not_contradicted_and_one_two_degrees_off_is() -> None:
     assert contradiction(fit.state, tie(np.array([math.tan(math.radians(2.0)), 0.0, 1.0]))) > 100.0
 
 
-def test_the_filter_stays_honest_between_its_fits_near_the_orbit_normal() -> None:
+def test_the_filter_stays_consistent_between_its_fits_near_the_orbit_normal() -> None:
     """Without the tie in the filter it was 60 nT off at a sigma of 10 nT between two fits."""
     estimator = SpinFilter(CraftConfig("x", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig()))
     worst = 0.0
@@ -71,7 +71,7 @@ def test_the_filter_stays_honest_between_its_fits_near_the_orbit_normal() -> Non
 
 
 @pytest.mark.parametrize("tilt_deg", [5.0, 20.0])
-def test_a_wrong_axis_is_dropped_and_costs_no_honesty(tilt_deg: float) -> None:
+def test_a_wrong_axis_is_dropped_and_costs_no_consistency(tilt_deg: float) -> None:
     tilt = math.radians(tilt_deg)
     craft = Craft(seed=4, spin_body=(math.sin(tilt), 0.0, math.cos(tilt)))
     estimator = SpinFilter(CraftConfig("x", sensor=SensorConfig(noise_nt=300.0), spin=SpinConfig()))

@@ -1,4 +1,4 @@
-"""The spin estimator: at its bound and honest, and back to the scalar filter whenever its assumption fails."""
+"""The spin estimator: at its bound and consistent, and back to the scalar filter whenever its assumption fails."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -54,7 +54,7 @@ def test_every_run_ends_on_the_spin(runs: list[SpinFilter]) -> None:
     assert [run.fallback for run in runs] == [None] * len(runs)
 
 
-def test_the_covariance_is_honest(runs: list[SpinFilter]) -> None:
+def test_the_covariance_is_consistent(runs: list[SpinFilter]) -> None:
     mean = np.mean([normalised(run.estimate()) for run in runs])
     assert abs(mean - STATE_SIZE) < 3.5 * math.sqrt(2.0 * STATE_SIZE / len(runs))
 
@@ -66,7 +66,7 @@ def test_the_mean_error_is_within_its_sampling_error(runs: list[SpinFilter]) -> 
     assert np.abs(error / sigma).max() < 3.3 / math.sqrt(len(runs))
 
 
-def test_the_spin_is_published_with_an_honest_sigma(runs: list[SpinFilter]) -> None:
+def test_the_spin_is_published_with_a_consistent_sigma(runs: list[SpinFilter]) -> None:
     off = []
     for run in runs:
         assert run.spin is not None

@@ -97,7 +97,7 @@ def near_truth(craft: Craft, seconds: int) -> SpinState:
     return SpinState(ROUGH, attitude, rate, np.zeros((SPIN_STATE_SIZE, SPIN_STATE_SIZE)))
 
 
-def test_the_fit_is_honest_over_runs() -> None:
+def test_the_fit_is_consistent_over_runs() -> None:
     squared = []
     for seed in range(24):
         craft = Craft(seed=100 + seed)

@@ -68,7 +68,7 @@ def test_the_covariance_is_the_bound(direction: tuple[float, float, float]) -> N
 
 
 @pytest.mark.parametrize("direction", [DIAGONAL, NEAR_NORMAL])
-def test_the_covariance_is_honest(direction: tuple[float, float, float]) -> None:
+def test_the_covariance_is_consistent(direction: tuple[float, float, float]) -> None:
     """Mean NEES of 80 runs has the standard deviation 0.47 about 9."""
     errors, covariances, _ = runs(direction, True)
     mean = np.mean([nees(error, covariance) for error, covariance in zip(errors, covariances, strict=True)])

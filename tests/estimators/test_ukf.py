@@ -1,4 +1,4 @@
-"""The filter: unbiased, honest about itself, and able to follow what changes."""
+"""The filter: unbiased, with a consistent covariance, and able to follow what changes."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_the_mean_error_is_within_its_sampling_error(runs: list[StateEstimate]) 
     assert np.abs(errors.mean(axis=0) / sigma).max() < 3.3 / np.sqrt(len(runs))
 
 
-def test_the_covariance_is_honest(runs: list[StateEstimate]) -> None:
+def test_the_covariance_is_consistent(runs: list[StateEstimate]) -> None:
     """Mean of ten chi-squares of 9: 9 +- 1.34; four of these either way."""
     assert 9.0 - 5.4 < np.mean([normalised(estimate, TABLE_1) for estimate in runs]) < 9.0 + 5.4
 
@@ -62,7 +62,7 @@ def test_large_random_errors_from_a_zero_guess(seed: int) -> None:
     assert normalised(estimate, x) < 27.9
 
 
-def test_the_plain_window_of_the_paper_is_honest_too() -> None:
+def test_the_plain_window_of_the_paper_is_consistent_too() -> None:
     spin = SpinConfig(window=SpinWindow.MEAN, window_samples=8)
     assert normalised(run(Craft(seed=20), seconds=3500, spin=spin).estimate(), TABLE_1) < 27.9
 

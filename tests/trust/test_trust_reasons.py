@@ -170,7 +170,7 @@ def test_a_wrong_spin_axis_is_contradicted_and_the_estimate_holds_without_it() -
     assert np.abs(errors_in_sigma(result.state)).max() < 4.5
 
 
-def test_at_3000_nt_of_noise_the_covariance_is_said_to_be_dishonest() -> None:
+def test_at_3000_nt_of_noise_the_covariance_is_said_to_be_inconsistent() -> None:
     result = run(good(1, 2000, noise_nt=3000.0), craft(noise_nt=3000.0))
     assert Reason.NOISE_TOO_HIGH in result.last.reasons
     assert Verdict.TRUSTED not in result.verdicts()
