@@ -15,8 +15,9 @@ from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.explain import Explained, Search, is_recorded
 from magcal_service.diagnosis.field_error import SCALES, FieldError
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
-from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
+from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.lines import is_red
+from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
@@ -38,10 +39,6 @@ COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloure
 
 UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
-
-
-NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
-"""Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
 
 
 _LONGEST_MEMORY: Final = 20.0
@@ -151,8 +148,8 @@ def diagnose(
             left = structures(search, explained.fit, phase, floor)
         else:  # what the blocks bear out of a record is no noise
             coefficients = np.zeros(0)
-    if left and significant(left[0]):
-        explained = _outdone(search, baseline, explained, phase, floor)
+    if explained.fit.terms:
+        explained = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
         left = structures(search, explained.fit, phase, floor)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
@@ -238,52 +235,6 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
         return np.zeros(0)
     return long_memory(fit.residual, scene.unit)
-
-
-def _outdone(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float) -> Explained:
-    """Without names that merely fit: a family without a name holds clearly more than they do.
-
-    One product of two components, with one amplitude, is enough to do so if it holds more than all of them.
-    One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
-    first stay if they pass without the later ones; a later one has to hold its own against what is left without it.
-    """
-    explained = _each_its_own(search, explained, phase, floor)
-    fit = explained.fit
-    if not fit.terms:
-        return explained
-    nameless = replace(search, problem=baseline.problem)
-    best = structures(nameless, baseline, phase, floor)[0]
-    product = largest_product(nameless, baseline, floor)
-    for count in range(len(fit.terms), 0, -1):
-        fewer = (
-            fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
-        )
-        named = _squares(search, baseline) - _squares(search, fewer)
-        if named > max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product):
-            return explained if fewer is fit else search.compared(fewer, floor)
-    return Explained(search.refreshed(solve(search.problem, baseline.x)))
-
-
-def _each_its_own(search: Search, explained: Explained, phase: Array | None, floor: float) -> Explained:
-    """Without the later effects that hold less than a family without a name would in their place, the weakest first."""
-    while len(explained.fit.terms) > 1:
-        fit = explained.fit
-        weakest = int(np.argmin(explained.nats))
-        beside = replace(search)
-        without = beside.refreshed(
-            solve(search.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
-        )
-        best = structures(beside, without, phase, floor)[0]
-        if _squares(search, without) - _squares(search, fit) > NEEDED_SHARES[0] * best.squares:
-            break
-        explained = search.compared(search.refreshed(without), floor)
-    return explained
-
-
-def _squares(search: Search, fit: Fit) -> float:
-    """Sum of squares of a fit's residual through the whitening of its noise [nT^2]."""
-    white = search.white(fit.residual)
-    return float(white @ white)
 
 
 def _other_findings(

@@ -228,15 +228,7 @@ class Search(Screen):
             ranked = self._rivals(fit, index, sigma)
             if is_recorded(fit.terms[index].hypothesis):
                 ranked = self._tempered(ranked, fit, index, self.workspace(fit, index), self._blocks(fit), sigma)
-            own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
-            if not ranked or ranked[0].nats < own + CLASS_NATS:
-                continue
-            best = ranked[0]
-            terms = list(fit.terms)
-            terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
-            trial = solve(self.problem, fit.x, tuple(terms))
-            if self._is_sized(trial) and _held_out(trial) <= _held_out(fit):
-                fit = trial
+            fit = self._with_better(fit, index, ranked) or fit
         return fit
 
     def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
@@ -272,10 +264,10 @@ class Search(Screen):
         close = [h for h in self.hypotheses if h is mine or h.label in self.close]
         return self.screen(space, fit, sigma, sorted(others), close)
 
-    def compared(self, fit: Fit, floor_nt: float) -> Explained:
+    def compared(self, fit: Fit, floor_nt: float, may_exchange: bool = True) -> Explained:
         """A fit with the rivals of each of its terms, as far as their differences stand out of the blocks' scatter.
 
-        Terms whose own evidence does not are left out.
+        Terms whose own evidence does not are left out; one that a rival beats even so gives it its place, once.
         """
         while True:
             sigma = max(fit.white_rms_nt, floor_nt)
@@ -292,7 +284,22 @@ class Search(Screen):
             self._tempered(self._rivals(fit, index, sigma), fit, index, space, blocks, sigma)
             for index, space in enumerate(spaces)
         ]
+        for index, ranked in enumerate(rivals if may_exchange else ()):
+            other = self._with_better(fit, index, ranked)
+            if other is not None:
+                return self.compared(self.refreshed(other), floor_nt, may_exchange=False)
         return Explained(fit, tuple(_best_of_each(ranked) for ranked in rivals), tuple(nats), tuple(gains))
+
+    def _with_better(self, fit: Fit, index: int, ranked: Sequence[Candidate]) -> Fit | None:
+        """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks agree."""
+        own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
+        if not ranked or ranked[0].nats < own + CLASS_NATS:
+            return None
+        best = ranked[0]
+        terms = list(fit.terms)
+        terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+        trial = solve(self.problem, fit.x, tuple(terms))
+        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))

@@ -210,6 +210,8 @@ class Hypothesis:
     odds: natural logarithm of the prior odds against the plain form.
     largest_nt: rms that this form may have at most [nT], where that is less than the effect's.
     least_nt: rms that this form has at least [nT], whatever its numbers: a small residual rules it out.
+    is_free: whether no recorded or computed driver holds its shape, so that it can follow what is not its own: it has
+        to be likelier than a family without a name.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     """
@@ -224,6 +226,7 @@ class Hypothesis:
     odds: float = 0.0
     largest_nt: float = math.inf
     least_nt: float = 0.0
+    is_free: bool = False
     is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
 

@@ -19,12 +19,10 @@ from magcal_service.diagnosis.diagnose import (
     _imitated,
     _is_coning,
     _memory,
-    _outdone,
     _simulation,
     _unexplained,
     _verdict,
 )
-from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.leftover import Structure
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
@@ -34,7 +32,7 @@ from magcal_service.model import Array, measure
 from magcal_service.physics.interface import Finding, value_of
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.in_memory import from_arrays
-from tests.diagnosis.made_up import FLOOR_NT, SLOW, TIME_S, along, body_form, flown, searching
+from tests.diagnosis.made_up import FLOOR_NT, TIME_S, along, body_form, flown
 from tests.physics.scenes import AXIS_BODY, COUNT, NOISE_NT, X, scene, spoiled, turning, view
 
 QUIET = np.zeros((COUNT, 3))
@@ -182,31 +180,6 @@ def test_an_oscillation_is_no_memory() -> None:
     coming = np.exp(-(((TIME_S - 3000.0) / 1500.0) ** 2))[:, None]
     swing = 6.0 * NOISE_NT * coming * np.outer(np.sin(2.0 * np.pi * 0.045 * TIME_S), [0.5, -0.7, 0.5])
     assert len(memory_of(remembering(0.0) + swing)) == 0
-
-
-# Names that merely fit
-
-
-def outdone(*terms_nt: tuple[str, Array, float]) -> Explained:
-    """What is left of names with these fields, beside a slow course that no name has."""
-    forms = [body_form(name, "", field) for name, field, _ in terms_nt]
-    course = sum(size * field for _, field, size in terms_nt) + along(2, 150.0 * np.cos(TIME_S / 300.0))
-    search, fit = searching(flown(course), *forms)
-    terms = [Term(form, np.zeros(0), np.array([0.0])) for form in search.hypotheses]
-    found = search.compared(solve(search.problem, fit.x, terms), FLOOR_NT)
-    return _outdone(search, fit, found, None, FLOOR_NT)
-
-
-def test_a_name_that_holds_nearly_all_stays_and_one_that_holds_little_goes() -> None:
-    """Beside 150 nT without a name: 900 nT are three quarters of all and more, 100 nT are not."""
-    assert len(outdone(("one", along(0, SLOW), 900.0)).fit.terms) == 1
-    assert outdone(("one", along(0, SLOW), 100.0)).fit.terms == ()
-
-
-def test_nothing_is_outdone_where_nothing_was_found() -> None:
-    search, fit = searching(flown(QUIET))
-    found = Explained(fit)
-    assert _outdone(search, fit, found, None, FLOOR_NT) is found
 
 
 # What it is compared with

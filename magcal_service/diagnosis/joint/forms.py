@@ -182,6 +182,7 @@ def joined(
         constants=label.constants,
         odds=label.odds,
         largest_nt=max(part.largest_nt for part in parts if part is not None),
+        is_free=label.is_free,
         is_whole=label.is_whole,
         base=label.label,
         parts=given,

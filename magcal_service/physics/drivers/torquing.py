@@ -8,6 +8,7 @@ searched by sums over stretches of time rather than by new columns for each.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -85,6 +86,11 @@ def inferred(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     """Every pattern, where the samples are close enough to see one."""
     if (scene.period_s > _LONGEST_PERIOD_S or len(scene) < _LEAST_SAMPLES) and not scene.is_given:
         return
+    for hypothesis in _patterns(scene, effect):
+        yield replace(hypothesis, is_free=True)
+
+
+def _patterns(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     yield _regular(scene, effect)
     yield _detumbling(scene, effect)
     steady = along_axes(-np.sign(scene.field_slope))

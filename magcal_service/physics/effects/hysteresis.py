@@ -66,9 +66,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
     width = Nonlinear("half_width", "1", _WIDTHS)
     constants = {"scale_nt": scale}
-    yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants)
+    yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants, is_free=True)
     block = Block("share_matrix", "1", (3, 3), labels=(("rod along x", "rod along y", "rod along z"), AXES))
-    yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants)
+    yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants, is_free=True)
 
 
 EFFECT = Effect(

@@ -1,0 +1,103 @@
+"""Names held against families of shapes without a name: a name that merely fits does no better than they would."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.belief import stands_out
+from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.leftover import largest_product, structures
+from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
+
+NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
+"""Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
+
+
+def standing(
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
+) -> Explained:
+    """The names that stand: each in its own place, all together, and beyond the scatter over blocks.
+
+    Parameters
+    ----------
+    search: as it has explained; it continues at what stands.
+    baseline: the nine errors alone.
+    phase: of the spin (n,) [rad], for families that follow it.
+    floor_nt: least noise that evidence is counted in [nT].
+    is_left: whether families without a name hold something beside the names.
+    """
+    explained = _each_its_own(search, explained, phase, floor_nt)
+    if explained.fit.terms and is_left:
+        explained = _all_together(search, baseline, explained, phase, floor_nt)
+    while explained.fit.terms and not stands_out(baseline, explained.fit, floor_nt):
+        explained = _without(search, explained, int(np.argmin(explained.nats)), floor_nt)
+    return explained
+
+
+def _all_together(
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float
+) -> Explained:
+    """Without names that a family without a name outdoes: it holds clearly more than they do.
+
+    One product of two components, with one amplitude, is enough to do so if it holds more than all of them.
+    One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
+    first stay if they pass without the later ones.
+    """
+    fit = explained.fit
+    nameless = replace(search, problem=baseline.problem)
+    best = structures(nameless, baseline, phase, floor_nt)[0]
+    product = largest_product(nameless, baseline, floor_nt)
+    for count in range(len(fit.terms), 0, -1):
+        fewer = (
+            fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
+        )
+        named = _squares(search, baseline) - _squares(search, fewer)
+        if named > max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product):
+            return explained if fewer is fit else search.compared(fewer, floor_nt)
+    return Explained(search.refreshed(solve(search.problem, baseline.x)))
+
+
+def _each_its_own(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> Explained:
+    """Without effects in whose place a family without a name would do better, one after another."""
+    while explained.fit.terms:
+        index = _first_outdone(search, explained, phase, floor_nt)
+        if index is None:
+            break
+        explained = _without(search, explained, index, floor_nt)
+    return explained
+
+
+def _first_outdone(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> int | None:
+    """The weakest of several, if the family holds more than it does; a free form, if the family is likelier than it."""
+    fit, several = explained.fit, len(explained.fit.terms) > 1
+    weakest = int(np.argmin(explained.nats))
+    for index, term in enumerate(fit.terms):
+        held = several and index == weakest
+        if not (held or term.hypothesis.is_free):
+            continue
+        beside = replace(search)
+        without = beside.refreshed(solve(search.problem, fit.x, [t for i, t in enumerate(fit.terms) if i != index]))
+        best = structures(beside, without, phase, floor_nt)[0]
+        own = _squares(search, without) - _squares(search, fit)
+        if held and own <= NEEDED_SHARES[0] * best.squares:
+            return index
+        if term.hypothesis.is_free and explained.nats[index] * explained.gains[index].dispersion < best.nats:
+            return index
+    return None
+
+
+def _without(search: Search, explained: Explained, index: int, floor_nt: float) -> Explained:
+    fit = explained.fit
+    fewer = solve(search.problem, fit.x, [term for number, term in enumerate(fit.terms) if number != index])
+    return search.compared(search.refreshed(fewer), floor_nt)
+
+
+def _squares(search: Search, fit: Fit) -> float:
+    """Sum of squares of a fit's residual through the whitening of its noise [nT^2]."""
+    white = search.white(fit.residual)
+    return float(white @ white)

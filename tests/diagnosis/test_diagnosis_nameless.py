@@ -1,0 +1,55 @@
+"""Names against families without a name: what merely fits goes, what holds nearly all stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.explain import Explained
+from magcal_service.diagnosis.nameless import standing
+from magcal_service.diagnosis.problem import Term
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
+from magcal_service.physics.catalogue import catalogue
+from tests.diagnosis.made_up import FLOOR_NT, SLOW, TIME_S, along, body_form, flown, searching
+from tests.physics.scenes import COUNT, scene
+
+
+def stands(*terms_nt: tuple[str, Array, float], is_free: bool = False, is_left: bool = True) -> Explained:
+    """What is left of names with these fields, beside a slow course that no name has."""
+    forms = [replace(body_form(name, "", field), is_free=is_free) for name, field, _ in terms_nt]
+    course = sum(size * field for _, field, size in terms_nt) + along(2, 150.0 * np.cos(TIME_S / 300.0))
+    search, fit = searching(flown(course), *forms)
+    terms = [Term(form, np.zeros(0), np.array([0.0])) for form in search.hypotheses]
+    found = search.compared(solve(search.problem, fit.x, terms), FLOOR_NT)
+    return standing(search, fit, found, None, FLOOR_NT, is_left)
+
+
+def test_a_name_that_holds_nearly_all_stays_and_one_that_holds_little_goes() -> None:
+    """Beside 150 nT without a name: 900 nT are three quarters of all and more, 100 nT are not."""
+    assert len(stands(("one", along(0, SLOW), 900.0)).fit.terms) == 1
+    assert stands(("one", along(0, SLOW), 100.0)).fit.terms == ()
+
+
+def test_a_free_form_has_to_be_likelier_than_a_family_without_a_name() -> None:
+    """A slow course of time holds its field and the rest besides; a form with physics of its own may fall short."""
+    assert stands(("one", along(0, SLOW), 900.0), is_free=True).fit.terms == ()
+    assert stands(("one", along(0, SLOW), 900.0), is_free=True, is_left=False).fit.terms == ()
+    assert len(stands(("one", along(0, SLOW), 900.0), is_free=False, is_left=False).fit.terms) == 1
+
+
+def test_nothing_is_outdone_where_nothing_was_found() -> None:
+    search, fit = searching(flown(np.zeros((COUNT, 3))))
+    found = Explained(fit)
+    assert standing(search, fit, found, None, FLOOR_NT, is_left=True) is found
+
+
+@pytest.mark.parametrize(
+    ("effect", "free"), [("hysteresis", True), ("torquer", True), ("bias_step", False), ("thermal_bias", False)]
+)
+def test_forms_without_a_driver_that_bend_as_they_like_are_free(effect: str, free: bool) -> None:
+    (entry,) = [one for one in catalogue() if one.name == effect]
+    forms = [form for form in entry.hypotheses(scene()) if not form.driver.startswith("channel")]
+    assert {form.is_free for form in forms} == {free}
