@@ -70,7 +70,6 @@ def posterior(explained: Explained, index: int) -> Posterior:
 
 
 def reasons(
-    baseline: Fit,
     explained: Explained,
     unexplained: float,
     unknown: bool,
@@ -82,7 +81,6 @@ def reasons(
 
     Parameters
     ----------
-    baseline: the nine errors alone.
     explained: with effects.
     unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
     floor_nt: least noise that evidence is counted in [nT].
@@ -100,7 +98,6 @@ def reasons(
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
         "rough_residual": bool(fit.terms) and not stated and is_rough(fit),
-        "gain_in_scatter": bool(fit.terms) and not stands_out(baseline, fit, floor_nt),
     }
     return tuple(name for name, holds in found.items() if holds)
 

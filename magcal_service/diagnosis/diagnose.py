@@ -167,7 +167,6 @@ def diagnose(
         verdict=verdict,
         reasons=_doubts(inspection)
         + reasons(
-            baseline,
             explained,
             unexplained,
             verdict is Verdict.UNKNOWN,

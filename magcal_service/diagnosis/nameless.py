@@ -21,7 +21,7 @@ NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 def standing(
     search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
 ) -> Explained:
-    """The names that stand: each in its own place, all together, and beyond the scatter over blocks.
+    """The names that stand: each in its own place, all together, beyond the scatter over blocks, in a fit that arrived.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def standing(
     explained = _each_its_own(search, explained, phase, floor_nt)
     if explained.fit.terms and is_left:
         explained = _all_together(search, baseline, explained, phase, floor_nt)
-    while explained.fit.terms and not stands_out(baseline, explained.fit, floor_nt):
+    while explained.fit.terms and not (explained.fit.converged and stands_out(baseline, explained.fit, floor_nt)):
         explained = _without(search, explained, int(np.argmin(explained.nats)), floor_nt)
     return explained
 

@@ -104,7 +104,7 @@ def test_a_result_has_the_reasons_against_it(
     problem = SimpleNamespace(scene=range(rows))
     fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=())
     explained: Any = SimpleNamespace(fit=fit)
-    assert reasons_of(fit, explained, 0.0, verdict is Verdict.UNKNOWN, FLOOR_NT) == reasons
+    assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN, FLOOR_NT) == reasons
 
 
 def test_a_doubtful_recording_is_a_reason_of_its_own() -> None:
