@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import stands_out
+from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, structures
 from magcal_service.diagnosis.problem import Fit
@@ -16,6 +16,9 @@ from magcal_service.model import Array
 
 NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 """Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
+
+_LEAST_PROBABLE: Final = 0.05
+"""Of a name against its rivals in its place: below, one of them is likelier by more than a class is wide."""
 
 
 def standing(
@@ -34,9 +37,22 @@ def standing(
     explained = _each_its_own(search, explained, phase, floor_nt)
     if explained.fit.terms and is_left:
         explained = _all_together(search, baseline, explained, phase, floor_nt)
-    while explained.fit.terms and not (explained.fit.converged and stands_out(baseline, explained.fit, floor_nt)):
-        explained = _without(search, explained, int(np.argmin(explained.nats)), floor_nt)
+    while explained.fit.terms:
+        index = _weakest_failing(baseline, explained, floor_nt)
+        if index is None:
+            break
+        explained = _without(search, explained, index, floor_nt)
     return explained
+
+
+def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:
+    """A name that a rival beats and may not replace; else the weakest, where the fit or its gain does not hold."""
+    own = [posterior(explained, index).own for index in range(len(explained.fit.terms))]
+    if min(own) < _LEAST_PROBABLE:
+        return int(np.argmin(own))
+    if explained.fit.converged and stands_out(baseline, explained.fit, floor_nt):
+        return None
+    return int(np.argmin(explained.nats))
 
 
 def _all_together(
