@@ -1,0 +1,89 @@
+"""``magcal diagnose`` of several recordings of one craft: files, exit codes, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.cli.__main__ import main
+from magcal_service.physics.apply.model_file import read_model
+from magcal_service.physics.catalogue import effect_named
+from tests.diagnosis.joint_days import day
+
+PER_K = np.array([12.0, -8.0, 15.0])
+DESCRIPTION = """version = 1
+[samples]
+file = "{name}.csv"
+[time]
+column = "t"
+format = "unix_s"
+[magnetometer]
+columns = ["x", "y", "z"]
+unit = "nT"
+noise_nt = 50.0
+[reference]
+magnitude = "h"
+unit = "nT"
+[channels]
+board = {{ column = "T", unit = "degC" }}
+"""
+
+
+def _written(number: int, folder: Path) -> Path:
+    recording = day(number, PER_K, np.zeros(3)).recording
+    table = np.column_stack(
+        [
+            recording.time_ns * 1e-9,
+            recording.field_body_nt,
+            recording.reference.magnitude_nt,
+            recording.channels["board"].values,
+        ]
+    )
+    np.savetxt(folder / f"day{number}.csv", table, "%.4f", ",", header="t,x,y,z,h,T", comments="")
+    path = folder / f"day{number}.toml"
+    path.write_text(DESCRIPTION.format(name=path.stem), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Two days' descriptors; the catalogue is one effect, for speed."""
+    effects = (effect_named("thermal_bias"),)
+    monkeypatch.setattr("magcal_service.diagnosis.joint.diagnose.catalogue", lambda: effects)
+    return [str(_written(number, tmp_path)) for number in range(2)]
+
+
+def test_two_days_give_three_files_and_end_with_0(
+    days: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["diagnose", *days, "--out", str(out)]) == 0
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert [one["name"] for one in content["recordings"]] == ["day0", "day1"]
+    assert [one["effect"] for one in content["effects"]] == ["thermal_bias"]
+    assert read_model(out / "physics.toml").terms[0].amplitudes["nt_per_k"] == pytest.approx(PER_K, abs=1.5)
+    page = (out / "report.html").read_text()
+    assert "day0.csv" in page
+    assert f"magcal diagnose {days[0]} {days[1]} --out {out}" in page
+    said = capsys.readouterr().out
+    assert "have in common a bias that follows the sensor" in said
+    assert "thermal_bias nt_per_k: shared" in said
+
+
+@pytest.mark.parametrize(
+    ("more", "refused"),
+    [
+        (["--simulation", "paper"], "--simulation: 'paper' is refused; one recording is compared with a scenario"),
+        (["{0}"], "the same samples as"),
+        (["absent.toml"], "absent.toml"),
+    ],
+)
+def test_what_is_no_set_of_days_is_refused(
+    days: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], refused: str
+) -> None:
+    given = [one.format(*days) for one in more]
+    assert main(["diagnose", *days, *given, "--out", str(tmp_path / "out")]) == 2
+    assert refused in capsys.readouterr().err
