@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+import numpy as np
+
+from magcal_service.physics.saying import measured
 from tests.benchmarks.results import read
 
+MOST_SHOWN: Final = 3  # numbers of one parameter in a cell
 MAIN_METHOD: Final = "ukf"
 _PARTS_SHOWN: Final = 0.005  # effects that explain less of the mismatch are named without a share
 
@@ -56,6 +60,52 @@ def _cell(row: dict[str, Any], key: str) -> str:
     if key == "after_nt" and row["calibrate"] == "not_started":
         return "-"
     return _nt(row[key])
+
+
+def together_shared() -> str:
+    """What the days of SUCHAI-3 have in common, each number from all and from every day alone."""
+    rows = []
+    for row in _rows("together"):
+        for one in row["shared"]:
+            label = f"{one['effect']} `{one['parameter']}`" + ("" if one["unit"] == "1" else f" [{one['unit']}]")
+            own = [_measured(each["own"]) for each in one["recordings"]]
+            rows.append([row["photodiodes"], label, _measured(one["together"]), *own, f"{one['probability']:.2g}"])
+    head = ["photodiodes", "number", "together", *_days(), "largest difference by chance"]
+    return table(head, rows, [len(head) - 1])
+
+
+def together_predicted() -> str:
+    """Each day of SUCHAI-3 predicted from the others: held-out rms and share of its own gain."""
+    rows = []
+    for row in _rows("together"):
+        for one, shadow in zip(row["predicted_from_the_others"], row["shadow_agrees"], strict=True):
+            rms, share = one["held_out_rms_nt"], one["share_of_own_gain"]
+            kept = "-" if share is None else f"{100.0 * share:.0f} %"
+            levels = [_nt(rms[key]) for key in ("recalibrated", "predicted", "own")]
+            rows.append([row["photodiodes"], one["name"], *levels, kept, f"{100.0 * shadow:.1f} %"])
+    head = [
+        "photodiodes",
+        "day",
+        "nine errors",
+        "predicted",
+        "its own fit",
+        "kept",
+        "shadow as the photodiodes have it",
+    ]
+    return table(head, rows, range(2, 7))
+
+
+def _days() -> list[str]:
+    return [one["name"] for one in _rows("together")[0]["predicted_from_the_others"]]
+
+
+def _measured(one: dict[str, Any]) -> str:
+    """Numbers with their sigmas; of many, the largest and their count."""
+    values, sigmas = np.ravel(one["value"]), np.ravel(one["sigma"])
+    if len(values) <= MOST_SHOWN:
+        return ", ".join(measured(float(v), float(s)) for v, s in zip(values, sigmas, strict=True))
+    at = int(np.argmax(np.abs(values)))
+    return f"{len(values)} numbers, largest {measured(float(values[at]), float(sigmas[at]))}"
 
 
 def diagnoses() -> str:
@@ -153,6 +203,8 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-methods": lambda: _side_by_side("after_nt"),
     "recordings-held-out": lambda: _side_by_side("method_held_out_nt"),
     "diagnoses": diagnoses,
+    "together-predicted": together_predicted,
+    "together-shared": together_shared,
     "costs": costs,
     "costs-short": costs_short,
 }
