@@ -53,7 +53,11 @@ def _parser() -> argparse.ArgumentParser:
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
     add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
     add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
-    add_study(commands.add_parser("study", help="Monte-Carlo studies of the estimators"))
+    add_study(
+        commands.add_parser(
+            "study", help="Monte-Carlo studies of the estimators, and real recordings held against what is known"
+        )
+    )
     add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     return parser

@@ -1,4 +1,4 @@
-"""``magcal study``: Monte-Carlo studies of the estimators."""
+"""``magcal study``: many simulated flights, or real recordings, asked one question."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from magcal_service.cli.common import DONE, Parser, add_executor, executor_of, m
 
 def add_study(parser: Parser) -> None:
     """The arguments of ``magcal study``."""
-    parser.add_argument("name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, blind")
+    parser.add_argument(
+        "name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, blind, reality"
+    )
     parser.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the whole study (default: 1)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write tables, figures and curves here")
@@ -18,6 +20,8 @@ def add_study(parser: Parser) -> None:
     parser.add_argument("--methods", default="", metavar="A,B", help="of those below (default: the study's own)")
     parser.more = methods_text
     parser.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
+    folders = "of recordings' descriptors, for reality (default: ../shared/data); to one alone, `cases` beside it"
+    parser.add_argument("--recordings", type=Path, nargs="+", default=[], metavar="FOLDER", help=folders)
     add_executor(parser)
     parser.set_defaults(command=_study)
 
@@ -27,7 +31,8 @@ def _study(options: argparse.Namespace) -> int:
     from magcal_service.studies.study import Request
 
     methods = tuple(name for name in options.methods.split(",") if name)
-    request = Request(options.runs, options.seed, executor_of(options), methods, options.duration_s)
+    folders = tuple(options.recordings)
+    request = Request(options.runs, options.seed, executor_of(options), methods, options.duration_s, folders)
     report = run_study(options.name, request)
     print(report.markdown(), end="")
     save(report, options.json, options.out)

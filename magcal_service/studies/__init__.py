@@ -1,4 +1,4 @@
-"""Monte-Carlo studies, one a file, found by its presence.
+"""Studies, one a file, found by its presence: Monte-Carlo ones, and of real recordings.
 
 A file of this package that defines ``STUDY`` (a ``study.Study``) is a study; nothing has to be registered.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import shlex
 import time
 from dataclasses import replace
 from functools import cache
@@ -45,9 +46,11 @@ def find_study(name: str) -> Study:
 def run_study(name: str, request: Request) -> Report:
     """Run a study.
 
-    Raises ConfigError for an unknown study or method, or a number of runs that means nothing.
+    Raises ConfigError for an unknown study or method, a number of runs that means nothing, or what the study does not
+    take.
     """
     study = find_study(name)
+    _refuse_strange(study, request)
     for method in request.methods:
         find_method(method)
     if request.runs is not None and not 2 <= request.runs <= MOST_RUNS:
@@ -61,9 +64,29 @@ def run_study(name: str, request: Request) -> Report:
     began = time.monotonic()
     findings = study.run(request)
     seconds = time.monotonic() - began
-    return Report(
-        name, study.summary, request.runs or study.runs, request.seed, _command(name, request), seconds, findings
-    )
+    seed = None if study.takes_recordings else request.seed
+    return Report(name, study.summary, request.runs or None, seed, _command(study, request), seconds, findings)
+
+
+def _refuse_strange(study: Study, request: Request) -> None:
+    """Raise ``ConfigError`` for every argument that this kind of study has no use for."""
+    faults = []
+    if study.takes_recordings:
+        given = {
+            "--runs": request.runs,
+            "--methods": ",".join(request.methods) or None,
+            "--duration-s": request.duration_s,
+        }
+        accepted = f"the study {study.name} takes recordings and draws no flights; leave it out"
+        faults = [Fault(option, value, accepted) for option, value in given.items() if value is not None]
+    elif request.recordings:
+        takers = ", ".join(one.name for one in studies() if one.takes_recordings)
+        accepted = (
+            f"the study {study.name} draws its flights itself; leave it out, or take a study of recordings: {takers}"
+        )
+        faults = [Fault("--recordings", " ".join(map(str, request.recordings)), accepted)]
+    if faults:
+        raise ConfigError(faults)
 
 
 def save(report: Report, json_file: Path | None = None, directory: Path | None = None) -> None:
@@ -82,9 +105,12 @@ def save(report: Report, json_file: Path | None = None, directory: Path | None =
         plot(report.findings.panels, report.summary, directory / picture)
 
 
-def _command(name: str, request: Request) -> str:
+def _command(study: Study, request: Request) -> str:
     """What to type to get the same numbers again."""
-    parts = ["magcal", "study", name, "--runs", str(request.runs), "--seed", str(request.seed)]
+    parts = ["magcal", "study", study.name]
+    if study.takes_recordings:
+        return shlex.join([*parts, *(["--recordings", *map(str, request.recordings)] if request.recordings else [])])
+    parts += ["--runs", str(request.runs), "--seed", str(request.seed)]
     if request.methods:
         parts += ["--methods", ",".join(request.methods)]
     if request.duration_s is not None:

@@ -87,14 +87,14 @@ class Report:
     Parameters
     ----------
     study, summary: its name and what it asks.
-    runs, seed, command: how it was run.
+    runs, seed, command: how it was run; None where nothing was drawn.
     seconds: how long it took [s]; the only number that differs from run to run.
     """
 
     study: str
     summary: str
-    runs: int
-    seed: int
+    runs: int | None
+    seed: int | None
     command: str
     seconds: float
     findings: Findings

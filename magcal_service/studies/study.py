@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from magcal_service.many.executor import Executor
 from magcal_service.studies.report import Findings
@@ -15,11 +16,12 @@ class Request:
 
     Parameters
     ----------
-    runs: Monte-Carlo runs; None: the study's default (``run_study`` fills it in).
+    runs: Monte-Carlo runs; None: the study's default (``run_study`` fills it in), and where it draws none.
     seed: of the whole study; every run draws from a child of it.
     executor: where the work is done.
     methods: names of the estimators to compare, where the study compares any; empty: its default.
     duration_s: length of a flight [s]; None: the study's default.  Shorter ones give a quick result.
+    recordings: folders with descriptors, for a study of recordings; empty: its default.
     """
 
     runs: int | None
@@ -27,13 +29,26 @@ class Request:
     executor: Executor
     methods: tuple[str, ...] = ()
     duration_s: int | None = None
+    recordings: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """An entry of the registry: name, one line about it, its usual number of runs, and how it is done."""
+    """An entry of the registry.
+
+    Parameters
+    ----------
+    name, summary: what it is called, and one line about it.
+    runs: its usual number of Monte-Carlo runs; 0: it draws none, but takes recordings.
+    run: how it is done.
+    """
 
     name: str
     summary: str
     runs: int
     run: Callable[[Request], Findings]
+
+    @property
+    def takes_recordings(self) -> bool:
+        """Whether it asks recordings that are there, instead of drawing flights."""
+        return self.runs == 0

@@ -1,0 +1,1 @@
+"""Real recordings: what is asked of them, what is known of them, and how one question is answered."""
