@@ -11,6 +11,7 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
+from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.words import advice, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
@@ -21,6 +22,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     found = entries(diagnosis) if found is None else found
     fit, problem = diagnosis.fit, diagnosis.prepared.problem
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
+    mounting = mounting_of(fit)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
     content: dict[str, Any] = {
         "verdict": str(diagnosis.verdict),
@@ -36,6 +38,9 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
             "bias_before_nt": diagnosis.prepared.baseline.x[BIAS].tolist(),
             "bias_moved_nt": moved_bias(diagnosis),
         },
+        "residual": str(diagnosis.prepared.form),
+        "not_borne_out": [str(form) for form in diagnosis.refused],
+        "mounting": None if mounting is None else mounting.as_json(),
         "located": [place.as_json() for place in places],
         "unexplained_share": round(diagnosis.unexplained, 4),
         "rows": dict(diagnosis.prepared.counts),

@@ -18,8 +18,8 @@ from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
-from magcal_service.diagnosis.prepare import Prepared, prepare
-from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate
+from magcal_service.diagnosis.prepare import Form, Prepared, prepare
+from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array
@@ -45,6 +45,10 @@ _LONGEST_MEMORY: Final = 20.0
 """Samples over which noise may remember itself: a correlation of 0.9 from one to the next.  What lasts longer is
 structure, until physics and shapes without a name have had their turn."""
 
+
+_MUCH_WORSE: Final = 1.2
+"""Times what magnitudes are left with, or the noise, from which on whole vectors are doubted: a sound attitude leaves
+the same to a few per cent."""
 
 FLOOR: Final = 0.3
 """Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
@@ -76,6 +80,7 @@ class Diagnosis:
     simulation_x: those errors (9,).
     whitening: autoregressive coefficients of the noise, empty where it is white.
     seconds: what it took.
+    refused: forms of the residual that the attitude did not bear out.
     """
 
     inspection: Inspection
@@ -93,6 +98,7 @@ class Diagnosis:
     whitening: Array
     effects: tuple[Effect, ...]
     seconds: float
+    refused: tuple[Form, ...] = ()
 
     @property
     def trusted(self) -> bool:
@@ -130,27 +136,27 @@ def diagnose(
     inspection = inspect(recording) if inspection is None else inspection
     effects = () if inspection.open else catalogue() if effects is None else effects
     progress("simulating the recording with nine errors")
-    prepared = prepare(inspection.to_diagnose, effects)
     progress(f"screening {len(effects)} effects")
-    prepared, search, explained = _searched(prepared, effects)
+    prepared, search, explained, refused = _in_form(inspection.to_diagnose, effects)
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
-    left = structures(search, explained.fit, phase, floor)
     coefficients = _memory(prepared, search.problem, explained.fit)
     if len(coefficients):
         progress("the noise has a memory: once more with it taken off")
-        quiet = search.with_noise(problem, coefficients)
-        other = quiet.run(quiet.recorded_first(explained.fit, baseline, 0.3 * floor), 0.3 * floor)
-        if _drivers(explained) <= _drivers(other):
-            search, explained, floor = quiet, other, 0.3 * floor
-            left = structures(search, explained.fit, phase, floor)
+        quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
+        other = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
+        other, other_left = _standing(quiet, baseline, other, phase, lower)
+        recorded = _drivers(explained)
+        if recorded:
+            explained, left = _standing(search, baseline, explained, phase, floor)
+        if not recorded or _drivers(explained) <= _drivers(other):
+            search, explained, left, floor = quiet, other, other_left, lower
         else:  # what the blocks bear out of a record is no noise
             coefficients = np.zeros(0)
-    if explained.fit.terms:
-        explained = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
-        left = structures(search, explained.fit, phase, floor)
+    else:
+        explained, left = _standing(search, baseline, explained, phase, floor)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
     unexplained = _unexplained(prepared, explained.fit, left)
@@ -180,7 +186,37 @@ def diagnose(
         whitening=coefficients,
         effects=effects,
         seconds=time.monotonic() - began,
+        refused=refused,
     )
+
+
+def _in_form(recording: Recording, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained, tuple[Form, ...]]:
+    """A search in the form of residual that says most, and the forms that the attitude does not bear out.
+
+    Whole vectors show what the attitude errs by, magnitudes nothing of that.  So where vectors are left with more than
+    noise, magnitudes are searched too, and stand where they are left with clearly less.
+    """
+    prepared, search, explained = _searched(prepare(recording, effects), effects)
+    left_nt = _left_nt(explained.fit)
+    if prepared.form is not Form.AIMED or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
+        return prepared, search, explained, ()
+    others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects)
+    scalar = others[2].fit
+    if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
+        return prepared, search, explained, ()
+    return (*others, (Form.AIMED,))
+
+
+def _left_nt(fit: Fit) -> float:
+    """rms on held-out blocks, rows weighted as the noise is [nT]; of vectors that along the field, if it is more.
+
+    Along the field an attitude's own noise does not show; what it errs by slowly draws the nine errors away there.
+    """
+    whole = float(np.sqrt(np.mean(fit.held_out_white**2)))
+    if not fit.problem.is_vector:
+        return whole
+    along = np.einsum("ni,ni->n", fit.unit, fit.held_out_residual.reshape(-1, 3))
+    return max(whole, float(np.sqrt(np.mean(along**2))))
 
 
 def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained]:
@@ -234,6 +270,17 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
         return np.zeros(0)
     return long_memory(fit.residual, scene.unit)
+
+
+def _standing(
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float
+) -> tuple[Explained, list[Structure]]:
+    """What stands beside the structure that is left, and that structure."""
+    left = structures(search, explained.fit, phase, floor)
+    if explained.fit.terms:
+        explained = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
+        left = structures(search, explained.fit, phase, floor)
+    return explained, left
 
 
 def _other_findings(
@@ -328,5 +375,7 @@ def _simulation(prepared: Prepared, given: Array | None) -> tuple[Array, Array]:
         body_from_eci=None,
     )
     room = None if problem.room_from_body is None else problem.room_from_body[:half]
-    x = solve(replace(problem, scene=first, room_from_body=room, field_error=None), prepared.baseline.x).x
+    aimed = None if problem.aimed is None else problem.aimed.part(half)
+    alone = replace(problem, scene=first, room_from_body=room, field_error=None, aimed=aimed)
+    x = solve(alone, prepared.baseline.x).x
     return x[:STATE_SIZE], evaluate(problem, x, (), derivatives=False).residual

@@ -32,6 +32,8 @@ class Entry:
     constants: what belongs to the form.
     seen_in_blocks: blocks of the recording that gain by it, of those that should; empty for what is no field.
     measure: what would tell its class apart, the best first.
+    drivers: (driver, probability) of the channels that drive it as well as this recording can tell, most probable
+        first; empty for what has no driver.
     """
 
     effect: str
@@ -48,6 +50,7 @@ class Entry:
     constants: Mapping[str, float]
     seen_in_blocks: tuple[int, ...] = ()
     measure: tuple[Separation, ...] = ()
+    drivers: tuple[tuple[str, float], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -59,6 +62,7 @@ class Entry:
             "class": list(self.members),
             "separated_by": self.separated_by,
             "driver": self.driver,
+            "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in self.drivers],
             "variant": self.variant,
             "parameters": {name: _parameter(value) for name, value in self.parameters.items()},
             "where": dict(self.where),

@@ -6,7 +6,7 @@ Several effects by forward selection with a backward check; rivals by their evid
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -58,12 +58,14 @@ class Explained:
     rivals: for each term, effect names with their best evidence in its place [nats], itself included, best first.
     nats: for each term, evidence for it over its absence that survives the blocks' scatter.
     gains: for each term, what it gains over the blocks.
+    drivers: for each term, its own effect by each driver, at its best, best first.
     """
 
     fit: Fit
     rivals: tuple[tuple[Candidate, ...], ...] = ()
     nats: tuple[float, ...] = ()
     gains: tuple[Gain, ...] = ()
+    drivers: tuple[tuple[Candidate, ...], ...] = ()
 
 
 @dataclass(eq=False)
@@ -171,7 +173,11 @@ class Search(Screen):
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_MOST_RESCORED]]
         close.sort(key=lambda candidate: -candidate.nats)
         least = _RIVAL_SHARE * close[0].nats
-        self.close |= {candidate.hypothesis.label for candidate in close[:_MOST_RIVALS] if candidate.nats > least}
+        self.close |= {
+            candidate.hypothesis.label
+            for number, candidate in enumerate(close)
+            if candidate.nats > least and (number < _MOST_RIVALS or is_recorded(candidate.hypothesis))
+        }
         return close
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
@@ -288,7 +294,16 @@ class Search(Screen):
             other = self._with_better(fit, index, ranked)
             if other is not None:
                 return self.compared(self.refreshed(other), floor_nt, may_exchange=False)
-        return Explained(fit, tuple(_best_of_each(ranked) for ranked in rivals), tuple(nats), tuple(gains))
+        best = tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
+        return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals))
+
+    def _drivers(self, fit: Fit, rivals: Sequence[Sequence[Candidate]]) -> tuple[tuple[Candidate, ...], ...]:
+        """For each term its effect by each driver."""
+        own = (
+            [candidate for candidate in ranked if candidate.hypothesis.effect == term.hypothesis.effect]
+            for term, ranked in zip(fit.terms, rivals, strict=True)
+        )
+        return tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.driver) for ranked in own)
 
     def _with_better(self, fit: Fit, index: int, ranked: Sequence[Candidate]) -> Fit | None:
         """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks agree."""
@@ -346,9 +361,10 @@ def is_recorded(hypothesis: Hypothesis) -> bool:
 def clean_vectors(fit: Fit) -> tuple[Array, Array]:
     """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
     scene = fit.problem.scene
-    if fit.problem.is_vector:
-        return scene.calibrated_nt, scene.clean_field_nt
     body, magnitude = disturbances(fit.terms, scene)
+    if fit.problem.is_vector:
+        clean = fit.problem.target(fit.x)
+        return clean, measure(fit.x[:STATE_SIZE], clean + body)
     clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
     return clean, measure(fit.x[:STATE_SIZE], clean + body)
 
@@ -358,9 +374,9 @@ def _held_out(fit: Fit) -> float:
     return float((fit.held_out_white**2).sum())
 
 
-def _best_of_each(ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """The best form of each effect, best first."""
+def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:
+    """The best form of each effect or driver, best first."""
     best: dict[str, Candidate] = {}
     for candidate in ranked:
-        best.setdefault(candidate.hypothesis.effect, candidate)
+        best.setdefault(key(candidate.hypothesis), candidate)
     return tuple(best.values())

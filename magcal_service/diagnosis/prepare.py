@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import FilterConfig
+from magcal_service.diagnosis.aimed import guessed, in_body, weighted
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed
 from magcal_service.diagnosis.solution import solve
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
-from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
+from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix, measure
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.scene import Scene
@@ -46,6 +48,14 @@ As ``magnitude_spread`` of the trust monitor: the scalar form is degenerate on a
 """
 
 
+class Form(StrEnum):
+    """What a residual is made of."""
+
+    AIMED = "vectors"
+    ROOM = "vectors in a room"
+    SCALAR = "magnitudes"
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """What the steps of a diagnosis work on.
@@ -59,6 +69,7 @@ class Prepared:
     view: the input of effects that are no field.
     counts: rows that were left out, by kind.
     findings: effects seen in the samples themselves, by name.
+    form: of the residual.
     """
 
     recording: Recording
@@ -68,10 +79,16 @@ class Prepared:
     view: View
     counts: Mapping[str, int]
     findings: Mapping[str, Finding] = field(default_factory=dict)
+    form: Form = Form.SCALAR
 
 
-def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
-    """Everything up to the residual of the nine errors."""
+def prepare(recording: Recording, effects: tuple[Effect, ...], forms: Collection[Form] = tuple(Form)) -> Prepared:
+    """Everything up to the residual of the nine errors, in the form that says most.
+
+    Parameters
+    ----------
+    forms: that the residual may have.
+    """
     usable, counts = _usable(recording)
     noise_nt = recording.descriptor.magnetometer.noise_nt
     scene = scene_of(usable)
@@ -88,7 +105,8 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         level = noise_nt or _white(scene, x)
     attitude = recorded_attitude(usable)
     scene = cleaned(scene, x)
-    room = _room(scene, attitude)
+    aimed = None if scene.in_orbit or Form.AIMED not in forms else in_body(usable, scene, attitude)
+    room = None if aimed is not None or Form.ROOM not in forms else _room(scene, attitude)
     spin = None if attitude is not None else _spin(usable, scene)
     if attitude is not None and attitude[0] is Axes.ECI:
         scene = replace(scene, body_from_eci=attitude[1])
@@ -99,10 +117,17 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         rate = np.gradient(alone.phase_rad, scene.time_s)
         scene = replace(scene, turning_rad_s=rate[:, None] * alone.axis_body)
     largest_nt = {effect.name: effect.prior[1] for effect in effects}
-    error = None if room is not None else FieldError.of(scene, max(level, _white(scene, x)))
-    problem = Problem(scene, level, room, largest_nt, error)
-    start = x if room is None else np.concatenate([x, _room_field(scene, room)])
-    baseline = solve(problem, start)
+    if aimed is not None:
+        baseline = _aimed_baseline(scene, level, largest_nt, aimed, x)
+    elif room is not None:
+        baseline = solve(Problem(scene, level, room, largest_nt), np.concatenate([x, _room_field(scene, room)]))
+    else:
+        error = FieldError.of(scene, max(level, _white(scene, x)))
+        baseline = solve(Problem(scene, level, None, largest_nt, error), x)
+    if baseline.problem.is_vector:
+        baseline = _quiet(baseline)
+    problem, scene = baseline.problem, baseline.problem.scene
+    form = Form.AIMED if aimed is not None else Form.SCALAR if room is None else Form.ROOM
     nominal = usable.descriptor.spin
     view = View(
         scene,
@@ -114,7 +139,24 @@ def prepare(recording: Recording, effects: tuple[Effect, ...]) -> Prepared:
         noise_nt,
         alone,
     )
-    return Prepared(usable, problem, baseline, spin, view, counts, findings)
+    return Prepared(usable, problem, baseline, spin, view, counts, findings, form)
+
+
+def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float], reference: Array, x: Array) -> Fit:
+    """Nine errors and the turn of the sensor, the rows across the field weighted by the attitude's own noise."""
+    aimed, start = guessed(scene, reference, x)
+    if is_collapsed(start):
+        start = x
+    fit = solve(Problem(scene, level, None, largest_nt, aimed=aimed), np.concatenate([start, np.zeros(3)]))
+    aimed = weighted(aimed, scene, fit.residual, level)
+    return solve(replace(fit.problem, aimed=aimed), fit.x)
+
+
+def _quiet(fit: Fit) -> Fit:
+    """The same fit on a scene whose vectors are the reference's, as the fit turns it: columns hold no noise then."""
+    clean = fit.problem.target(fit.x)
+    scene = fit.problem.scene.recalibrated(clean, measure(fit.x[:STATE_SIZE], clean))
+    return solve(replace(fit.problem, scene=scene), fit.x)
 
 
 def _usable(recording: Recording) -> tuple[Recording, dict[str, int]]:

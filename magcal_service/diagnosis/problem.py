@@ -1,8 +1,10 @@
 """Simulation and recording side by side: nine errors, effects, and the residual, with its derivatives.
 
-Two forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
-recorded and the reference has one magnitude only (a room): r = w - A H0, three rows a sample, H0 three more unknowns:
-on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects' (``physics.interface``).
+Three forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
+recorded, three rows a sample: r = w - R A H where the reference is a vector, with the turn R of the sensor against the
+body as three unknowns more (``aimed``); r = w - A H0 where the reference has one magnitude only (a room), with H0 as
+three unknowns more: on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects'
+(``physics.interface``).
 
 Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
 residual's noise.
@@ -18,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.blocks import numbered
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.linear import fold_solutions, folds
@@ -52,9 +55,10 @@ class Problem:
     ----------
     scene: the samples.
     noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is subtracted from the scalar residual.
-    room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: the scalar form.
+    room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: there is none.
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
     field_error: errors of the field model itself, part of the scalar residual's noise; None: there is none.
+    aimed: reference vectors in the sensor's axes; None, and no room either: the scalar form.
     """
 
     scene: Scene
@@ -62,11 +66,12 @@ class Problem:
     room_from_body: Array | None = None
     largest_nt: Mapping[str, float] = field(default_factory=dict)
     field_error: FieldError | None = None
+    aimed: Aimed | None = None
 
     @property
     def is_vector(self) -> bool:
         """Whether rows are components, three a sample."""
-        return self.room_from_body is not None
+        return self.room_from_body is not None or self.aimed is not None
 
     @property
     def rows_per_sample(self) -> int:
@@ -75,7 +80,7 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Unknowns before any effect: nine, and the field of the room."""
+        """Unknowns before any effect: nine, and the field of the room or the turn of the sensor."""
         return STATE_SIZE + 3 * self.is_vector
 
     @cached_property
@@ -95,7 +100,16 @@ class Problem:
 
     def white(self, rows: Array) -> Array:
         """Rows (m,) or (m, k) of the residual in which the noise is white."""
+        if self.aimed is not None:
+            return self.aimed.weighed(rows)
         return rows if self.field_error is None else self.field_error.whitened(rows)
+
+    def target(self, x: Array) -> Array:
+        """(n, 3) what w should be in the vector form [nT], free of the samples' noise."""
+        if self.aimed is not None:
+            return self.aimed.turned(x[STATE_SIZE:])
+        assert self.room_from_body is not None, "the scalar form has no vector to compare with"
+        return np.asarray(np.einsum("nji,j->ni", self.room_from_body, x[STATE_SIZE:]))
 
     def is_collapsed(self, x: Array) -> bool:
         """Whether the nine errors among the unknowns (size,) are no sensor's."""
@@ -123,7 +137,7 @@ class Fit:
     Parameters
     ----------
     problem: what was solved.
-    x: (9,) or with the room's field (12,).
+    x: (9,), or with the room's field or the sensor's turn (12,).
     terms: effects.
     residual: (m,) [nT].
     columns: (m, p) derivatives of the residual: -d residual / d (unknowns, amplitudes, nonlinear numbers).
@@ -271,8 +285,8 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     body, magnitude = disturbances(terms, scene)
     w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
     length = np.linalg.norm(w, axis=1)
-    if problem.room_from_body is not None:
-        target = np.einsum("nji,j->ni", problem.room_from_body, x[STATE_SIZE:])
+    if problem.is_vector:
+        target = problem.target(x)
         residual = (w - target).reshape(-1)
         clean = target
     else:
@@ -281,12 +295,12 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         clean = w
     if not derivatives:
         return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
-    if problem.room_from_body is None:  # all of it, for the columns of effects are made of such vectors too
+    if not problem.is_vector:  # all of it, for the columns of effects are made of such vectors too
         clean = w * (target_length / length)[:, None]
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
     jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
     unit = clean / np.linalg.norm(clean, axis=1)[:, None]
-    parts, ties = [-_model_rows(problem, jacobian, unit)], [_tie(problem)]
+    parts, ties = [-_model_rows(problem, x, jacobian, unit)], [_tie(problem)]
     slopes = []
     for term in terms:
         made = term.hypothesis.columns(term.theta)
@@ -303,12 +317,15 @@ def _required(rows: Array | None) -> Array:
     return rows
 
 
-def _model_rows(problem: Problem, jacobian: Array, unit: Array) -> Array:
+def _model_rows(problem: Problem, x: Array, jacobian: Array, unit: Array) -> Array:
     """d residual / d unknowns (m, 9 or 12)."""
-    if problem.room_from_body is None:
+    if problem.aimed is not None:
+        slopes = problem.aimed.slopes(x[STATE_SIZE:])
+    elif problem.room_from_body is not None:
+        slopes = np.transpose(problem.room_from_body, (0, 2, 1))
+    else:
         return np.asarray(np.einsum("ni,nij->nj", unit, jacobian))
-    body_from_room = np.transpose(problem.room_from_body, (0, 2, 1))
-    return np.concatenate([jacobian, -body_from_room], axis=2).reshape(-1, STATE_SIZE + 3)
+    return np.concatenate([jacobian, -slopes], axis=2).reshape(-1, STATE_SIZE + 3)
 
 
 def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:

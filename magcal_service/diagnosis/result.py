@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.belief import drivers_of, posterior
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, plain
 from magcal_service.diagnosis.leftover import fitted_terms
@@ -28,7 +28,10 @@ _MOST_RIVALS: Final = 4
 
 
 def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
-    """Effects in the residual by the share of the mismatch that they explain, then those in attitude and noise."""
+    """Effects in the residual by the share of the mismatch that they explain, then those in attitude and noise.
+
+    What has no name stands among them by its share, where it is the verdict.
+    """
     fields = [_of_term(diagnosis, index) for index in range(len(diagnosis.fit.terms))]
     acts_on = {effect.name: effect.acts_on for effect in diagnosis.effects}
     samples = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] is ActsOn.SAMPLES]
@@ -39,10 +42,9 @@ def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
 
     # a craft that nutates has a rate that seems to change, too: attitude first, by name
     order = [name for kind in (ActsOn.ATTITUDE, ActsOn.NOISE) for name, acts in acts_on.items() if acts is kind]
-    named = sorted([*fields, *samples], key=by_share) + sorted(others, key=lambda e: order.index(e.effect))
-    if diagnosis.verdict is Verdict.UNKNOWN:
-        return (_unknown(diagnosis), *named)
-    return tuple(named)
+    unknown = [_unknown(diagnosis)] if diagnosis.verdict is Verdict.UNKNOWN else []
+    by_size = sorted([*unknown, *fields, *samples], key=by_share)
+    return (*by_size, *sorted(others, key=lambda e: order.index(e.effect)))
 
 
 def _effect(diagnosis: Diagnosis, name: str) -> Effect:
@@ -70,6 +72,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         constants=term.hypothesis.constants,
         seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
         measure=separations(diagnosis, index, believed.members),
+        drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
     )
 
 

@@ -35,6 +35,9 @@ _SLOWEST_TONE_SPUN_HZ: Final = 1.0 / 600.0
 _SLOWEST_TONE_HZ: Final = 1.0 / 120.0
 """On a craft that does not spin faster: what is slower may be the crust of the field model, degree 45 of an orbit."""
 
+_NEAR: Final = 0.5
+"""Of the best evidence, what a form has to have for those that refine it to be tried: a lag seldom hides half of it."""
+
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
 _OF_LINES: Final = ("frequency", "period")
@@ -134,9 +137,14 @@ class Screen:
     ) -> list[Candidate]:
         """Every hypothesis at its best, best first; or those ``among``, from where they have been at their best."""
         lines: Array | None = None
-        found = []
-        for hypothesis in self.hypotheses if among is None else among:
-            if hypothesis.effect in skip:
+        found: list[Candidate] = []
+        every = self.hypotheses if among is None else among
+        plain = [hypothesis for hypothesis in every if among is not None or not hypothesis.refines]
+        later = [hypothesis for hypothesis in every if among is None and hypothesis.refines]
+        for number, hypothesis in enumerate([*plain, *later]):
+            if number == len(plain):
+                near = _near(found)
+            if hypothesis.effect in skip or (number >= len(plain) and hypothesis.refines not in near):
                 continue
             if lines is None and any(number.role in _OF_LINES for number in hypothesis.nonlinear):
                 lines = self._lines(space, fit)
@@ -270,6 +278,13 @@ class Screen:
             return False
         seen = space.projected(signal[:, None])
         return float((seen**2).sum()) > LEAST_VISIBLE**2 * size
+
+
+def _near(found: Sequence[Candidate]) -> set[str]:
+    """Labels of the forms near enough to the best for one number more to matter."""
+    best = max((candidate.nats for candidate in found), default=0.0)
+    least = max(_NEAR * best, ACCEPTED_NATS)
+    return {candidate.hypothesis.label for candidate in found if candidate.nats > least}
 
 
 def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.explain import CLASS_NATS
 from magcal_service.diagnosis.imagined import Turn, continued, spun, steady, tilted
@@ -192,7 +193,8 @@ class _Pair:
             kind, _, driver = self._terms[wrong].hypothesis.driver.partition(":")
             if kind != "inferred":
                 continue
-            fit = self._exact(self._scene, self._fit.problem.room_from_body, self._others)
+            problem = self._fit.problem
+            fit = self._exact(self._scene, problem.room_from_body, self._others, problem.aimed)
             signal = self._white(_signal(self._fit, self._terms[truth]), self._scene)
             plain = self._white(fit.columns, self._scene)
             nats = []
@@ -246,12 +248,15 @@ class _Pair:
         room = self._fit.problem.room_from_body
         if room is not None:
             room = np.concatenate([room, room @ np.transpose(turn.rotation, (0, 2, 1))])
-        return self._exact(scene, room, terms)
+        aimed = self._fit.problem.aimed
+        if aimed is not None:
+            aimed = aimed.continued(turn.rotation)
+        return self._exact(scene, room, terms, aimed)
 
-    def _exact(self, scene: Scene, room: Array | None, terms: Sequence[Term]) -> Fit:
+    def _exact(self, scene: Scene, room: Array | None, terms: Sequence[Term], aimed: Aimed | None) -> Fit:
         body, _ = disturbances(terms, scene)
         exact = replace(scene, field_nt=measure(self._fit.x[:9], scene.calibrated_nt + body))
-        problem: Problem = replace(self._fit.problem, scene=exact, room_from_body=room, field_error=None)
+        problem: Problem = replace(self._fit.problem, scene=exact, room_from_body=room, field_error=None, aimed=aimed)
         return evaluate(problem, self._fit.x, terms)
 
     def _white(self, rows: Array, scene: Scene, half: int = 0) -> Array:

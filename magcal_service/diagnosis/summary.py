@@ -9,6 +9,7 @@ from typing import Final
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.words import (
     belief,
@@ -47,6 +48,7 @@ def summary(
         f"held-out rms: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} nT recalibrated, "
         f"{held_out['with_effects']:.1f} nT with effects; noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
     )
+    lines += _vectors(diagnosis)
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
         lines.append(
@@ -62,10 +64,31 @@ def _of(entry: Entry) -> Iterator[str]:
     share = f"{percent(float(entry.where['share_of_mismatch']))} of the mismatch"
     yield from _wrapped(f"{entry.effect}: {share}; {belief(entry)}")
     yield from _wrapped(entry.says, "    ")
+    yield from _wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:
         yield from _wrapped(
             f"cannot be told from {', '.join(entry.members[1:])} here; what would: {next_step(entry)}", "    "
         )
+
+
+def _vectors(diagnosis: Diagnosis) -> Iterator[str]:
+    """What whole vectors have said of the mounting, or that they were not to be compared."""
+    mounting = mounting_of(diagnosis.fit)
+    if mounting is not None:
+        yield (
+            f"mounting: the sensor is turned by {mounting.angle_deg:.2f} deg against the body, "
+            f"1 sigma {float(mounting.sigma_deg.max()):.2f} deg"
+        )
+    if diagnosis.refused:
+        yield f"compared by {diagnosis.prepared.form}: the recorded attitude errs by more than the field does"
+
+
+def _alike(entry: Entry) -> str:
+    """Channels that drive it as well, in a sentence; empty where there is one only."""
+    if len(entry.drivers) < 2:
+        return ""
+    names = [name.partition(":")[2] for name, _ in entry.drivers]
+    return f"driven by one of {', '.join(names)}, which this recording cannot tell apart"
 
 
 def _wrapped(text: str, indent: str = "  ", most: int = 2) -> list[str]:

@@ -214,6 +214,8 @@ class Hypothesis:
         to be likelier than a family without a name.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
+    refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
+        always.
     """
 
     effect: str
@@ -229,6 +231,7 @@ class Hypothesis:
     is_free: bool = False
     is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
+    refines: str = ""
 
     @property
     def label(self) -> str:

@@ -136,7 +136,11 @@ def test_of_each_effect_the_best_form_is_kept_in_order() -> None:
         Candidate(replace(form(3), effect=name, variant=variant), np.zeros(0), None, nats)  # type: ignore[arg-type]
         for name, variant, nats in (("a", "x", 9.0), ("b", "", 8.0), ("a", "y", 7.0), ("c", "", 6.0))
     ]
-    assert [(one.hypothesis.effect, one.nats) for one in _best_of_each(ranked)] == [("a", 9.0), ("b", 8.0), ("c", 6.0)]
+    assert [(one.hypothesis.effect, one.nats) for one in _best_of_each(ranked, lambda h: h.effect)] == [
+        ("a", 9.0),
+        ("b", 8.0),
+        ("c", 6.0),
+    ]
 
 
 # Lines

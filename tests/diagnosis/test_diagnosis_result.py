@@ -18,6 +18,7 @@ from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.leftover import structures
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
+from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.result import _nearest, entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.screen import Candidate
@@ -220,7 +221,8 @@ def made() -> Any:
         search=search,
         explained=explained,
         fit=explained.fit,
-        prepared=SimpleNamespace(baseline=fit, problem=search.problem, counts={"rows": COUNT}),
+        prepared=SimpleNamespace(baseline=fit, problem=search.problem, counts={"rows": COUNT}, form=Form.SCALAR),
+        refused=(),
         findings={},
         left=tuple(left),
         unexplained=0.0,
@@ -351,7 +353,7 @@ def unknown() -> Any:
             "left": tuple(left),
             "unexplained": 0.81234,
             "verdict": Verdict.UNKNOWN,
-            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, counts={}),
+            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, counts={}, form=Form.SCALAR),
             "effects": tuple(search.effects),
         }
     )
@@ -423,6 +425,9 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     assert [effect["effect"] for effect in content["effects"]] == ["other", "one"]
     assert content["effects"][0]["evidence_nats"] == round(made().explained.nats[0], 2)
     assert (content["seconds"], content["spin"], content["rows"]) == (1.23, None, {"rows": COUNT})
+    assert (content["residual"], content["not_borne_out"], content["mounting"]) == ("magnitudes", [], None)
+    late = json.loads(as_json(SimpleNamespace(**{**vars(made()), "refused": (Form.AIMED,)})))
+    assert late["not_borne_out"] == ["vectors"]
     spun = SimpleNamespace(axis_body=np.array([0.0, 0.0, 1.0]), axis_eci=np.array([1.0, 0.0, 0.0]), rate_rpm=7.5)
     turning = json.loads(as_json(SimpleNamespace(**{**vars(made()), "spin": spun})))
     assert turning["spin"] == {"axis_body": [0.0, 0.0, 1.0], "axis_eci": [1.0, 0.0, 0.0], "rate_rpm": 7.5}

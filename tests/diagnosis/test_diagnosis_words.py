@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.summary import summary
 from magcal_service.diagnosis.words import (
@@ -43,7 +45,12 @@ def diagnosis(
         reasons=reasons,
         inspection=SimpleNamespace(open=tuple(doubts), findings=()),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
-        fit=SimpleNamespace(terms=(None,) * terms, x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6])),
+        fit=SimpleNamespace(
+            terms=(None,) * terms,
+            x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6]),
+            problem=SimpleNamespace(aimed=None),
+        ),
+        refused=(),
         prepared=SimpleNamespace(
             problem=SimpleNamespace(noise_nt=100.04, field_error=None), baseline=SimpleNamespace(x=before)
         ),
@@ -64,6 +71,7 @@ def entry(
         members=(effect, *members),
         separated_by="a heater test",
         measure=(),
+        drivers=(),
     )
 
 
@@ -310,6 +318,28 @@ def test_a_summary_of_many_effects_shows_three_and_counts_the_rest() -> None:
     assert not [line for line in three if "more, in the files" in line]
     assert five[8] == "  and 2 more, in the files"
     assert sum(line.endswith("that it is this") for line in five) == 3
+
+
+def test_channels_that_cannot_be_told_apart_are_named_together() -> None:
+    found = entry("a")
+    found.drivers = (("channel:bus", 0.7), ("channel:heater", 0.3))
+    lines = summary(diagnosis(Verdict.NAMED, terms=1), [found], HELD_OUT, [])
+    assert "    driven by one of bus, heater, which this recording cannot tell apart" in lines
+    found.drivers = found.drivers[:1]
+    assert not [line for line in summary(diagnosis(Verdict.NAMED, terms=1), [found], HELD_OUT, []) if "one of" in line]
+
+
+def test_the_mounting_is_said_or_that_the_attitude_was_not_believed() -> None:
+    of = diagnosis(Verdict.NONE)
+    of.refused, of.prepared.form = (Form.AIMED,), Form.SCALAR
+    said = "compared by magnitudes: the recorded attitude errs by more than the field does"
+    assert said in summary(of, [], HELD_OUT, [])
+    turned = Aimed(np.ones((5, 3)), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    seen = diagnosis(Verdict.NONE)
+    seen.fit.problem.aimed, seen.fit.x = turned, np.zeros(12)
+    seen.fit.covariance = np.diag(np.radians([0.0] * 9 + [0.1, 0.25, 0.2]) ** 2)
+    said = "mounting: the sensor is turned by 90.00 deg against the body, 1 sigma 0.25 deg"
+    assert said in summary(seen, [], HELD_OUT, [])
 
 
 def test_without_terms_no_bias_is_said_to_have_moved() -> None:

@@ -27,7 +27,7 @@ from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, Forms, joint, tra
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures
-from magcal_service.diagnosis.prepare import MOST_ROWS, Prepared, prepare
+from magcal_service.diagnosis.prepare import MOST_ROWS, Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
@@ -136,7 +136,9 @@ def diagnose_together(
     is_open = any(one.open for one in inspections)
     effects = () if is_open else catalogue() if effects is None else effects
     progress(f"simulating {len(inspections)} recordings with nine errors each")
-    prepared = [prepare(one, effects) for one in thinned([one.to_diagnose for one in inspections])]
+    prepared = [
+        prepare(one, effects, (Form.ROOM, Form.SCALAR)) for one in thinned([one.to_diagnose for one in inspections])
+    ]
     progress(f"screening {len(effects)} effects")
     run = _Run(tuple(effects), prepared, tuple(names))
     explained = run.explained()

@@ -10,9 +10,10 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
+from magcal_service.physics.scene.sunlight import first_order
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
 
@@ -25,6 +26,12 @@ compass unusable (documentation of compassmot)."""
 
 _MOST_GUESSED_NT: Final = 2000.0
 """The same of an array's current that is inferred: 10 A in a loop of 10 cm2 at 10 cm."""
+
+_LAGS: Final = np.array([0.5, 1.0, 2.0, 4.0])
+"""Time constants that are tried, in samples: drivers of sensors average over a few."""
+
+_MOST_TOGETHER: Final = 12
+"""Circuits that are tried all at once: 36 amplitudes; more of them explain one another."""
 
 _LIKE_CURRENTS: Final = ("counts", "dimensionless", "fraction", "power")
 """Kinds of channels that may go along with a current though they are none: raw readings, states, duties, loads."""
@@ -66,6 +73,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             )
     yield from _together(scene)
     yield from _alike(scene)
+    yield from _lagging(scene)
     for hypothesis in _inferred(scene):
         yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
 
@@ -94,6 +102,38 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
             )
 
 
+def _lagging(scene: Scene) -> Iterator[Hypothesis]:
+    """Every circuit as it comes through a filter: of the current's record, or of the magnetometer."""
+    number = Nonlinear("lag_s", "s", _LAGS * scene.period_s)
+    for channel in scene.of_quantity("current", *_LIKE_CURRENTS):
+        signal, is_current = channel.values, channel.quantity == "current"
+        if is_sun_vector(channel) or signal.shape[1] > 1:
+            continue
+        if not scene.is_given and not np.std(signal) > _LEAST_SWING * np.abs(signal).max():
+            continue
+        driver = f"channel:{channel.name}"
+        yield Hypothesis(
+            "current_loop",
+            driver,
+            _lagged(scene, signal[:, 0]),
+            (Block("nt_per_a", "nT/A", most=_MOST_PER_A_NT) if is_current else Block("nt_per_unit", "nT/unit"),),
+            "lagging",
+            (number,),
+            largest_nt=_largest(signal) if is_current else _MOST_NT,
+            refines=f"current_loop by {driver}",
+        )
+
+
+def _lagged(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
+    def columns(theta: Array) -> Columns:
+        tau_s = max(float(theta[0]), 1e-3 * scene.period_s)
+        found = first_order(scene.time_s, signal, tau_s, scene.begin("lagging", float(signal[0])))
+        scene.keep("lagging", found)
+        return along_axes(found)
+
+    return columns
+
+
 def _together(scene: Scene) -> Iterator[Hypothesis]:
     """All circuits of all current channels at once."""
     channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
@@ -102,7 +142,7 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     signals = np.concatenate([channel.values for channel in channels], axis=1)
     moving = np.flatnonzero(np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0))
     used = [column for column in scene.chosen("column", moving.tolist()) if column < signals.shape[1]]
-    if len(used) < 2:
+    if len(used) < 2 or len(used) > _MOST_TOGETHER:
         return
     driver = "channel:" + "+".join(channel.name for channel in channels)
     names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
@@ -159,13 +199,15 @@ EFFECT = Effect(
     title="currents in the harness or the solar arrays",
     switched="the suspected load or array string",
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
-    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT"},
+    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT", "lag_s": "s"},
     prior=(1.0, _MOST_NT),
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
+        "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
+        "Currents add up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), {lag_s.signed} late.",
         "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
         "Currents add up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents add up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",

@@ -1,0 +1,75 @@
+"""Whole vectors by attitude and reference: the mounting, the noise across the field, and what magnitudes cannot see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magcal_service.diagnosis.aimed import Aimed, left_jacobian, turn
+from magcal_service.diagnosis.diagnose import Verdict, diagnose
+from magcal_service.diagnosis.mounting import mounting_of
+from magcal_service.diagnosis.prepare import Form
+from tests.blind.turntable import Bench
+
+BIAS_NT = np.array([1500.0, -900.0, 700.0])
+
+
+def mounted(degrees: tuple[float, float, float]) -> np.ndarray:
+    """Sensor from body (3, 3), turned by these angles about x, y and z."""
+    return np.asarray(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix())
+
+
+def test_a_turn_and_its_derivative_are_those_of_a_rotation_vector() -> None:
+    phi, step = np.array([0.4, -0.3, 0.9]), np.array([2e-6, -1e-6, 3e-6])
+    assert turn(phi) == pytest.approx(Rotation.from_rotvec(phi).as_matrix(), abs=1e-12)
+    assert turn(phi + step) == pytest.approx(turn(left_jacobian(phi) @ step) @ turn(phi), abs=1e-10)
+    aimed = Aimed(np.random.default_rng(1).normal(0.0, 3e4, (5, 3)), np.eye(3))
+    moved = (aimed.turned(phi + step) - aimed.turned(phi - step)) / 2.0
+    assert aimed.slopes(phi) @ step == pytest.approx(moved, abs=1e-6)
+
+
+def test_rows_across_the_field_are_weighted_and_those_along_it_are_not() -> None:
+    aimed = Aimed(np.array([[0.0, 0.0, 3e4], [2e4, 0.0, 0.0]]), np.eye(3), across=0.25)
+    rows = np.arange(12.0).reshape(6, 2)
+    expected = rows * np.array([0.25, 0.25, 1.0, 1.0, 0.25, 0.25])[:, None]
+    assert aimed.weighed(rows) == pytest.approx(expected)
+    assert aimed.weighed(rows[:, 0]) == pytest.approx(expected[:, 0])
+
+
+@pytest.mark.parametrize(("seed", "noise_rad"), [(3, 0.0), (4, 0.01)])
+def test_the_mounting_is_found_within_its_sigma(seed: int, noise_rad: float) -> None:
+    """Nothing is named, and nine errors and mounting are true; an attitude with noise costs accuracy, not truth."""
+    truth = mounted((21.0, -13.0, 9.0))
+    bench = Bench(seed, with_attitude=True, attitude_noise_rad=noise_rad, sensor_from_body=truth)
+    found = diagnose(bench.recording())
+    assert (found.verdict, found.prepared.form, found.refused) == (Verdict.NONE, Form.AIMED, ())
+    mounting = mounting_of(found.fit)
+    assert mounting is not None
+    off_deg = np.degrees(Rotation.from_matrix(mounting.sensor_from_body @ truth.T).as_rotvec())
+    assert np.abs(off_deg / mounting.sigma_deg).max() < 3.5
+    assert mounting.sigma_deg.max() < (0.01 if noise_rad == 0.0 else 0.05)
+    assert mounting.angle_deg == pytest.approx(np.degrees(Rotation.from_matrix(truth).magnitude()), abs=0.2)
+    sigma = np.sqrt(np.diagonal(found.fit.covariance)[:3])
+    assert np.abs((found.fit.x[:3] - BIAS_NT) / sigma).max() < 3.5
+
+
+def test_a_lag_is_seen_by_vectors_where_magnitudes_see_none_of_it() -> None:
+    """In a steady field a sensor that answers late turns the vectors, and leaves their length."""
+    lagging = Bench(6, with_attitude=True, steady=True, lag_s=0.5, noise_nt=30.0)
+    found = diagnose(lagging.recording())
+    assert [term.hypothesis.effect for term in found.fit.terms] == ["response_lag"]
+    assert found.fit.held_out_rms_nt < 1.1 * 30.0
+    lagging.with_attitude = False
+    assert diagnose(lagging.recording()).fit.terms == ()
+
+
+def test_an_attitude_that_errs_slowly_is_not_believed() -> None:
+    """Half a minute late, it disagrees with the field: magnitudes are compared, and it is said."""
+    late = Bench(8, with_attitude=True).recording()
+    attitude = late.channels["attitude"]
+    attitude.values[30:] = attitude.values[:-30].copy()
+    found = diagnose(late)
+    assert (found.prepared.form, found.refused) == (Form.SCALAR, (Form.AIMED,))
+    assert found.verdict is Verdict.NONE
+    assert mounting_of(found.fit) is None
