@@ -168,8 +168,7 @@ def _find(view: View) -> Finding | None:
     }
     if stated is not None:
         parameters["stated_nt"] = value_of(stated, 0.0, "nT")
-    white = 1.0 if not coloured else 1.0 - math.exp(-2.0 * nats / len(view.residual_nt))
-    return Finding(parameters, max(nats, _LEAST_NATS), white)
+    return Finding(parameters, max(nats, _LEAST_NATS), share=0.0)  # noise explains no mismatch
 
 
 EFFECT = Effect(
