@@ -64,7 +64,7 @@ def _panels(name: str, measured: list[Measured]) -> tuple[Panel, Panel]:
 
 
 _NOTES: Final = (
-    "Honest: the mean NEES is 9 within 10 %, or within three of its own sampling errors sqrt(18 / runs).",
+    "Consistent: the mean NEES is 9 within 10 %, or within three of its own sampling errors sqrt(18 / runs).",
     "The bound leaves out what the noise's own size tells, of order (noise / field)^2.",
 )
 

@@ -1,4 +1,4 @@
-"""What keeps a diagnosis from saying too much: priors, bounds, honest instants, shapes that no name may take."""
+"""What keeps a diagnosis from saying too much: priors, bounds, instants by their cost, shapes that no name may take."""
 
 from __future__ import annotations
 
