@@ -124,7 +124,7 @@ def prepare(recording: Recording, effects: tuple[Effect, ...], forms: Collection
     else:
         error = FieldError.of(scene, max(level, _white(scene, x)))
         baseline = solve(Problem(scene, level, None, largest_nt, error), x)
-    if baseline.problem.is_vector:
+    if aimed is not None:
         baseline = _quiet(baseline)
     problem, scene = baseline.problem, baseline.problem.scene
     form = Form.AIMED if aimed is not None else Form.SCALAR if room is None else Form.ROOM
