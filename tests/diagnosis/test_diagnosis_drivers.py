@@ -7,8 +7,8 @@ import pytest
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.result import entries
 from magcal_service.recordings.reader import read_recording
-from tests.benchmarks.bench_diagnosis import DATA
 from tests.benchmarks.bench_drivers import driven, idle, named
+from tests.benchmarks.bench_suchai3 import DATA
 
 DRONE = DATA / "ardupilot"
 

@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from magcal_service.diagnosis.problem import Fit
-from tests.benchmarks.bench_diagnosis import DATA, blind, dark_edges, frozen, light_fit, panel_field, shadow_moved
+from tests.benchmarks.bench_suchai3 import DATA, blind, dark_edges, frozen, light_fit, panel_field, shadow_moved
 
 ORBIT, LATER = DATA / "suchai3" / "2023-08-24.toml", DATA / "suchai3" / "2023-11-13.toml"
 

@@ -8,11 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.physics.saying import measured
+from magcal_service.studies.report import shown
 from tests.benchmarks.results import read
 
 MOST_SHOWN: Final = 3  # numbers of one parameter in a cell
 MAIN_METHOD: Final = "ukf"
-_PARTS_SHOWN: Final = 0.005  # effects that explain less of the mismatch are named without a share
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
@@ -108,24 +108,19 @@ def _measured(one: dict[str, Any]) -> str:
     return f"{len(values)} numbers, largest {measured(float(values[at]), float(sigmas[at]))}"
 
 
-def diagnoses() -> str:
-    """What the diagnosis says of every recording, photodiodes hidden."""
-    head = ["recording", "verdict", "effects (driver), share of the mismatch", "simulation", "nine errors", "effects"]
-    rows = []
-    for row in _rows("diagnoses"):
-        if "refused" in row:
-            rows.append([row["recording"], f"refused: {row['refused']}", *[""] * 4])
-            continue
-        verdict = ", ".join([row["verdict"] + (", trusted" if row["trusted"] else ""), *row["reasons"]])
-        named = "; ".join(_effect(effect) for effect in row["effects"]) or "-"
-        rows.append([row["recording"], verdict, named, *(_nt(value) for value in row["held_out_rms_nt"].values())])
-    return table(head, rows, range(3, 6))
+def _study(name: str, title: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Columns and rows of the first table of a study whose title begins so."""
+    tables = read(name)["tables"]
+    found = next(one for one in tables if one["title"].startswith(title))
+    return found["columns"], [dict(zip(found["columns"], row, strict=True)) for row in found["rows"]]
 
 
-def _effect(effect: dict[str, Any]) -> str:
-    driver = "" if effect["driver"] == "none" else f" ({effect['driver']})"
-    share = f" {100 * effect['share']:.0f} %" if effect["share"] >= _PARTS_SHOWN else ""
-    return f"{effect['effect']}{driver}{share}"
+def study_table(name: str, title: str) -> str:
+    """A table of a study as its JSON has it; levels [nT] in whole ones, columns of numbers to the right."""
+    columns, rows = _study(name, title)
+    shown_rows = [[_nt(row[c]) if c.endswith("[nT]") else shown(row[c]) for c in columns] for row in rows]
+    numbers = [i for i, c in enumerate(columns) if any(isinstance(row[c], float) for row in rows)]
+    return table(columns, shown_rows, numbers)
 
 
 def _figures(name: str) -> tuple[dict[str, Any], str]:
@@ -202,9 +197,9 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-ukf": recordings_main,
     "recordings-methods": lambda: _side_by_side("after_nt"),
     "recordings-held-out": lambda: _side_by_side("method_held_out_nt"),
-    "diagnoses": diagnoses,
     "together-predicted": together_predicted,
     "together-shared": together_shared,
+    "reality": lambda: study_table("reality", "What is said of each recording"),
     "costs": costs,
     "costs-short": costs_short,
 }

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 
+from tests.benchmarks import results
 from tests.figures.pages import ROOT, blocks, pages, written
-from tests.figures.tables import TABLES
+from tests.figures.tables import TABLES, study_table
 
 PLACEHOLDER = re.compile(r"\bTBD\b|\b[A-Z]{4,}[0-9]+ROW\b|\bFIXME\b|\bXXX\b")
 
@@ -35,3 +37,17 @@ def test_a_number_changed_by_hand_is_seen() -> None:
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
 def test_no_page_holds_a_placeholder(page: Path) -> None:
     assert not PLACEHOLDER.findall(page.read_text(encoding="utf-8"))
+
+
+def test_a_study_s_table_is_written_as_its_json_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = ["recording", "held out [nT]", "false name", "processor [s]"]
+    rows = [["one", 1234.5, "no", 2.5], ["two", None, "torquer", None]]
+    tables = [{"title": "Others", "columns": [], "rows": []}, {"title": "Every one", "columns": columns, "rows": rows}]
+    (tmp_path / "made-up.json").write_text(json.dumps({"tables": tables}), encoding="utf-8")
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    assert study_table("made-up", "Every").splitlines() == [
+        "| recording | held out [nT] | false name | processor [s] |",
+        "|---|---:|---|---:|",
+        "| one | 1234 | no | 2.5 |",
+        "| two | - | torquer | - |",
+    ]

@@ -24,8 +24,8 @@ _KNOT_S: Final = 30.0  # between rows for which the field is computed; taken as 
 FARTHEST_S: Final = 1200.0
 """Largest shift that is tried [s].
 
-Choice: more than twice what the station's places were behind (401 to 500 s, docs/recordings.md); further, a part of the
-orbit resembles another and the table grows.
+Choice: more than twice what the station's places were behind (442 to 510 s by element sets, docs/recordings.md);
+further, a part of the orbit resembles another and the table grows.
 """
 
 GROWTHS_S_PER_H: Final = np.array([-6.0, -3.0, 0.0, 3.0, 6.0])

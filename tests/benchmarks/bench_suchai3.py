@@ -1,6 +1,6 @@
-"""Every recording of a folder through the diagnosis, and what the tool did not see held against it: docs/recordings.md.
+"""What sunlight does to SUCHAI-3 by one orbit's diagnosis, held against its photodiodes and against other days.
 
-    python -m tests.benchmarks.bench_diagnosis [--data ../shared/data] [--only suchai3] [--cross] [--json FILE]
+    python -m tests.benchmarks.bench_suchai3 [--data ../shared/data]
 
 Photodiodes are hidden from the diagnosis throughout.
 """
@@ -17,17 +17,14 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.problem import Fit, Term
-from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
-from magcal_service.errors import MagcalError
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import scene_of
-from tests.benchmarks.results import write
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 WITNESS = "photodiodes"
@@ -36,26 +33,11 @@ SHIFTS_S = (-300, -120, -60, -30, -15, 0, 15, 30, 60, 120, 300)
 
 
 def main() -> None:
-    """Print one Markdown row per recording, or the checks of one orbit against another."""
+    """Print the checks of one orbit against its photodiodes and other days, one line each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--only", default="", help="recordings whose name holds this")
-    parser.add_argument(
-        "--cross", action="store_true", help="eclipse edges, and the panels' field on another recording"
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="what docs/recordings.md is written from")
-    options = parser.parse_args()
-    if options.cross:
-        others = [options.data / "suchai3" / f"{name}.toml" for name in ("2023-11-13", "2024-passes")]
-        cross(options.data / "suchai3" / "2023-08-24.toml", others)
-        return
-    rows = []
-    for path in sorted(options.data.glob("*/*.toml")):
-        name = f"{path.parent.name}/{path.stem}"
-        if options.only in name:
-            rows.append(diagnosed(path, name))
-            print(rows[-1], flush=True)
-    write(options.json, {"rows": rows})
+    folder = parser.parse_args().data / "suchai3"
+    cross(folder / "2023-08-24.toml", [folder / f"{name}.toml" for name in ("2023-11-13", "2024-passes")])
 
 
 def blind(path: Path) -> Recording:
@@ -63,32 +45,6 @@ def blind(path: Path) -> Recording:
     recording = read_recording(path)
     kept = {name: channel for name, channel in recording.channels.items() if name != WITNESS}
     return replace(recording, channels=kept)
-
-
-def diagnosed(path: Path, name: str) -> dict[str, object]:
-    """One recording's diagnosis: verdict, effects with driver, share and probability, held-out rms [nT], seconds."""
-    began = time.process_time()
-    try:
-        diagnosis = diagnose(blind(path))
-    except MagcalError as error:
-        return {"recording": name, "refused": str(error).splitlines()[0]}
-    return {
-        "recording": name,
-        "verdict": str(diagnosis.verdict),
-        "trusted": diagnosis.trusted,
-        "reasons": [str(reason) for reason in diagnosis.reasons],
-        "effects": [
-            {
-                "effect": entry.effect,
-                "driver": entry.driver,
-                "share": float(entry.where["share_of_mismatch"]),
-                "probability": float(entry.probability),
-            }
-            for entry in entries(diagnosis)
-        ],
-        "held_out_rms_nt": held_out_rms(diagnosis),
-        "processor_s": time.process_time() - began,
-    }
 
 
 def light_fit(diagnosis: Diagnosis) -> Fit:
