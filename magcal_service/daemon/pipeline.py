@@ -5,6 +5,7 @@ Live links, recordings and the simulator all use it, so what is verified on one 
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -62,6 +63,8 @@ WATCHED: Final = {
     Reason.SPIN_CONTRADICTED,
 }
 """Reasons under which a window of the watch may begin: it may explain them."""
+
+log = logging.getLogger("magcal")
 
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 """Reasons under which ticks are kept from the watch.  Its window outlives a new start: it fits errors separately."""
@@ -136,8 +139,16 @@ class Pipeline(Stateful, PipelineMemory):
             self._compensate_by(config.physics.text)
 
     def _compensate_by(self, physics: str) -> None:
-        """Load the text of a ``physics.toml``; raises InputRefusedError where it is none."""
-        self.compensation = Compensation(parse_model(physics.encode()))
+        """Load the text of a ``physics.toml``; raises InputRefusedError where it is none.
+
+        A warning is logged where the file says that it should not be acted on.
+        """
+        model = parse_model(physics.encode())
+        if model.doubts:
+            log.warning(
+                "%s: physics.toml is not to be acted on, says its diagnosis: %s", self.config.name, model.doubts
+            )
+        self.compensation = Compensation(model)
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)
         self._compare()

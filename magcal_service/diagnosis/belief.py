@@ -20,7 +20,8 @@ _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
 
 STANDS_OUT: Final = 3.0
-"""Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
+"""Standard errors over blocks by which the held-out gain has to stand out of its scatter, and one number of each effect
+out of its own sigma."""
 
 LITTLE_LEFT: Final = 0.1
 """Share of the mismatch without a name beside which names are still acted on: their numbers move by a few per cent."""
@@ -109,6 +110,7 @@ def reasons(
         or (bool(fit.terms) and (unexplained > LITTLE_LEFT or _hardly_more(explained, left_nt2, floor_nt))),
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
+        "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
         "rough_residual": bool(fit.terms) and not stated and is_rough(fit),
     }
     return tuple(name for name, holds in found.items() if holds)
@@ -118,6 +120,14 @@ def _hardly_more(explained: Explained, left_nt2: float, floor_nt: float) -> bool
     """Whether one of the names holds hardly more than what is left without one: it may be a part of that instead."""
     left_nats = left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2)
     return any(gain.nats < _MORE_THAN_LEFT * left_nats for gain in explained.gains)
+
+
+def has_size(fit: Fit, index: int) -> bool:
+    """Whether one of a term's amplitudes at least stands out of its own sigma: else nobody can say how large it is."""
+    first = fit.problem.size + sum(term.hypothesis.size for term in fit.terms[:index])
+    own = slice(first, first + fit.terms[index].hypothesis.size)
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[own], 1e-300))
+    return bool(np.max(np.abs(fit.terms[index].amplitudes) / sigma) >= STANDS_OUT)
 
 
 def is_rough(fit: Fit) -> bool:

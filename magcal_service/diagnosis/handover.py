@@ -44,6 +44,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> 
         terms=terms_of(fit),
         notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),
         spin=None if spin is None else _spin(spin.axis_body, spin.axis_eci, spin.rate_rad_s),
+        doubts=", ".join(diagnosis.reasons),
     )
 
 

@@ -20,6 +20,10 @@ NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 _LEAST_PROBABLE: Final = 0.05
 """Of a name against its rivals in its place: below, one of them is likelier by more than a class is wide."""
 
+_WORSE: Final = 1.02
+"""Times the held-out rms of the nine errors alone, from which on names are no gain, whatever whitened rows say; faint
+effects beneath the field model's errors may move it by less."""
+
 
 def standing(
     search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
@@ -50,7 +54,8 @@ def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> in
     own = [posterior(explained, index).own for index in range(len(explained.fit.terms))]
     if min(own) < _LEAST_PROBABLE:
         return int(np.argmin(own))
-    if explained.fit.converged and stands_out(baseline, explained.fit, floor_nt):
+    worse = explained.fit.held_out_rms_nt > _WORSE * baseline.held_out_rms_nt
+    if explained.fit.converged and not worse and stands_out(baseline, explained.fit, floor_nt):
         return None
     return int(np.argmin(explained.nats))
 

@@ -43,6 +43,10 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "another name does nearly as well",
         "make one of the measurements that stand beside the name",
     ),
+    "size_uncertain": (
+        "no number of an effect is three times its own sigma: it is there, but nobody can say how large",
+        "record longer, or record what drives it",
+    ),
     "rough_residual": (
         "what changes from one sample to the next is larger than any sensor's noise",
         "state noise_nt; look for repeated or misplaced rows with magcal inspect",

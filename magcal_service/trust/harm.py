@@ -41,6 +41,9 @@ _FEWEST: Final = 12
 _FEWEST_ROWS: Final = 10
 """Ticks in a block that counts: of the 30 that it has where none is missing."""
 
+_TWICE: Final = 2.0
+"""Times the fewest ticks, what a block should have: of random gaps, one in a hundred blocks has half."""
+
 MARGIN: Final = 0.02
 """Nats a sample from which on it matters: 2 % of the residual's rms, a residual wrong by a fifth of the noise.
 
@@ -130,13 +133,14 @@ class HarmWatch(Stateful, HarmWatchMemory):
         error = max(float(scores.std(ddof=1)), _LEAST_SCATTER) / math.sqrt(len(scores))
         if mean <= max(MARGIN, SIGMAS * error):
             return ""
-        minutes = len(scores) * BLOCK_S / 60.0
+        minutes = len(scores) * _block_s(np.array([row[0] for row in self._rows])) / 60.0
         return f"{100.0 * math.expm1(mean):.0f} % more residual with it than without over {minutes:.0f} min"
 
     def _scores(self) -> Array:
         """q of each block (k,) that has enough ticks; none before there are ``_FEWEST``."""
         rows = np.array(self._rows)
-        number, counts = np.unique(rows[:, 0] // BLOCK_S, return_counts=True)
+        block = rows[:, 0] // _block_s(rows[:, 0])
+        number, counts = np.unique(block, return_counts=True)
         number = number[counts >= _FEWEST_ROWS]
         if len(number) < _FEWEST:
             return np.zeros(0)
@@ -147,11 +151,21 @@ class HarmWatch(Stateful, HarmWatchMemory):
         squares = [ours.residual_nt**2, theirs.residual_nt**2]
         found = []
         for one in number.tolist():
-            inside = near & (rows[:, 0] // BLOCK_S == one)
+            inside = near & (block == one)
             if np.count_nonzero(inside) >= _FEWEST_ROWS:
                 a, b = (max(float(part[inside].mean()), 1e-12) for part in squares)
                 found.append(0.5 * math.log(a / b))
         return np.array(found)
+
+
+def _block_s(time_s: Array) -> float:
+    """Length of a block [s] for kept ticks at times (n,): longer where samples come more seldom than every second."""
+    if len(time_s) < 2:
+        return BLOCK_S
+    usual_s = float(np.median(np.diff(time_s))) / math.log(
+        2.0
+    )  # gaps at no regular times: their median over their mean
+    return max(BLOCK_S, _TWICE * _FEWEST_ROWS * usual_s)
 
 
 def _is_kept(time_s: float) -> bool:

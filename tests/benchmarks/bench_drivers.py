@@ -16,7 +16,7 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.result import entries
-from tests.blind.turntable import Bench, alike, course
+from tests.diagnosis.turntable import Bench, alike, course
 
 CHANNELS = 20
 UNITS = ("A", "counts", "")

@@ -9,6 +9,7 @@ import pytest
 
 from magcal_service.config.reader import load_config
 from magcal_service.daemon.checkpoints.files import config_digest
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import ConfigError
 from magcal_service.physics.apply.model_file import parse_model, text_of
 
@@ -44,3 +45,13 @@ def test_what_is_no_file_is_refused(tmp_path: Path, value: str) -> None:
     """A number, an empty text, a file that is not there."""
     with pytest.raises(ConfigError):
         load_config(written(tmp_path, EXAMPLE, value))
+
+
+def test_a_model_that_is_not_to_be_acted_on_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """By the reasons that stand in the file; the same file without them says nothing."""
+    Pipeline(load_config(written(tmp_path, EXAMPLE)).crafts[0])
+    assert not caplog.records
+    doubtful = EXAMPLE.replace('clock = "utc"', 'clock = "utc"\ndoubts = "name_uncertain"')
+    Pipeline(load_config(written(tmp_path, doubtful)).crafts[0])
+    (record,) = caplog.records
+    assert record.message == "demo: physics.toml is not to be acted on, says its diagnosis: name_uncertain"

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import posterior, reasons, stands_out
+from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.linear import Gain
@@ -99,6 +99,17 @@ def test_a_gain_within_its_scatter_does_not_stand_out() -> None:
     idle = solve(problem(), fits()[0].x, [Term(form("tone"), np.array([0.0213]), np.zeros(6))])
     assert not stands_out(fits()[0], idle, 0.3 * NOISE_NT)
     assert stands_out(fits()[0], explained([]).fit, 0.3 * NOISE_NT)
+
+
+def test_an_effect_has_a_size_where_one_of_its_numbers_is_three_sigma() -> None:
+    """Here the step's: as fitted, and each number taken to 2.9 and one of them to 3.1 of its own sigma."""
+    fit = fits()[1]
+    assert has_size(fit, 0)
+    sigma = np.sqrt(np.diagonal(fit.covariance)[9:12])
+    for most, expected in ((2.9, False), (3.1, True)):
+        faint = replace(fit, terms=(replace(fit.terms[0], amplitudes=sigma * np.array([2.9, -2.9, most])),))
+        assert has_size(faint, 0) is expected
+        assert ("size_uncertain" in said(replace(explained([]), fit=faint))) is not expected
 
 
 def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:

@@ -10,7 +10,7 @@ from magcal_service.diagnosis.aimed import Aimed, left_jacobian, turn
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.prepare import Form
-from tests.blind.turntable import Bench
+from tests.diagnosis.turntable import Bench
 
 BIAS_NT = np.array([1500.0, -900.0, 700.0])
 

@@ -311,8 +311,9 @@ def test_what_has_no_unit_may_go_along_with_a_current() -> None:
     channels["sun"] = Telemetry("sun", "counts", np.repeat(steps, 3, axis=1))
     found = forms("current_loop", replace(scene(), channels=channels))
     recorded = {key for key in found if key[0].startswith("channel")}
-    wanted = {(f"channel:{kind}", "") for kind in kinds}
-    assert recorded == wanted | {("channel:two", "column 1"), ("channel:two", "column 3")}
+    wanted = {(f"channel:{kind}", variant) for kind in kinds for variant in ("", "lagging")}
+    of_two = {("channel:two", f"column {number}") for number in (1, 3)}
+    assert recorded == wanted | of_two
     k = np.array([10.0, -20.0, 5.0])
     assert added(found["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
     assert found["channel:two", "column 3"].constants == {"column_0": 2.0}

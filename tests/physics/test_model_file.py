@@ -67,6 +67,11 @@ def error(found: tuple[Array, Array], body: Array, growth: Array) -> float:
     return max(float(np.abs(found[0] - body).max()), float(np.abs(found[1] - growth).max())) / largest
 
 
+def test_doubts_of_the_diagnosis_come_along() -> None:
+    for doubts in ("", "name_uncertain, poor_coverage"):
+        assert parse_model(text_of(model(doubts=doubts)).encode()).doubts == doubts
+
+
 def test_every_effect_that_is_a_field_has_a_form_here() -> None:
     """The scene of these tests drives the whole catalogue."""
     silent = {"coloured_noise", "nutation", "quantisation", "spin_rate", "stuck_axis"}

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 import pytest
 
 from magcal_service.recordings import recorder as module
+from magcal_service.recordings import session_file
 from magcal_service.recordings.mcap import DROPPED
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recorder import Recorder
@@ -265,7 +266,7 @@ def test_a_defect_in_the_recorder_ends_a_file_and_not_the_recorder(
 
     recorder = Recorder(settings(tmp_path, retry_s=0.1), [craft()])
     with monkeypatch.context() as patch:
-        patch.setattr(module, "to_json", broken)
+        patch.setattr(session_file, "to_json", broken)
         recorder.add(SAMPLES[0])
         until(lambda: recorder.counters["record.stopped"])
     until(lambda: not recorder.trouble)

@@ -46,6 +46,19 @@ def test_what_harms_is_said_within_an_orbit_and_what_helps_never(seed: int) -> N
     assert said(HarmWatch(X), field, disturbed, magnitude, range(SECONDS)) is None
 
 
+@pytest.mark.parametrize("every_s", [4, 8])
+def test_a_sensor_that_samples_seldom_is_compared_in_longer_blocks(every_s: int) -> None:
+    """A field of 2 sigma that is not there, taken off, at 4 and 8 s."""
+    field, magnitude, slow = flight(5)
+    disturbed = field + 2.0 * NOISE_NT * slow
+    wrong, right, size = (
+        np.concatenate([part] * 8) for part in (disturbed, field, magnitude)
+    )  # an orbit again and again
+    seconds = range(0, len(size), every_s)
+    assert said(HarmWatch(X), wrong, right, size, seconds) is not None
+    assert said(HarmWatch(X), right, wrong, size, seconds) is None
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_makes_no_difference_is_not_called_harm(seed: int) -> None:
     """A field of 3 % of the noise more on either side, and exactly the same."""

@@ -14,6 +14,7 @@ from magcal_service.diagnosis.belief import (
     MOST_BIAS_SIGMA_NT,
     MOST_D_SIGMA,
     SURE,
+    has_size,
     is_rough,
     posterior,
     stands_out,
@@ -300,6 +301,7 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
         "poor_coverage": not any(one.has_coverage for one in found.recordings),
         "unexplained_structure": verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
+        "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
         "name_uncertain": any(posterior(found.explained, index).own < SURE for index in range(len(fit.terms))),
         "rough_residual": named
         and any(one.prepared.view.stated_noise_nt is None and is_rough(one.fit) for one in found.recordings),

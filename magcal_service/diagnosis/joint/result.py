@@ -201,6 +201,7 @@ def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
         terms=tuple(_model_term(diagnosis, k, term, latest) for k, term in terms),
         notes=(),
         spin=None,
+        doubts=", ".join(diagnosis.reasons),
     )
 
 
@@ -230,7 +231,7 @@ def sentence(diagnosis: JointDiagnosis) -> str:
         left = "agree with the simulation to the noise" if diagnosis.verdict is Verdict.NONE else "are not explained"
         return f"{count} recordings {left}: no physics is named from them."
     parts = [f"{count} recordings have in common {' and '.join(common)}"] if common else []
-    parts += [f"not common {'is' if len(own) == 1 else 'are'} {' and '.join(own)}"] if own else []
+    parts += [f"each has its own: {', '.join(own)}"] if own else []
     left = f"{percent(diagnosis.unexplained)} of the mismatch has no name" if diagnosis.unexplained > 0.0 else ""
     text = "; ".join(filter(None, (*parts, left)))
     return f"{text[0].upper()}{text[1:]}."

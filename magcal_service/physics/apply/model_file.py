@@ -70,6 +70,7 @@ def text_of(model: PhysicsModel) -> str:
         f"name = {_text(model.recording)}",
         f"origin_ns = {model.origin_ns}",
         f"clock = {_text(model.clock)}",
+        *([f"doubts = {_text(model.doubts)}"] if model.doubts else []),
         "",
         "[errors]  # D11 D22 D33 D12 D13 D23",
         f"bias_nt = {_numbers(model.x[BIAS])}",

@@ -147,6 +147,7 @@ class PhysicsModel:
     origin_ns, clock: instant from which effects count their time.
     x, sigma: the nine errors (9,) and their 1 sigma, fitted together with the effects.
     noise_nt: white noise, 1 sigma per axis [nT].
+    doubts: what speaks against acting on it, as the diagnosis names its reasons; empty where nothing does.
     """
 
     recording: str
@@ -158,6 +159,7 @@ class PhysicsModel:
     terms: tuple[ModelTerm, ...] = ()
     notes: tuple[Note, ...] = ()
     spin: ModelSpin | None = None
+    doubts: str = ""
 
 
 def _origin(reading: Reading, key: str) -> int:
@@ -178,6 +180,7 @@ class RecordingSection:
     name: str = text("", accepted="the recording's name", file_only=True)
     origin_ns: int = special(_origin)
     clock: Clock = choice(Clock)
+    doubts: str = text("", accepted="reasons against acting on the model, by name", file_only=True)
 
 
 def _check_distortion(reading: Reading, key: str, D: tuple[float, ...]) -> None:
@@ -229,4 +232,5 @@ class ModelSections:
             terms=self.terms,
             notes=self.notes,
             spin=self.spin,
+            doubts=self.recording.doubts,
         )

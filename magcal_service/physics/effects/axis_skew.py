@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+
+_LONGEST_S: Final = 0.4
+"""From the first axis to the last, at most [s]: two conversions of the slowest setting of slow parts (0.2 s each at
+5 Hz, LIS3MDL and HMC5883 data sheets); and never longer than from one sample to the next."""
 
 
 def _hypotheses(scene: Scene) -> tuple[Hypothesis, ...]:
@@ -16,7 +22,10 @@ def _hypotheses(scene: Scene) -> tuple[Hypothesis, ...]:
     body[0, :, 1], body[1, :, 2] = slope[:, 1], slope[:, 2]
     return (
         Hypothesis(
-            "axis_skew", "none", lambda _: Columns(body=body), (Block("after_x_s", "s", (2,), labels=(AXES[1:],)),)
+            "axis_skew",
+            "none",
+            lambda _: Columns(body=body),
+            (Block("after_x_s", "s", (2,), most=min(_LONGEST_S, scene.period_s), labels=(AXES[1:],)),),
         ),
     )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from magcal_service.errors import ConfigError, Fault
+from magcal_service.physics.effects import bias_step, current_loop, position_offset, spin_rate, thermal_scale
 
 DEFAULT_FOLDER: Final = Path("../shared/data")
 """Where the recordings lie beside a checkout."""
@@ -58,21 +59,23 @@ class Question:
 
 
 _SUNLIT: Final = Known(
-    ("thermal_scale", "current_loop"),
-    beside=("spin_rate",),
+    (thermal_scale.EFFECT.name, current_loop.EFFECT.name),
+    beside=(spin_rate.EFFECT.name,),
     witness="photodiodes (edges of the shadow), the other days, gyro",
 )
-_CURRENT: Final = Known(("current_loop",), witness="battery current, compass on the mast")
-_MAGNET: Final = Known(("bias_step",), witness="a magnet was attached and taken off")
+_CURRENT: Final = Known((current_loop.EFFECT.name,), witness="battery current, compass on the mast")
+_MAGNET: Final = Known((bias_step.EFFECT.name,), witness="a magnet was attached and taken off")
 _NOTHING: Final = Known((), witness="simulated without any physics beyond the sensor")
 
 KNOWN: Final[Mapping[str, Known]] = {
-    "aero-vista/recording": Known(("thermal_scale",), witness="thermometer on the sensor, reference in the coil"),
+    "aero-vista/recording": Known(
+        (thermal_scale.EFFECT.name,), witness="thermometer on the sensor, reference in the coil"
+    ),
     "ardupilot/log171-internal": _CURRENT,
     "ardupilot/log171-internal-attitude": _CURRENT,
     "broad/magnet-32": _MAGNET,
     "broad/magnet-34": _MAGNET,
-    "iss-2022-ir/recording": Known(("position_offset",), witness="element sets of the station"),
+    "iss-2022-ir/recording": Known((position_offset.EFFECT.name,), witness="element sets of the station"),
     "suchai3/2023-08-24": _SUNLIT,
     "suchai3/2023-11-13": _SUNLIT,
     "suchai3/2023-12-11": _SUNLIT,
