@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import SeekingReader, make_reader
+from mcap.records import SummaryOffset
 from mcap.stream_reader import StreamReader
 
 from magcal_service.errors import DecodeError
@@ -54,6 +55,21 @@ def test_the_formats_own_seeking_reader_finds_every_message(session: Path) -> No
 def test_the_formats_own_reader_confirms_every_checksum(session: Path) -> None:
     with session.open("rb") as file:
         assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 0
+
+
+def test_summary_offsets_span_the_records_of_their_kind_and_no_others(session: Path) -> None:
+    """Each group is whole records of its opcode: one byte of opcode and eight of length before the content."""
+    content = session.read_bytes()
+    with session.open("rb") as file:
+        offsets = [one for one in StreamReader(file).records if isinstance(one, SummaryOffset)]
+    assert len(offsets) >= 4
+    for offset in offsets:
+        at, end = offset.group_start, offset.group_start + offset.group_length
+        while at < end:
+            assert content[at] == offset.group_opcode
+            at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+        assert at == end
+        assert content[end] != offset.group_opcode
 
 
 def test_every_message_is_valid_by_the_schema_beside_it(session: Path) -> None:
