@@ -258,6 +258,14 @@ def test_the_end_of_the_service_does_not_wait_for_a_disk_that_hangs(
         StuckDisk.back.set()
 
 
+def test_a_folder_is_made_with_all_above_it(tmp_path: Path) -> None:
+    recorder = Recorder(settings(tmp_path / "not" / "there", retry_s=0.1), [craft()])
+    recorder.add(SAMPLES[0])
+    recorder.close()
+    assert recorder.counters["record.written"] == 1
+    assert list((tmp_path / "not" / "there").glob("*.mcap"))
+
+
 def test_a_defect_in_the_recorder_ends_a_file_and_not_the_recorder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
