@@ -258,6 +258,17 @@ def test_the_end_of_the_service_does_not_wait_for_a_disk_that_hangs(
         StuckDisk.back.set()
 
 
+def test_what_is_flushed_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each flush asks the kernel to write: a power cut costs what came after the last one."""
+    synced: list[int] = []
+    monkeypatch.setattr(session_file.os, "fdatasync", synced.append)
+    recorder = Recorder(settings(tmp_path, flush_s=0.01), [craft()])
+    recorder.add(SAMPLES[0])
+    until(lambda: len(synced) > 0)
+    recorder.close()
+    assert len(set(synced)) == 1
+
+
 def test_a_folder_is_made_with_all_above_it(tmp_path: Path) -> None:
     recorder = Recorder(settings(tmp_path / "not" / "there", retry_s=0.1), [craft()])
     recorder.add(SAMPLES[0])
