@@ -155,12 +155,13 @@ FAULTS = (
     ("bias_nt = [", "bias_nt = [7.0, ", "errors.bias_nt", "an array of 3"),
     ("D = [0.05", "D = [-0.99", "errors.D", "eigenvalues"),
     ("column = 0.0", "column = inf", "effect[0].constants.column", "finite"),
+    ("column = 0.0", "column = [0.0, 1.0]", "effect[0].constants.column", "one finite number"),
     ("zero_degc", "zero-degc", "effect[0].constants.zero-degc", "a-z"),
     ("[recording]", "colour = 1\n[recording]", "colour", "unknown key"),
 )
 
 
-@pytest.mark.parametrize(("old", "new", "where", "accepted"), FAULTS, ids=[fault[2] for fault in FAULTS])
+@pytest.mark.parametrize(("old", "new", "where", "accepted"), FAULTS, ids=[fault[1] for fault in FAULTS])
 def test_a_fault_is_named_with_what_is_accepted(old: str, new: str, where: str, accepted: str) -> None:
     """File, field, value and what is accepted, in one line."""
     assert GOOD.count(old) >= 1
