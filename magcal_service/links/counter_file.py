@@ -7,6 +7,7 @@ import re
 import zlib
 from pathlib import Path
 
+from magcal_service.disk import sync_folder
 from magcal_service.wire.seal import MAX_COUNTER
 
 _CONTENT = re.compile(rb"magcal counter ([0-9]{1,20}) ([0-9a-f]{8})\n")
@@ -35,11 +36,7 @@ class CounterFile:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(self.path)
-        directory = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+        sync_folder(self.path.parent)
         self.last = value
 
     def _read(self) -> int | None:

@@ -9,6 +9,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from magcal_service.disk import sync_folder
 from magcal_service.errors import unwritable
 from magcal_service.many.pieces import Done
 from magcal_service.many.plain import NotKnownError, pack, unpack
@@ -65,17 +66,8 @@ class Store:
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(partial, path)
-            _sync(self.folder)
+            sync_folder(self.folder)
         except OSError as exc:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
             raise unwritable(path, exc) from None
-
-
-def _sync(folder: Path) -> None:
-    """Have the renaming on the disk, too."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from magcal_service.disk import sync_folder
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.mcap import MAGIC, RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
@@ -47,7 +48,7 @@ class SessionFolder:
         file = path.open("xb", buffering=0)
         with suppress(OSError):  # some file systems know no locks
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _sync_folder(self.path)
+        sync_folder(self.path)
         return path, file
 
     def free_bytes(self) -> int:
@@ -93,15 +94,6 @@ def _is_held(path: Path) -> bool:
     return False
 
 
-def _sync_folder(path: Path) -> None:
-    """Names that were made or changed survive a power cut."""
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
 @dataclass(frozen=True, slots=True)
 class Recovered:
     """What became of a file that was half-written.
@@ -137,7 +129,7 @@ def recover_in_place(path: Path) -> Recovered:
         path.replace(path.with_suffix(".unreadable"))
     else:
         path.unlink()
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
     return recovered
 
 

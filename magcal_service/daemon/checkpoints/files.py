@@ -24,6 +24,7 @@ from typing import Any, Final
 import msgpack
 
 from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.disk import sync_folder
 from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
@@ -216,11 +217,7 @@ class StateStore:
             with suppress(OSError):
                 part.unlink()
             raise
-        folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        sync_folder(self.folder)
         self.writes += 1
         self.written_bytes += len(raw)
 
