@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
-from magcal_service.diagnosis.problem import Fit, is_collapsed
+from magcal_service.diagnosis.problem import Fit, amplitude_columns, is_collapsed
 from magcal_service.model import STATE_SIZE
 
 SURE: Final = 0.95
@@ -124,13 +124,12 @@ def _hardly_more(explained: Explained, left_nt2: float, floor_nt: float) -> bool
 
 def has_size(fit: Fit, index: int) -> bool:
     """Whether one of a term's amplitudes at least stands out of its own sigma: else nobody can say how large it is."""
-    first = fit.problem.size + sum(term.hypothesis.size for term in fit.terms[:index])
-    own = slice(first, first + fit.terms[index].hypothesis.size)
-    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[own], 1e-300))
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))
     return bool(np.max(np.abs(fit.terms[index].amplitudes) / sigma) >= STANDS_OUT)
 
 
 def is_rough(fit: Fit) -> bool:
+    """Whether what changes from sample to sample is more of the field than any sensor's noise."""
     return fit.problem.noise_nt > _MOST_NOISE * float(np.mean(fit.problem.scene.magnitude_nt))
 
 

@@ -277,10 +277,10 @@ def _standing(
 ) -> tuple[Explained, list[Structure]]:
     """What stands beside the structure that is left, and that structure."""
     left = structures(search, explained.fit, phase, floor)
-    if explained.fit.terms:
-        explained = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
-        left = structures(search, explained.fit, phase, floor)
-    return explained, left
+    if not explained.fit.terms:
+        return explained, left
+    stands = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
+    return stands, left if stands is explained else structures(search, stands.fit, phase, floor)
 
 
 def _other_findings(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_service.diagnosis.problem import Fit, Term, free_numbers
+from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, free_numbers
 from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, value_of
 
 
@@ -15,7 +15,7 @@ def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
     """Amplitudes by block, nonlinear numbers, constants and what is derived, each with 1 sigma."""
     term = fit.terms[index]
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
-    at = fit.problem.size + sum(t.hypothesis.size for t in fit.terms[:index])
+    at = amplitude_columns(fit, index).start
     found: dict[str, Value] = {}
     used = 0
     for block in term.hypothesis.blocks:

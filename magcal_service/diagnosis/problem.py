@@ -349,6 +349,12 @@ def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
     return slopes
 
 
+def amplitude_columns(fit: Fit, index: int) -> slice:
+    """Numbers of the columns of a term's amplitudes."""
+    first = fit.problem.size + sum(term.hypothesis.size for term in fit.terms[:index])
+    return slice(first, first + fit.terms[index].hypothesis.size)
+
+
 def free_numbers(term: Term) -> list[int]:
     """Indices of the nonlinear numbers that a refit moves."""
     return [index for index, number in enumerate(term.hypothesis.nonlinear) if number.role not in HELD]

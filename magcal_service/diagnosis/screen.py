@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -139,18 +139,18 @@ class Screen:
         lines: Array | None = None
         found: list[Candidate] = []
         every = self.hypotheses if among is None else among
-        plain = [hypothesis for hypothesis in every if among is not None or not hypothesis.refines]
-        later = [hypothesis for hypothesis in every if among is None and hypothesis.refines]
-        for number, hypothesis in enumerate([*plain, *later]):
-            if number == len(plain):
-                near = _near(found)
-            if hypothesis.effect in skip or (number >= len(plain) and hypothesis.refines not in near):
-                continue
-            if lines is None and any(number.role in _OF_LINES for number in hypothesis.nonlinear):
-                lines = self._lines(space, fit)
-            trial = self._coarse(hypothesis, space, fit, sigma_nt, lines, afresh=among is None)
-            if trial is not None:
-                found.append(trial)
+        wanted = [hypothesis for hypothesis in every if hypothesis.effect not in skip]
+        if any(number.role in _OF_LINES for hypothesis in wanted for number in hypothesis.nonlinear):
+            lines = self._lines(space, fit)
+
+        def try_each(hypotheses: Iterable[Hypothesis]) -> None:
+            trials = (self._coarse(one, space, fit, sigma_nt, lines, afresh=among is None) for one in hypotheses)
+            found.extend(trial for trial in trials if trial is not None)
+
+        try_each(one for one in wanted if among is not None or not one.refines)
+        if among is None:
+            near = _near(found)
+            try_each(one for one in wanted if one.refines in near)
         best = max((one.gain.nats for one in found), default=0.0) if among is None else 0.0
         least = max(_WORTH_REFINING * best, 0.5 * ACCEPTED_NATS)
         fine = [

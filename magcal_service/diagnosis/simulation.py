@@ -53,6 +53,7 @@ def _refuse_drawn(top: Table) -> None:
 
 
 def simulation_file(name_or_file: str) -> Path:
+    """The scenario's file: a path, or the name of one that comes with the simulator."""
     path = Path(name_or_file)
     if path.is_file() or path.suffix == ".toml":
         return path

@@ -22,6 +22,7 @@ def _mismatch(diagnosis: Diagnosis) -> float:
 
 
 def where_of_term(diagnosis: Diagnosis, index: int) -> dict[str, Any]:
+    """Where a term acts: time, axis, frequencies, and the share of the mismatch that it explains."""
     fit = diagnosis.fit
     plain = replace(diagnosis.search.problem, field_error=None)  # shares are of the residual as it is
     search = replace(diagnosis.search, problem=plain, whitening=np.zeros(0))

@@ -18,7 +18,7 @@ from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Sh
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint, started
 from magcal_service.diagnosis.parameters import parameters_of
-from magcal_service.diagnosis.problem import Term
+from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.words import chance, percent, reason_in_words
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
@@ -212,7 +212,7 @@ def _model_term(diagnosis: JointDiagnosis, index: int, term: Term, latest: Alone
     assert own is not None
     found = model_term(own.hypothesis, own.theta, own.amplitudes)
     variance = np.diagonal(diagnosis.fit.covariance)
-    at = diagnosis.fit.problem.size + sum(t.hypothesis.size for t in diagnosis.fit.terms[:index])
+    at = amplitude_columns(diagnosis.fit, index).start
     spread = np.sqrt(np.maximum(variance[at + form.index[number]], 0.0))
     sigma = model_term(own.hypothesis, own.theta, spread).amplitudes
     constants = started(latest.prepared.problem.scene, own.hypothesis.constants)

@@ -9,24 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.scene import KEPT, Scene
 
 _BETWEEN_S: Final = 3600.0
 """Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
 
-_SAME_UNDER_CONSTANTS: Final = (
-    "period_s",
-    "pauses",
-    "time_ns",
-    "magnitude_slope",
-    "position_eci_km",
-    "sun_eci",
-    "lit",
-    "sun_body",
-    "dipole_eci",
-    "knots",
-    "has_model",
-)
+_SAME_UNDER_CONSTANTS: Final = tuple(name for name in KEPT if name not in ("memo", "_warmed", "eclipses"))
 """Results of a scene that no constant of a model changes."""
 
 

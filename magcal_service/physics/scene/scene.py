@@ -18,7 +18,7 @@ from magcal_service import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene import main_field, motion, sunlight
 
-_KEPT = (
+KEPT = (
     "memo",
     "period_s",
     "pauses",
@@ -122,7 +122,7 @@ class Scene:
     def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> Scene:
         """The same recording with other calibrated vectors; what does not depend on them is kept."""
         scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt)
-        for name in _KEPT:
+        for name in KEPT:
             if name in self.__dict__:
                 scene.__dict__[name] = self.__dict__[name]
         return scene
