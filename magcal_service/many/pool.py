@@ -59,13 +59,17 @@ class Pool:
                 worker.end()
 
 
+WORKER: Final = "magcal piece worker"
+"""Name of each of the pool's processes, as ``multiprocessing.active_children`` has it."""
+
+
 class _Worker:
     """One process, its pipe, and the number of the task that it holds."""
 
     def __init__(self) -> None:
         self.connection, theirs = _SPAWN.Pipe()
         self.task: int | None = None
-        self._process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = _SPAWN.Process(target=_serve, args=(theirs,), name=WORKER, daemon=True)
         with _one_thread_each(), _interrupts_blocked():
             self._process.start()
         theirs.close()
