@@ -82,7 +82,12 @@ def _table(result: Calibration) -> str:
     from magcal_service.model import BIAS, STATE_NAMES
 
     sigma = np.sqrt(np.diagonal(result.covariance))
-    lines = [f"method {result.method}: {result.samples} samples, {result.ticks} ticks"]
+    counted = result.counters
+    lines = [
+        f"rows: {result.rows}",
+        f"method {result.method}: {counted.get('accepted', 0)} samples accepted, {counted.get('rejected', 0)} of them "
+        f"stopped by the filter's gate, {result.ticks} ticks",
+    ]
     if result.verdict == "not_started":
         lines.append("  no estimate: the start was never sure")
     for i, (name, value, error) in enumerate(zip(STATE_NAMES, result.x, sigma, strict=True)):

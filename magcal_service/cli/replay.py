@@ -83,5 +83,6 @@ def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
 def _counts(recording: Recording, result: Replay) -> str:
     counters = result.pipeline.ticks.counters + result.pipeline.counters
     kinds = ", ".join(f"{name} {count}" for name, count in sorted(counters.items()) if count)
-    lines = [*recording.report.lines(), *result.inspection.lines(), *filter(None, [result.remark])]
+    found = result.inspection
+    lines = [*recording.report.lines(), *found.lines(), f"rows: {found.account}", *filter(None, [result.remark])]
     return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])

@@ -13,6 +13,7 @@ from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
+from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import advice, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 
@@ -43,7 +44,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "mounting": None if mounting is None else mounting.as_json(),
         "located": [place.as_json() for place in places],
         "unexplained_share": round(diagnosis.unexplained, 4),
-        "rows": dict(diagnosis.prepared.counts),
+        "rows": account_of(diagnosis.inspection, diagnosis.prepared).to_dict(),
         "spin": _spin(diagnosis),
         "seconds": round(diagnosis.seconds, 2),
         "converged": fit.converged,

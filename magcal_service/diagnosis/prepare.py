@@ -67,7 +67,7 @@ class Prepared:
     baseline: the nine errors alone.
     spin: the turn of the craft, or None.
     view: the input of effects that are no field.
-    counts: rows that were left out, by kind.
+    left_out: rows that were left out for being too many, spikes or spoiled, as in ``Account``.
     findings: effects seen in the samples themselves, by name.
     form: of the residual.
     """
@@ -77,28 +77,33 @@ class Prepared:
     baseline: Fit
     spin: SpinSolution | None
     view: View
-    counts: Mapping[str, int]
+    left_out: Mapping[str, int]
     findings: Mapping[str, Finding] = field(default_factory=dict)
     form: Form = Form.SCALAR
 
 
-def prepare(recording: Recording, effects: tuple[Effect, ...], forms: Collection[Form] = tuple(Form)) -> Prepared:
+def prepare(
+    recording: Recording, effects: tuple[Effect, ...], forms: Collection[Form] = tuple(Form), stride: int | None = None
+) -> Prepared:
     """Everything up to the residual of the nine errors, in the form that says most.
 
     Parameters
     ----------
     forms: that the residual may have.
+    stride: every so many-th row is taken; None: as many as a diagnosis takes.
     """
-    usable, counts = _usable(recording)
+    usable, thinned = _usable(recording, stride)
     noise_nt = recording.descriptor.magnetometer.noise_nt
     scene = scene_of(usable)
     x = baseline_start(scene, noise_nt)
     level = noise_nt or _white(scene, x)
     findings, spoiled = _sample_findings(scene, x, level, noise_nt, effects)
     spikes = _spikes(scene, x) & ~spoiled
-    counts |= {"spikes": int(spikes.sum()), "spoiled": int(spoiled.sum())}
     keep = ~(spikes | spoiled)
-    if not keep.all() and np.count_nonzero(keep) >= 10 * STATE_SIZE:
+    if np.count_nonzero(keep) < 10 * STATE_SIZE:
+        keep[:] = True
+    left_out = {"thinned": thinned, "spikes": int((spikes & ~keep).sum()), "spoiled": int((spoiled & ~keep).sum())}
+    if not keep.all():
         usable = usable.select(keep)
         scene = scene_of(usable)
         x = baseline_start(scene, noise_nt)
@@ -139,7 +144,7 @@ def prepare(recording: Recording, effects: tuple[Effect, ...], forms: Collection
         noise_nt,
         alone,
     )
-    return Prepared(usable, problem, baseline, spin, view, counts, findings, form)
+    return Prepared(usable, problem, baseline, spin, view, left_out, findings, form)
 
 
 def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float], reference: Array, x: Array) -> Fit:
@@ -159,14 +164,19 @@ def _quiet(fit: Fit) -> Fit:
     return solve(replace(fit.problem, scene=scene), fit.x)
 
 
-def _usable(recording: Recording) -> tuple[Recording, dict[str, int]]:
+def stride_for(rows: int) -> int:
+    """Of so many rows every so many-th is taken, for ``MOST_ROWS`` in all."""
+    return max(-(-rows // MOST_ROWS), 1)
+
+
+def _usable(recording: Recording, stride: int | None) -> tuple[Recording, int]:
+    """The rows in time order, thinned evenly, and how many were left out for that."""
     usable = recording.sorted_unique()
-    counts = {"rows": len(recording), "without reference or doubled": len(recording) - len(usable)}
-    if len(usable) > MOST_ROWS:
-        stride = -(-len(usable) // MOST_ROWS)
-        usable = usable.select(np.arange(0, len(usable), stride))
-        counts["thinned by"] = stride
-    return usable, counts
+    stride = stride_for(len(usable)) if stride is None else stride
+    if stride == 1:
+        return usable, 0
+    kept = usable.select(np.arange(0, len(usable), stride))
+    return kept, len(usable) - len(kept)
 
 
 def baseline_start(scene: Scene, noise_nt: float | None) -> Array:

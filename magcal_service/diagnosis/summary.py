@@ -11,6 +11,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import moved_bias
+from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     belief,
     next_step,
@@ -56,6 +57,7 @@ def summary(
             f"instead of {_vector(after)} nT"
         )
     lines.append(f"left: {remaining(diagnosis)}")
+    lines += _wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines
 

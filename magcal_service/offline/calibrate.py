@@ -18,6 +18,7 @@ from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, scalar_residual
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.replay import Replay, craft_of, replay
+from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
@@ -59,7 +60,8 @@ class Calibration(NineErrors):
     ----------
     x, covariance: state (9,) and its covariance (9, 9) in the order of ``model.STATE_NAMES`` [nT, -].
     trusted, verdict, reasons: as the service judged at the end, with what the whole recording adds.
-    samples, ticks: rows in the recording, ticks used.
+    samples, ticks: rows that could be read, ticks used.
+    rows: what became of the log's rows before the fit.
     counters: what happened to the samples, by kind.
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     findings: what is wrong with the recording itself.
@@ -75,6 +77,7 @@ class Calibration(NineErrors):
     residuals: Residuals
     counters: dict[str, int]
     model_doubt: str
+    rows: Account
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -97,6 +100,7 @@ class Calibration(NineErrors):
             "remedy": self.remedy,
             "samples": self.samples,
             "ticks": self.ticks,
+            "rows": self.rows.to_dict(),
             "bias_nt": self.bias_nt.tolist(),
             "D": self.D.tolist(),
             "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
@@ -173,6 +177,7 @@ def calibrate(
         residuals=residuals,
         counters=dict(pipeline.ticks.counters + pipeline.counters),
         model_doubt=result.model_doubt,
+        rows=inspection.account,
         findings=inspection.findings,
     )
 

@@ -55,7 +55,7 @@ class RowCount:
 
 @dataclass(frozen=True, slots=True)
 class RowReport:
-    """The account of one log: ``rows`` seen, ``used`` of them, and every fault."""
+    """The account of one log: ``rows`` seen, ``used`` of them (read; later steps leave more out), and every fault."""
 
     rows: int
     used: int
@@ -80,4 +80,4 @@ class RowReport:
 
     def lines(self) -> list[str]:
         """The account in words, one line per kind."""
-        return [f"{self.rows} rows, {self.used} used, {self.refused} refused", *map(str, self.entries)]
+        return [f"{self.rows} rows, {self.used} read, {self.refused} refused", *map(str, self.entries)]

@@ -22,6 +22,7 @@ def test_a_clean_recording(tmp_path: Path) -> None:
         "usable": True,
         "rows": 1800,
         "used": 1800,
+        "left_out": {"unreadable": 0, "defect": 0, "same_time": 0, "no_reference": 0},
         "findings": [],
     }
 
@@ -32,6 +33,9 @@ def test_a_defect_is_a_line_and_an_entry(tmp_path: Path) -> None:
     assert "2 rows of 1800 read (0, 0, 0)" in done.out
     content = json.loads((tmp_path / "found.json").read_text())
     assert (content["usable"], content["rows"], content["used"]) == (True, 1800, 1798)
+    assert content["left_out"] == {"unreadable": 0, "defect": 2, "same_time": 0, "no_reference": 0}
+    assert "\nleft out: 2 with a certain defect\n" in done.out
+    assert "1800 rows, 1800 read, 0 refused" in done.out
     (finding,) = content["findings"]
     assert {key: finding[key] for key in ("code", "rows", "first", "certain")} == {
         "code": "zero_rows",

@@ -35,6 +35,7 @@ from magcal_service.physics.interface import (
     along_axes,
     value_of,
 )
+from magcal_service.recordings.inspect.account import Account
 from tests.diagnosis.made_up import (
     FLOOR_NT,
     OTHER,
@@ -217,11 +218,11 @@ def made() -> Any:
     explained = search.run(fit, FLOOR_NT)
     left = structures(search, explained.fit, None, FLOOR_NT)
     return SimpleNamespace(
-        inspection=SimpleNamespace(open=(), findings=()),
+        inspection=SimpleNamespace(open=(), findings=(), account_to_diagnose=Account(COUNT + 7, {"unreadable": 4})),
         search=search,
         explained=explained,
         fit=explained.fit,
-        prepared=SimpleNamespace(baseline=fit, problem=search.problem, counts={"rows": COUNT}, form=Form.SCALAR),
+        prepared=SimpleNamespace(baseline=fit, problem=search.problem, left_out={"spikes": 3}, form=Form.SCALAR),
         refused=(),
         findings={},
         left=tuple(left),
@@ -353,7 +354,7 @@ def unknown() -> Any:
             "left": tuple(left),
             "unexplained": 0.81234,
             "verdict": Verdict.UNKNOWN,
-            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, counts={}, form=Form.SCALAR),
+            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR),
             "effects": tuple(search.effects),
         }
     )
@@ -424,7 +425,8 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     assert content["fit"]["bias_before_nt"] == made().prepared.baseline.x[:3].tolist()
     assert [effect["effect"] for effect in content["effects"]] == ["other", "one"]
     assert content["effects"][0]["evidence_nats"] == round(made().explained.nats[0], 2)
-    assert (content["seconds"], content["spin"], content["rows"]) == (1.23, None, {"rows": COUNT})
+    assert (content["seconds"], content["spin"]) == (1.23, None)
+    assert content["rows"] == {"rows": COUNT + 7, "used": COUNT, "left_out": {"unreadable": 4, "spikes": 3}}
     assert (content["residual"], content["not_borne_out"], content["mounting"]) == ("magnitudes", [], None)
     late = json.loads(as_json(SimpleNamespace(**{**vars(made()), "refused": (Form.AIMED,)})))
     assert late["not_borne_out"] == ["vectors"]

@@ -238,14 +238,16 @@ def test_rows_are_sorted_counted_and_of_very_many_some_taken() -> None:
     time_s = np.array([3.0, 1.0, 2.0, 2.0])
     B = np.tile([1.0, 2.0, 3.0], (4, 1)) * np.arange(1.0, 5.0)[:, None]
     recording = from_arrays(time_s, B, np.full(4, 45e3))
-    usable, counts = _usable(recording)
+    usable, thinned = _usable(recording, None)
     assert np.diff(usable.time_ns).tolist() == [10**9, 10**9]
-    assert counts == {"rows": 4, "without reference or doubled": 1}
+    assert thinned == 0
     many = 120_001
     recording = from_arrays(np.arange(float(many)), np.tile([1.0, 2.0, 3.0], (many, 1)), np.full(many, 45e3))
-    usable, counts = _usable(recording)
-    assert (len(usable), counts["thinned by"]) == (40_001, 3)
+    usable, thinned = _usable(recording, None)
+    assert (len(usable), thinned) == (40_001, 80_000)
     assert np.diff(usable.time_ns[:3]).tolist() == [3 * 10**9] * 2
+    usable, thinned = _usable(recording, 4)
+    assert (len(usable), thinned) == (30_001, 90_000)
 
 
 @pytest.mark.parametrize(("spread", "is_room"), [(0.004, True), (0.006, False)])

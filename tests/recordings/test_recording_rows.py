@@ -226,7 +226,7 @@ def test_a_log_without_any_reference_is_refused_with_the_account(tmp_path: Path)
 
 def test_the_report_says_in_words_what_was_not_used(tmp_path: Path) -> None:
     report = read_recording(spoiled(tmp_path, row(1700000001, "nan"))).report
-    expected = ["3 rows, 2 used, 1 refused", "magnetometer: not_a_number x 1, first on line 3, refused"]
+    expected = ["3 rows, 2 read, 1 refused", "magnetometer: not_a_number x 1, first on line 3, refused"]
     assert report.lines() == expected
 
 

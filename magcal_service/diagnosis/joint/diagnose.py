@@ -28,14 +28,13 @@ from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, Forms, joint, tra
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures
-from magcal_service.diagnosis.prepare import MOST_ROWS, Form, Prepared, prepare
+from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.inspect.inspection import Inspection
-from magcal_service.recordings.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,9 +136,8 @@ def diagnose_together(
     is_open = any(one.open for one in inspections)
     effects = () if is_open else catalogue() if effects is None else effects
     progress(f"simulating {len(inspections)} recordings with nine errors each")
-    prepared = [
-        prepare(one, effects, (Form.ROOM, Form.SCALAR)) for one in thinned([one.to_diagnose for one in inspections])
-    ]
+    stride = stride_for(sum(one.account_to_diagnose.used for one in inspections))
+    prepared = [prepare(one.to_diagnose, effects, (Form.ROOM, Form.SCALAR), stride) for one in inspections]
     progress(f"screening {len(effects)} effects")
     run = _Run(tuple(effects), prepared, tuple(names))
     explained = run.explained()
@@ -155,15 +153,6 @@ def diagnose_together(
         verdict = Verdict.UNKNOWN
     doubts = ("recording_doubtful",) if is_open else ()
     return replace(found, verdict=verdict, reasons=(*doubts, *_reasons(found, verdict)))
-
-
-def thinned(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with every so many-th row, so that all together are no more than one diagnosis takes."""
-    usable = [recording.sorted_unique() for recording in recordings]
-    stride = -(-sum(len(one) for one in usable) // MOST_ROWS)
-    if stride == 1:
-        return list(recordings)
-    return [one.select(np.arange(0, len(one), stride)) for one in usable]
 
 
 @dataclass(eq=False)

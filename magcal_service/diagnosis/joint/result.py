@@ -19,6 +19,7 @@ from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint, started
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns
+from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import chance, percent, reason_in_words
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
@@ -49,7 +50,7 @@ def _recording(one: Alone) -> dict[str, Any]:
     return {
         "name": one.name,
         "file": one.prepared.recording.name,
-        "rows": dict(one.prepared.counts) | {"used": len(one.prepared.problem.scene)},
+        "rows": account_of(one.inspection, one.prepared).to_dict(),
         "noise_floor_nt": one.prepared.problem.noise_nt,
         "held_out_rms_nt": {"recalibrated": one.baseline.held_out_rms_nt},
         "rms_nt": {"recalibrated": one.baseline.rms_nt, "with_effects": one.fit.rms_nt},

@@ -16,6 +16,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import pictures, track
 from magcal_service.diagnosis.result import held_out_rms, moved_bias
+from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     advice,
     belief,
@@ -243,11 +244,9 @@ def _unseen(diagnosis: Diagnosis, found: Sequence[Entry]) -> list[dict[str, str]
 
 def _rows(diagnosis: Diagnosis) -> list[str]:
     """The account of the rows, by kind."""
-    counts = dict(diagnosis.prepared.counts)
-    counts.pop("rows", None)
-    left_out = [f"{one.code}: {one.rows}" for one in diagnosis.inspection.findings if one.certain]
-    left_out += [f"{name}: {count}" for name, count in counts.items() if count]
-    return [*diagnosis.prepared.recording.report.lines(), *left_out]
+    defects = [f"{one.code}: {one.rows}" for one in diagnosis.inspection.findings if one.certain]
+    account = account_of(diagnosis.inspection, diagnosis.prepared)
+    return [*diagnosis.prepared.recording.report.lines(), *defects, str(account)]
 
 
 def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.errors import printable
+from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
 from magcal_service.recordings.inspect.log import Log
@@ -104,13 +105,31 @@ class Inspection:
                 recording = replace(recording, position=None)
         return recording.select(~rows) if rows.any() else recording
 
+    @cached_property
+    def account(self) -> Account:
+        """What becomes of the log's rows before a fit."""
+        return self._account(self.usable)
+
+    @cached_property
+    def account_to_diagnose(self) -> Account:
+        """As ``account``, of the rows that a diagnosis begins with."""
+        return self._account(self.to_diagnose)
+
+    def _account(self, kept: Recording) -> Account:
+        times = len(np.unique(kept.time_ns))
+        left_out = {
+            "unreadable": self.recording.report.refused,
+            "defect": len(self.recording) - len(kept),
+            "same_time": len(kept) - times,
+            "no_reference": times - len(kept.sorted_unique()),
+        }
+        return Account(self.recording.report.refused + len(self.recording), left_out)
+
     def to_dict(self) -> dict[str, Any]:
         """What ``inspect --json`` writes."""
-        used = len(self.usable.sorted_unique())
         return {
-            "usable": used >= FEWEST_SAMPLES and not self.open,
-            "rows": self.recording.report.rows,
-            "used": used,
+            "usable": self.account.used >= FEWEST_SAMPLES and not self.open,
+            **self.account.to_dict(),
             "findings": [one.to_dict() for one in self.findings],
         }
 
@@ -119,13 +138,15 @@ class Inspection:
         return [f"found: {one}" for one in self.findings]
 
     def summary(self) -> str:
-        """One line: what there is, and what has to be answered."""
-        content = self.to_dict()
-        text = f"{content['used']} of {content['rows']} rows can be used"
-        if not self.findings:
-            return f"no defect found; {text}"
+        """One line: what there is, and what has to be answered; more on what becomes of the rows."""
+        count = len(self.findings)
+        found = "no defect found" if not count else f"{count} {'defect' if count == 1 else 'defects'} found"
         questions = f"; answer first: {', '.join(one.code for one in self.open)}" if self.open else ""
-        return f"{len(self.findings)} {'defect' if len(self.findings) == 1 else 'defects'} found; {text}{questions}"
+        lines = [f"{found}; {self.account.used} of {self.account.rows} rows can be used{questions}"]
+        lines += [f"left out: {self.account.why}"] if self.account.why else []
+        more = self.account_to_diagnose.used - self.account.used
+        lines += [f"diagnose begins with {more} more, stuck or saturated, to name the cause"] if more else []
+        return "\n".join([*lines, "diagnose also leaves out single spikes, and says how many"])
 
 
 def _is_modelled(recording: Recording) -> bool:
