@@ -37,10 +37,12 @@ from magcal_service.physics.apply.model_file import parse_model
 from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.ticks.rejection import Rejection
+from magcal_service.ticks.time_window import is_usable
 from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
 from magcal_service.wire.codec import encode
+from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import (
     Clock,
     Command,
@@ -297,6 +299,8 @@ class Pipeline(Stateful, PipelineMemory):
         match message:
             case MagnetometerSample():
                 return self._sample(message)
+            case ReferenceSample() | PositionSample() | TelemetrySample() if not is_usable(message.time_ns):
+                self.counters[f"{kind_of(message).name}_time_out_of_range"] += 1
             case ReferenceSample():
                 self._reference(message)
             case PositionSample():

@@ -14,9 +14,11 @@ that reject it):
 ``doubled``        the time of a sample already taken: rejected.
 ``stuck``          the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
 ``time_behind``    more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step`` backwards.
-``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted.
+``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted, a century
+                   ahead as a ``clock_step``.
 ``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
 ``clock_changed``  other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
+``time_out_of_range``  its time is outside of ``ticks.time_window``: rejected.
 ``saturated``      a component reaches ``range_nt``: rejected.
 ``axis_stuck``     one component is constant while noise or the others should change it: rejected until it changes.
 ``zero``           all three components are 0, as of a sensor that has not measured yet: rejected.
@@ -46,6 +48,7 @@ from magcal_service.ticks.axis_watch import AxisWatch
 from magcal_service.ticks.rate_track import RateTrack
 from magcal_service.ticks.reference_track import ReferenceTrack
 from magcal_service.ticks.rejection import Rejection
+from magcal_service.ticks.time_window import FURTHEST_NS, LONGEST_NS, is_usable
 from magcal_service.wire.messages import Clock, MagnetometerSample, ReferenceSample, TelemetrySample, Vector
 
 SECOND_NS: Final = 1_000_000_000
@@ -206,6 +209,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self.counters["accepted"] += 1
 
     def _rejection(self, sample: MagnetometerSample) -> Rejection | None:
+        if not is_usable(sample.time_ns):
+            return Rejection.TIME_OUT_OF_RANGE
         if not any(sample.field_body_nt):
             return Rejection.ZERO
         if self._clock is None:
@@ -215,7 +220,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
             return Rejection.DOUBLED  # however far behind: a node's history after a restart, no step of its clock
         if sample.clock is not self._clock:
             return self._vote(sample, Rejection.CLOCK_CHANGED)
-        if elapsed_ns > self._newest_ns + self._jump_ns:
+        if elapsed_ns > self._newest_ns + self._jump_ns or elapsed_ns > LONGEST_NS:
             return self._vote(sample, Rejection.TIME_AHEAD)
         if elapsed_ns < self._newest_ns - self._late_ns:
             return self._vote(sample, Rejection.TIME_BEHIND)
@@ -249,7 +254,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self._votes.append((reason, sample.time_ns))
         if len(self._votes) < _AGREEING:
             return reason
-        if reason is not Rejection.TIME_AHEAD:  # elapsed time goes on over the step
+        if reason is not Rejection.TIME_AHEAD or sample.time_ns - self._base_ns > FURTHEST_NS:
+            # elapsed time goes on over the step
             self.counters["clock_step"] += 1
             self._close_all()
             self._anchor(sample, self._newest_ns + SECOND_NS)

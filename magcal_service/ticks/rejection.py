@@ -15,6 +15,7 @@ class Rejection(StrEnum):
     SATURATED = "saturated"
     TIME_BEHIND = "time_behind"
     TIME_AHEAD = "time_ahead"
+    TIME_OUT_OF_RANGE = "time_out_of_range"
     CLOCK_CHANGED = "clock_changed"
     ZERO = "zero"
     CROWDED = "crowded"

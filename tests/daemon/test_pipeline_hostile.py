@@ -15,8 +15,17 @@ from magcal_service.config.settings import SpinConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import TickOutcome
 from magcal_service.ticks.assembler import Tick
+from magcal_service.ticks.time_window import EARLIEST_NS, LATEST_NS
 from magcal_service.wire.codec import decode, encode
-from magcal_service.wire.messages import Message, Verdict
+from magcal_service.wire.messages import (
+    Frame,
+    MagnetometerSample,
+    Message,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+    Verdict,
+)
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 from tests.daemon.pipeline_streams import FIELDS, REFERENCES, handle_all, paper, paper_craft, quick_craft, rows
@@ -128,3 +137,22 @@ def test_an_estimator_whose_arithmetic_fails_begins_anew_and_is_counted(
         handle_all(pipeline, list(paper(11, 1000).messages())[1800:1802])
     assert (pipeline.counters["estimator_failed"], pipeline.trust.verdict) == (1, Verdict.NOT_STARTED)
     assert all_said(pipeline, list(paper(11, 1000).messages())[1802:]) == 2 * 99 + 2
+
+
+@pytest.mark.parametrize("time_ns", [-(1 << 63), EARLIEST_NS - 1, LATEST_NS + 1, (1 << 63) - 1])
+def test_a_time_out_of_range_is_counted_by_kind_and_changes_nothing(time_ns: int) -> None:
+    """Of each kind of sample one, in front of every good one: the answers are those of the good ones alone."""
+    good = list(paper(11, 200).messages())
+    common = {"craft": "paper", "source": "s", "sequence": 0, "time_ns": time_ns}
+    strange: list[Message] = [
+        MagnetometerSample(**common, field_body_nt=(20_000.0, 1.0, 2.0)),
+        ReferenceSample(**common, magnitude_nt=30_000.0),
+        PositionSample(**common, position_km=(7000.0, 0.0, 0.0), frame=Frame.ECI),
+        TelemetrySample(**common, channel="gyro", unit="rad/s", values=(0.1, 0.2, 0.3)),
+    ]
+    alone, among = Pipeline(paper_craft()), Pipeline(paper_craft())
+    answers = handle_all(alone, good)
+    assert handle_all(among, [one for message in good for one in (*strange, message)]) == answers
+    assert among.ticks.counters["time_out_of_range"] == len(good)
+    kinds = ("reference", "position", "telemetry")
+    assert [among.counters[f"{kind}_time_out_of_range"] for kind in kinds] == [len(good)] * 3
