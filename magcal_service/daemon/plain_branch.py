@@ -6,7 +6,6 @@ what is published after compensation was stopped is what a daemon without the fi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,23 +13,15 @@ from typing import Any
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
+from magcal_service.daemon.craft import learned
 from magcal_service.estimators import find_method
-from magcal_service.estimators.interface import Estimator, StateEstimate, TickOutcome
+from magcal_service.estimators.interface import Estimator
 from magcal_service.model import Array
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.trust.harm import HarmWatch
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample, TelemetrySample
-
-
-def learned(estimator: Estimator, tick: Tick) -> tuple[TickOutcome, StateEstimate]:
-    """What a tick did to an estimator, and its estimate; LinAlgError where its arithmetic fails."""
-    outcome = estimator.handle(tick)
-    state = estimator.estimate()
-    if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
-        raise np.linalg.LinAlgError("the estimate is not finite")
-    return outcome, state
 
 
 def newest_of(tick: Tick) -> tuple[float, Array, float]:

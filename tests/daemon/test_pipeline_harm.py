@@ -94,6 +94,31 @@ def test_it_stays_off_over_a_restart_and_a_reset_until_the_file_is_loaded_again(
     assert Reason.COMPENSATION_STOPPED not in again.monitor.judge(again.estimator.estimate()).reasons
 
 
+def test_the_craft_beside_has_the_process_noise_of_a_command_after_another_file_and_a_restart() -> None:
+    """It is what the craft goes on with where compensation is stopped."""
+    pipeline, without = Pipeline(flown()[0].config), Pipeline(craft("hot", None))
+    noise = Command(
+        craft="hot", source="desk", sequence=0, time_ns=0, name="process_noise", arguments={"bias_nt": 20.0}
+    )
+    for one in (pipeline, without):
+        one.handle(noise)
+    pipeline.load_physics(physics(*THERMAL, origin_ns=hot().start_ns).text)
+    messages = heating()
+    for message in messages[:900]:
+        pipeline.handle(message)
+        without.handle(message)
+    again = Pipeline(pipeline.config)
+    again.restore_state(pipeline.export_state())
+    for message in messages[900:1000]:
+        pipeline.handle(message)
+        again.handle(message)
+        without.handle(message)
+    assert without.estimator.estimate().samples > 0
+    for one in (pipeline, again):
+        assert one.plain is not None
+        assert one.plain.estimator.export_state() == without.estimator.export_state()
+
+
 def test_a_craft_that_compensates_is_restored_with_the_one_beside_it() -> None:
     """Bit for bit, in the middle of the comparison; rolled back to before the stop it compares anew."""
     one = Pipeline(flown()[0].config)
