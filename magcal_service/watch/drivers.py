@@ -1,7 +1,7 @@
 """What may drive a disturbance, at the time of a magnetometer sample: telemetry, and light from positions.
 
 A channel is interpolated linearly between its values around the time asked for; its newest value is held for as long as
-``compensation.stale_after_s`` allows.  The sample's tick closes after the telemetry of its second, so a current that
+``live_drivers.stale_after_s`` allows.  The sample's tick closes after the telemetry of its second, so a current that
 turns with the craft is taken at the right phase.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from magcal_service import geomagnetic
 from magcal_service.physics.acting import LIGHT, WARMTH
-from magcal_service.physics.apply.compensation import stale_after_s
+from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.scene.sunlight import sun_eci, sunlit
 from magcal_service.snapshot import Stateful
 from magcal_service.units import CHANNEL_UNITS

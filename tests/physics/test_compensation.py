@@ -11,8 +11,9 @@ import pytest
 from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import Array, d_matrix
-from magcal_service.physics.apply.compensation import Compensation, stale_after_s
+from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.forward import effects_on
+from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
@@ -105,7 +106,7 @@ def test_a_term_bound_to_its_channel_gives_the_bits_of_the_scene(hypothesis: Hyp
     """The fast path of recorded drivers and the general one publish the same vector."""
     model = whole(drawn(hypothesis)[0])
     fast, general = Compensation(model), Compensation(model)
-    general._direct, general._needs_scene = (None,), True
+    general._terms = replace(general._terms, direct=(None,), needs_scene=True)
     for row in range(40):
         _, quick = feed(fast, row)
         _, thorough = feed(general, row)

@@ -9,7 +9,9 @@ import pytest
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array, d_matrix
-from magcal_service.physics.apply.compensation import Compensation, shifts_s
+from magcal_service.physics.apply.compensation import Compensation
+from magcal_service.physics.apply.live_drivers import positions_km
+from magcal_service.physics.apply.live_reference import shifts_s
 from magcal_service.physics.apply.model_file import ModelTerm
 from magcal_service.wire.messages import (
     Clock,
@@ -147,12 +149,12 @@ def test_what_no_sensor_could_read_is_not_subtracted(share: float, missing: tupl
 
 def test_a_place_is_carried_on_along_the_line_through_the_last_two() -> None:
     of = compensation()
-    assert of._place([START_NS]) is None
+    assert positions_km(of._places, [START_NS]) is None
     of.position(place(0.0, (7000.0, 0.0, 0.0)))
-    assert of._place([START_NS + 5 * SECOND_NS]) == pytest.approx(np.array([[7000.0, 0.0, 0.0]]))
+    assert positions_km(of._places, [START_NS + 5 * SECOND_NS]) == pytest.approx(np.array([[7000.0, 0.0, 0.0]]))
     of.position(place(10.0, (7000.0, 70.0, -20.0)))
     of.position(place(20.0, (7000.0, 140.0, -50.0)))
-    found = of._place([START_NS + 20 * SECOND_NS, START_NS + 30 * SECOND_NS])
+    found = positions_km(of._places, [START_NS + 20 * SECOND_NS, START_NS + 30 * SECOND_NS])
     assert found == pytest.approx(np.array([[7000.0, 140.0, -50.0], [7000.0, 210.0, -80.0]]))
     of.position(place(20.0, (1.0, 1.0, 1.0)))
     of.position(place(15.0, (1.0, 1.0, 1.0)))
@@ -164,7 +166,7 @@ def test_a_place_is_known_for_two_minutes(age_s: float, known: bool) -> None:
     of = compensation()
     of.position(place(500.0, (7000.0, 0.0, 0.0)))
     times = [START_NS + 500 * SECOND_NS, START_NS + round((500.0 + age_s) * SECOND_NS)]
-    assert (of._place(times) is not None) is known
+    assert (positions_km(of._places, times) is not None) is known
 
 
 @pytest.mark.parametrize(("gap_s", "held"), [(120.0, 2), (120.1, 1), (-120.1, 1), (-119.0, 1)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service import geomagnetic
-from magcal_service.physics.apply.compensation import stale_after_s
+from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.scene.sunlight import sun_eci
 from magcal_service.watch.drivers import Driver, DriverTrack, value_of
 from magcal_service.wire.messages import Clock, Frame, PositionSample, TelemetrySample

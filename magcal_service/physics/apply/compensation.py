@@ -1,34 +1,33 @@
 """Live compensation: subtract the disturbances that ``physics.toml`` models from every sample, correct every reference.
 
 A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
-model gives it.  Drivers are the newest values on the link: a channel is held until its next value, a
-position carried on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its
-form or its driver, or whose disturbance is absurdly large, is left out and named in ``missing``.  Effects with a memory
-carry it from sample to sample (``scene.Memory``).
+model gives it.  Drivers are the newest values on the link: a channel is held until its next value, a position carried
+on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its form or its driver,
+or whose disturbance is absurdly large, is left out and named in ``missing``.  Effects with a memory carry it from
+sample to sample (``scene.Memory``).
 
-Error of holding a channel: its rate times its age; a channel that turns with the craft has to be sent with the samples.
+What a driver is at this moment is in ``live_drivers``, attitude in ``live_spin``, references in ``live_reference``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
 from magcal_service.model import Array, calibrate, d_matrix
-from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
+from magcal_service.physics.apply.live_drivers import Held, Place, fresh, hold, positions_km, with_place
+from magcal_service.physics.apply.live_reference import GROWTH_NS, KNOT_S, grown, growth_of, shifts_s
+from magcal_service.physics.apply.live_spin import attitude, axis_of, axis_sums_with, no_axis_sums
+from magcal_service.physics.apply.live_terms import WARMTH, live_terms
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
-from magcal_service.physics.scene.steady_spin import attitude_of, turns_of
+from magcal_service.physics.scene.scene import Memory, Scene
 from magcal_service.snapshot import Stateful
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
     Clock,
@@ -40,77 +39,17 @@ from magcal_service.wire.messages import (
     Vector,
 )
 
-_MOST_CHANNELS: Final = 64
-"""Channels kept: a source that makes up names cannot fill the memory; more than any craft's model needs."""
-
-_STALE_PACES: Final = 3.0
-"""Intervals of a channel after which it is stale: two values may be lost. Choice: fewer drop out with single losses."""
-
-_STALE_S: Final = (2.0, 120.0)
-"""A channel is not stale before the first and is after the second [s], whatever its interval."""
-
-_SLOW: Final = {"temperature": 30.0}
-"""What changes slowly is held so long at least [s]: minutes of time constant make it tenths of a kelvin."""
-
-_POSITION_S: Final = 120.0
-"""Time for which a position is carried on along a line [s]; after that the path has bent by 60 km in a low orbit."""
-
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
 
-_AXIS_RAD: Final = 0.1
-"""1 sigma to which the spin axis in space has to be known [rad]: the Sun on a panel is then right to a tenth."""
-
-_AXIS_MEMORY: Final = 10.0
-"""Samples that count as one for it: what the model does not hold of w along the axis changes slowly."""
-
-_AXIS_LENGTH: Final = 0.1
-"""By how much it may miss the length of 1: more is no turn about the model's axis of the body."""
-
 _ABSURD_NT: Final = 1e100
 """No disturbance reaches it; its products still fit a double."""
-
-_MOST_GROWTH: Final = 0.5
-"""Share of the magnitude by which a reference may be wrong."""
-
-_MOST_SHIFT_S: Final = 3600.0
-"""By how much time tags may disagree [s]."""
 
 _AT_START_S: Final = 60.0
 """How close to the model's start a daemon has to begin to take the start temperature from it [s].
 
 Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
 """
-
-_WARMTH: Final = "inferred:temperature"
-"""Driver of the effects whose temperature at the start is not known elsewhere."""
-
-_KNOT_S: Final = 10.0
-"""Time between the places that give the direction of flight, and age up to which a reference vector is used [s].
-
-In a low orbit the path bends by 0.6 degrees in 10 s, and H turns by at most 1.3.
-"""
-
-_GROWTH_NS: Final = 1_000_000_000
-"""How long a computed growth of the reference is held [ns]: the length of a tick; each takes a scene."""
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """The newest value of a channel, in its base unit, and the interval [s] to the one before."""
-
-    time_ns: int
-    pace_s: float
-    quantity: str
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A position, Earth-fixed [km]."""
-
-    time_ns: int
-    ecef_km: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +100,7 @@ class Compensation(Stateful, CompensationMemory):
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
-        self._field_terms = tuple(term for term in model.terms if not _acts_on(term).is_reference)
-        self._growth_terms = tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE)
-        self._time_terms = tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE_TIME)
-        self._direct = tuple(effect_named(term.effect).direct(term) for term in self._field_terms)
-        self._needs_scene = not all(self._direct)
+        self._terms = live_terms(model)
         self._channels = {}
         self._places = []
         self._last = None
@@ -174,13 +109,12 @@ class Compensation(Stateful, CompensationMemory):
         self._growth_nt = 0.0
         self._states = [{} for _ in model.terms]
         self._missing_field, self._missing_reference = [], []
-        self._groups = _groups_of(self._field_terms)
-        count = len(set(self._groups.values()))
+        count = len(set(self._terms.groups.values()))
         self._start, self._start_covariance = np.zeros(count), np.zeros((count, count))
         self._start_fields = np.zeros((count, 3))
         self._decay, self._mean_decay, self._decays = np.ones(count), np.ones(count), 0
         self._start_known = self._start_free = False
-        self._axis_sums = np.zeros((5, 5))  # of h, v and 1: products of the field's direction and w along the axis
+        self._axis_sums = no_axis_sums()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -191,7 +125,7 @@ class Compensation(Stateful, CompensationMemory):
 
     def begins_elsewhere(self, sample: MagnetometerSample) -> bool:
         """Whether a stream begins with this sample, and its temperature or spin axis then is not known to the model."""
-        unknown = bool(self._groups) or (self._needs_scene and self.model.spin is not None)
+        unknown = bool(self._terms.groups) or (self._terms.needs_scene and self.model.spin is not None)
         return unknown and not self._begun_ns and not self._is_at_start(sample.time_ns)
 
     def _is_at_start(self, time_ns: int) -> bool:
@@ -220,7 +154,7 @@ class Compensation(Stateful, CompensationMemory):
     @property
     def start_terms(self) -> tuple[str, ...]:
         """Effects whose temperature at the start has to be known."""
-        return tuple(sorted({self._field_terms[index].effect for index in self._groups}))
+        return tuple(sorted({self._terms.field[index].effect for index in self._terms.groups}))
 
     @property
     def start_fields(self) -> Array:
@@ -242,65 +176,45 @@ class Compensation(Stateful, CompensationMemory):
     @property
     def wait_s(self) -> float:
         """How much later a reference for a sample comes than it would without a time offset [s]."""
-        return max(0.0, sum(shifts_s(self._time_terms, 0.0)[0]))
+        return max(0.0, sum(shifts_s(self._terms.time, 0.0)[0]))
 
     # Inputs
 
     def telemetry(self, sample: TelemetrySample) -> None:
         """Take a channel's value."""
-        unit = CHANNEL_UNITS.get(sample.unit)
-        before = self._channels.get(sample.channel)
-        if unit is None or (before is None and len(self._channels) >= _MOST_CHANNELS):
-            return
-        if before is not None and sample.time_ns <= before.time_ns:
-            if before.time_ns - sample.time_ns < 1e9 * _STALE_S[1]:
-                return  # late or doubled; older than that, the clock was set back
-            before = None
-        pace_s = _STALE_S[1] if before is None else (sample.time_ns - before.time_ns) * 1e-9
-        values = tuple(unit.to_base(sample.values).tolist())
-        self._channels[sample.channel] = Held(sample.time_ns, pace_s, unit.quantity, values)
+        hold(self._channels, sample)
 
     def position(self, sample: PositionSample) -> None:
         """Take a position."""
-        if self._places and abs(sample.time_ns - self._places[-1].time_ns) > 1e9 * _POSITION_S:
-            self._places.clear()
-        if self._places and sample.time_ns <= self._places[-1].time_ns:
-            return
-        km = np.array([sample.position_km])
-        if sample.frame is not Frame.ECEF:
-            if sample.clock is not Clock.UTC:
-                return
-            km = geomagnetic.ecef_from_eci(np.array([sample.time_ns]), km)
-        x, y, z = km[0].tolist()
-        self._places = [*self._places[-1:], Place(sample.time_ns, (x, y, z))]
+        self._places = with_place(self._places, sample)
 
     def reference(self, sample: ReferenceSample) -> ReferenceSample:
         """The reference as the model corrects it."""
         if sample.field_nt is not None and sample.frame is Frame.ECI:
             self._reference, self._reference_ns = sample.field_nt, sample.time_ns
-        shift_s, unfit = shifts_s(self._time_terms, (sample.time_ns - self.model.origin_ns) * 1e-9)
+        shift_s, unfit = shifts_s(self._terms.time, (sample.time_ns - self.model.origin_ns) * 1e-9)
         sample = replace(sample, time_ns=sample.time_ns - sum(round(one_s * 1e9) for one_s in shift_s))
-        sample = self._grown(sample) if self._growth_terms else sample
-        of_time = {term.effect for term in self._time_terms}
+        sample = self._grown(sample) if self._terms.growth else sample
+        of_time = {term.effect for term in self._terms.time}
         self._missing_reference = [*(name for name in self._missing_reference if name not in of_time), *unfit]
         return sample
 
     def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
         """The sample less the model's disturbances."""
-        if not self._field_terms:
+        if not self._terms.field:
             return sample
         self._begun_ns = self._begun_ns or sample.time_ns
         in_order = self._last is None or sample.time_ns > self._last.time_ns
         row = Row(sample.time_ns, sample.field_body_nt)
-        scene = self._scene_of(row, sample.clock, in_order=in_order) if self._needs_scene else None
+        scene = self._scene_of(row, sample.clock, in_order=in_order) if self._terms.needs_scene else None
         corrected, missing = sample.field_body_nt, []
-        if self._groups:
+        if self._terms.groups:
             self._start_fields = np.zeros_like(self._start_fields)
-        for index, term in enumerate(self._field_terms):
+        for index, term in enumerate(self._terms.field):
             try:
                 d = (
                     self._now(index, row)
-                    if scene is None or self._direct[index]
+                    if scene is None or self._terms.direct[index]
                     else self._on(scene, index, row, in_order)
                 )
                 corrected = self._without(corrected, d, term)
@@ -308,7 +222,7 @@ class Compensation(Stateful, CompensationMemory):
                 missing.append(term.effect)
         if in_order:
             self._last = row
-        if in_order and self._groups:
+        if in_order and self._terms.groups:
             self._decays += 1
             self._mean_decay = self._mean_decay + (self._decay - self._mean_decay) / self._decays
         self._missing_field = missing
@@ -329,24 +243,24 @@ class Compensation(Stateful, CompensationMemory):
 
     def _now(self, index: int, row: Row) -> list[float]:
         """Disturbance of a direct term at this moment (3,) [nT]: the channel's newest value, no scene."""
-        form = self._direct[index]
+        form = self._terms.direct[index]
         assert form is not None
         held = self._channels.get(form.channel)
         if held is None or held.quantity != form.quantity or max(form.columns) >= len(held.values):
-            raise DriverMissingError(f"{self._field_terms[index].effect}: channel {form.channel} is not there")
-        if abs(row.time_ns - held.time_ns) * 1e-9 > stale_after_s(held.pace_s, held.quantity):
-            raise DriverMissingError(f"{self._field_terms[index].effect}: channel {form.channel} is stale")
+            raise DriverMissingError(f"{self._terms.field[index].effect}: channel {form.channel} is not there")
+        if held.is_stale(row.time_ns):
+            raise DriverMissingError(f"{self._terms.field[index].effect}: channel {form.channel} is stale")
         return form.field(held.values, row.field_nt)
 
     def _on(self, scene: Scene | None, index: int, row: Row, in_order: bool) -> list[float]:
         """Disturbance of a term at the newest sample of a scene (3,) [nT]; not finite where its numbers are absurd."""
         assert scene is not None
-        begins_anew = index in self._groups and (self._start_free or self._start_known)
+        begins_anew = index in self._terms.groups and (self._start_free or self._start_known)
         memory = Memory(-1, self._states[index] if in_order else dict(self._states[index]), begins_anew)
         with np.errstate(all="ignore"):
-            bound = self._bound(self._field_terms[index], scene, memory, row.time_ns)
+            bound = self._bound(self._terms.field[index], scene, memory, row.time_ns)
             if begins_anew:
-                return self._from_start(bound, self._groups[index], memory)
+                return self._from_start(bound, self._terms.groups[index], memory)
             found: list[float] = bound.disturbance()[0][-1].tolist()
         return found
 
@@ -375,7 +289,7 @@ class Compensation(Stateful, CompensationMemory):
         effect = effect_named(term.effect)
         if {term.driver, term.variant} & set(effect.not_live) or (effect.needs_rate and scene.rate_body is None):
             raise DriverMissingError(f"{term.effect}, {described(term)}: cannot be followed live")
-        if term.driver == _WARMTH and not memory.begins_anew and not self._is_warm(term, time_ns):
+        if term.driver == WARMTH and not memory.begins_anew and not self._is_warm(term, time_ns):
             raise DriverMissingError(f"{term.effect}: its temperature at the start is not known yet")
         return bind(term, scene, memory)
 
@@ -396,7 +310,6 @@ class Compensation(Stateful, CompensationMemory):
         same = utc is (self.model.clock is Clock.UTC)
         origin_ns = self.model.origin_ns if same else self._begun_ns
         spin = self.model.spin
-        attitude = self._attitude(calibrated, now_ns) if utc else None
         return Scene(
             time_s=np.array([(time_ns - origin_ns) * 1e-9 for time_ns in times_ns]),
             origin_ns=origin_ns,
@@ -405,140 +318,35 @@ class Compensation(Stateful, CompensationMemory):
             calibrated_nt=calibrated,
             clean_field_nt=measured,
             magnitude_nt=np.linalg.norm(calibrated, axis=1),
-            position_ecef_km=self._place(times_ns),
-            channels={
-                name: Telemetry(name, held.quantity, np.tile(np.array(held.values), (len(rows), 1)))
-                for name, held in self._channels.items()
-                if abs(now_ns - held.time_ns) * 1e-9 <= stale_after_s(held.pace_s, held.quantity)
-            },
-            body_from_eci=attitude,
+            position_ecef_km=positions_km(self._places, times_ns),
+            channels=fresh(self._channels, now_ns, len(rows)),
+            body_from_eci=self._attitude(calibrated, now_ns) if utc else None,
             turning_rad_s=None if spin is None else spin.rate_rad_s * np.array(spin.axis_body),
         )
-
-    def _place(self, times_ns: list[int]) -> NDArray[np.float64] | None:
-        """Positions (n, 3) along the line through the last two, or None."""
-        if not self._places or abs(times_ns[-1] - self._places[-1].time_ns) * 1e-9 > _POSITION_S:
-            return None
-        last = self._places[-1]
-        place = np.array(last.ecef_km)
-        velocity = np.zeros(3)
-        if len(self._places) > 1:
-            before = self._places[0]
-            velocity = (place - np.array(before.ecef_km)) / (last.time_ns - before.time_ns)
-        return np.stack([place + velocity * (time_ns - last.time_ns) for time_ns in times_ns])
 
     def _attitude(self, calibrated: Array, now_ns: int) -> Array | None:
         """(n, 3, 3) from the model's spin axis and each sample's phase; None without axis or reference."""
         spin = self.model.spin
-        if spin is None or self._reference is None or abs(now_ns - self._reference_ns) > 1e9 * _KNOT_S:
+        if spin is None or self._reference is None or abs(now_ns - self._reference_ns) > 1e9 * KNOT_S:
             return None
-        body, inertial = np.array(spin.axis_body), self._axis_eci(calibrated[-1], spin)
-        if inertial is None:
-            return None
-        reference = np.broadcast_to(np.array(self._reference), calibrated.shape)
-        turn, _ = turns_of(calibrated, reference, body, inertial)
-        return attitude_of(body, inertial, np.angle(turn))
+        at_start = self._is_at_start(self._begun_ns)
+        inertial = np.array(spin.axis_eci) if at_start else self._axis_of_stream(calibrated[-1], self._reference, spin)
+        return None if inertial is None else attitude(calibrated, self._reference, spin, inertial)
 
-    def _axis_eci(self, calibrated: Array, spin: ModelSpin) -> Array | None:
-        """The spin axis in space (3,): the model's at its start; elsewhere that of this stream, None until it is known.
-
-        With a the axis in the body and c in space, w . a = H . c at every instant, whatever the phase: a line through
-        the origin in H / |H| and (w . a) / |H|, by least squares on all samples so far.
-        """
-        if self._is_at_start(self._begun_ns):
-            return np.array(spin.axis_eci)
-        size = float(np.linalg.norm(self._reference or (0.0, 0.0, 0.0)))
+    def _axis_of_stream(self, calibrated: Array, reference: Vector, spin: ModelSpin) -> Array | None:
+        """The spin axis in space (3,), from this sample w (3,) [nT] and those before; None until it is known."""
+        size = float(np.linalg.norm(reference))
         if size == 0.0:
             return None
-        row = np.array([*(np.array(self._reference) / size), float(calibrated @ np.array(spin.axis_body)) / size, 1.0])
-        self._axis_sums = self._axis_sums + np.outer(row, row)
-        count = float(self._axis_sums[4, 4])
-        normal = self._axis_sums[:3, :3] + 1e-9 * np.eye(3)
-        axis = np.linalg.solve(normal, self._axis_sums[:3, 3])
-        left = max(float(self._axis_sums[3, 3] - self._axis_sums[:3, 3] @ axis), 0.0) / count
-        variance = _AXIS_MEMORY * left * float(np.linalg.eigvalsh(np.linalg.inv(normal))[-1])
-        length = float(np.linalg.norm(axis))
-        if count < _AXIS_MEMORY or variance > _AXIS_RAD**2 or abs(length - 1.0) > _AXIS_LENGTH:
-            return None
-        return np.asarray(axis / length)
+        along = float(calibrated @ np.array(spin.axis_body)) / size
+        self._axis_sums = axis_sums_with(self._axis_sums, np.array(reference) / size, along)
+        return axis_of(self._axis_sums)
 
     def _grown(self, sample: ReferenceSample) -> ReferenceSample:
         """The reference brought to the magnitude that acts; computed once a second, held in between."""
-        vector = None if sample.field_nt is None else np.array(sample.field_nt)
-        magnitude = float(np.linalg.norm(vector)) if vector is not None else sample.magnitude_nt or 0.0
-        if abs(sample.time_ns - self._growth_ns) >= _GROWTH_NS:
+        if abs(sample.time_ns - self._growth_ns) >= GROWTH_NS:
             self._growth_ns = sample.time_ns
-            self._growth_nt = self._growth(sample, vector, magnitude)
-        factor = 1.0 + self._growth_nt / max(magnitude, 1.0)
-        if vector is None:
-            return replace(sample, magnitude_nt=magnitude * factor)
-        x, y, z = (vector * factor).tolist()
-        return replace(sample, field_nt=(x, y, z))
-
-    def _growth(self, sample: ReferenceSample, vector: Array | None, magnitude: float) -> float:
-        """Growth of the magnitude [nT]; the scene has two earlier places, for the direction of flight."""
-        times_ns = [sample.time_ns - round(k * _KNOT_S * 1e9) for k in (2, 1, 0)]
-        along = np.tile([magnitude, 0.0, 0.0], (3, 1))
-        inertial = None
-        if vector is not None and sample.frame is Frame.ECI:
-            inertial = np.tile(vector, (3, 1))
-        elif vector is not None and sample.frame is Frame.ECEF and sample.clock is Clock.UTC:
-            inertial = geomagnetic.eci_from_ecef(np.array(times_ns), np.tile(vector, (3, 1)))
-        scene = Scene(
-            time_s=np.array([(time_ns - self.model.origin_ns) * 1e-9 for time_ns in times_ns]),
-            origin_ns=self.model.origin_ns,
-            utc=sample.clock is Clock.UTC,
-            field_nt=along,
-            calibrated_nt=along,
-            clean_field_nt=along,
-            magnitude_nt=np.full(3, magnitude),
-            reference_eci_nt=inertial,
-            position_ecef_km=self._place(times_ns),
-        )
-        total, missing = 0.0, []
-        for term in self._growth_terms:
-            try:
-                if {term.driver, term.variant} & set(effect_named(term.effect).not_live):
-                    raise DriverMissingError(f"{term.effect}, {term.variant}: needs the orbit ahead")
-                with np.errstate(all="ignore"):
-                    growth = float(np.broadcast_to(bind(term, scene).disturbance()[1], 3)[-1])
-                if not abs(total + growth) <= _MOST_GROWTH * magnitude:
-                    raise MisfitError(f"{term.effect}: the reference would grow by {growth:g} nT")
-                total += growth
-            except (DriverMissingError, MisfitError):
-                missing.append(term.effect)
-        self._missing_reference = missing
-        return total
-
-
-def _groups_of(terms: Sequence[ModelTerm]) -> dict[int, int]:
-    """For each term (by its place) that an inferred temperature drives, the number of its temperature among others."""
-    numbers: dict[tuple[float, ...], int] = {}
-    found = {}
-    for index, term in enumerate(terms):
-        if term.driver == _WARMTH:
-            constants = tuple(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
-            found[index] = numbers.setdefault(constants, len(numbers))
-    return found
-
-
-def _acts_on(term: ModelTerm) -> ActsOn:
-    return effect_named(term.effect).acts_on
-
-
-def shifts_s(terms: Sequence[ModelTerm], elapsed_s: float) -> tuple[list[float], list[str]]:
-    """By how much each term's reference is late [s], so long after the model's origin; and what does not fit."""
-    found, unfit = [], []
-    for term in terms:
-        drift_ppm = term.amplitudes.get("drift_ppm", np.float64(0.0))
-        shift_s = np.asarray(term.amplitudes.get("offset_s", np.nan) + drift_ppm * 1e-6 * elapsed_s)
-        if shift_s.ndim == 0 and abs(float(shift_s)) <= _MOST_SHIFT_S:
-            found.append(float(shift_s))
-        else:
-            unfit.append(term.effect)
-    return found, unfit
-
-
-def stale_after_s(pace_s: float, quantity: str) -> float:
-    """Age [s] beyond which a channel of a quantity that comes every ``pace_s`` is no driver any more."""
-    return min(max(_STALE_PACES * pace_s, _SLOW.get(quantity, _STALE_S[0])), _STALE_S[1])
+            self._growth_nt, self._missing_reference = growth_of(
+                self._terms.growth, sample, partial(positions_km, self._places), self.model.origin_ns
+            )
+        return grown(sample, self._growth_nt)

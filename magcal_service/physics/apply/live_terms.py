@@ -1,0 +1,65 @@
+"""A model's terms, told apart once by what is done with them live."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from magcal_service.physics.acting import ActsOn, Direct
+from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
+from magcal_service.physics.catalogue import effect_named
+
+WARMTH: Final = "inferred:temperature"
+"""Driver of the effects whose temperature at the start is not known elsewhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveTerms:
+    """The terms of one model.
+
+    Parameters
+    ----------
+    field: those that disturb the sensor.
+    direct: of each of those, how it is computed without a scene; None where it needs one.
+    groups: for those (by their place) that an inferred temperature drives, the number of their temperature.
+    growth: those that act on the reference's magnitude.
+    time: those that act on its time.
+    needs_scene: whether a sample takes a scene.
+    """
+
+    field: tuple[ModelTerm, ...]
+    direct: tuple[Direct | None, ...]
+    groups: Mapping[int, int]
+    growth: tuple[ModelTerm, ...]
+    time: tuple[ModelTerm, ...]
+    needs_scene: bool
+
+
+def live_terms(model: PhysicsModel) -> LiveTerms:
+    """A model's terms by what they act on."""
+    field = tuple(term for term in model.terms if not _acts_on(term).is_reference)
+    direct = tuple(effect_named(term.effect).direct(term) for term in field)
+    return LiveTerms(
+        field=field,
+        direct=direct,
+        groups=_groups_of(field),
+        growth=tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE),
+        time=tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE_TIME),
+        needs_scene=not all(direct),
+    )
+
+
+def _groups_of(terms: Sequence[ModelTerm]) -> dict[int, int]:
+    """For each term (by its place) that an inferred temperature drives, the number of its temperature among others."""
+    numbers: dict[tuple[float, ...], int] = {}
+    found = {}
+    for index, term in enumerate(terms):
+        if term.driver == WARMTH:
+            constants = tuple(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
+            found[index] = numbers.setdefault(constants, len(numbers))
+    return found
+
+
+def _acts_on(term: ModelTerm) -> ActsOn:
+    return effect_named(term.effect).acts_on
