@@ -93,6 +93,7 @@ def record_simulation(simulation: Simulation, directory: Path) -> Path:
         channels=[_channel(simulation, name, series, rows_ns) for name, series in channels.items()],
         spin=SpinSpec(truth.spin.axis_body, round(truth.spin.rate_rad_s * 60.0 / math.tau, 12)),
         noise_nt=noise_nt if noise_nt >= 1e-3 else None,
+        craft=truth.craft,
     )
     write_truth(simulation, directory)
     return path

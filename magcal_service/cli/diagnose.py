@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from magcal_service.cli.common import (
@@ -14,7 +17,7 @@ from magcal_service.cli.common import (
     refuse_executor,
     tell,
 )
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 
 def add_diagnose(parser: argparse.ArgumentParser) -> None:
@@ -48,10 +51,23 @@ def _diagnose(options: argparse.Namespace) -> int:
 
     if len(options.recordings) > 1:
         return _diagnose_together(options)
-    with progress() as step:
+    with progress() as step, _kept_if_refused(options.out):
         outcome = run(Request(options.recordings[0], options.out, options.simulation, options.craft), step)
     print("\n".join(outcome.lines))
     return DONE if outcome.diagnosis.trusted else NOT_TRUSTED
+
+
+@contextmanager
+def _kept_if_refused(folder: Path) -> Iterator[None]:
+    """Say what an earlier run has left in a folder where this one is refused: it is no result of this one."""
+    from magcal_service.offline.result_files import kept_line
+
+    try:
+        yield
+    except InputRefusedError:
+        for line in kept_line(folder):
+            print(line, file=sys.stderr)
+        raise
 
 
 def _diagnose_together(options: argparse.Namespace) -> int:
@@ -62,7 +78,9 @@ def _diagnose_together(options: argparse.Namespace) -> int:
     if options.simulation is not None:
         accepted = "one recording is compared with a scenario; leave it out, or add --separately"
         raise ConfigError([Fault("--simulation", options.simulation, accepted)])
-    with progress() as step:
+    with progress() as step, _kept_if_refused(options.out):
         outcome = run_together(JointRequest(tuple(options.recordings), options.out, options.craft), step)
+    if outcome.diagnosis.assumed:
+        print(f"warning: {outcome.diagnosis.assumed}", file=sys.stderr)
     print("\n".join(outcome.lines))
     return DONE if outcome.diagnosis.trusted else NOT_TRUSTED

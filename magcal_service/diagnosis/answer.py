@@ -96,14 +96,17 @@ class JointAnswer:
     ----------
     verdict: ``none``, ``named`` or ``unknown``.
     trusted, reasons: whether it may be acted on, and what speaks against it.
+    held_out_rms_nt: rms of the residual of all recordings on blocks that took no part [nT]: ``recalibrated`` (nine
+        errors of each), ``with_effects``.
     recordings: nine errors of each, by its name.
-    content: what ``diagnosis.json`` holds: ``effects``, ``shared``, ``predicted_from_the_others``.
+    content: what ``diagnosis.json`` holds: ``sentence``, ``effects``, ``shared``, ``predicted_from_the_others``, ...
     lines: the summary, as the command prints it.
     """
 
     verdict: str
     trusted: bool
     reasons: tuple[str, ...]
+    held_out_rms_nt: dict[str, float]
     recordings: dict[str, OneOfSeveral]
     content: dict[str, Any]
     lines: tuple[str, ...]
@@ -111,12 +114,14 @@ class JointAnswer:
     @classmethod
     def of(cls, diagnosis: JointDiagnosis) -> JointAnswer:
         """The answer of a finished diagnosis."""
+        content = json.loads(joint_json(diagnosis))
         return cls(
             verdict=str(diagnosis.verdict),
             trusted=diagnosis.trusted,
             reasons=diagnosis.reasons,
+            held_out_rms_nt=content["fit"]["held_out_rms_nt"],
             recordings={one.name: OneOfSeveral(one.fit.x[:STATE_SIZE], one.covariance) for one in diagnosis.recordings},
-            content=json.loads(joint_json(diagnosis)),
+            content=content,
             lines=tuple(joint_summary(diagnosis, ())),
         )
 
@@ -126,7 +131,8 @@ class JointAnswer:
 
     def __repr__(self) -> str:
         doubt = "trusted" if self.trusted else f"do not act on this: {', '.join(self.reasons)}"
-        return "\n".join([f"Diagnosis of {len(self.recordings)} recordings ({doubt})", *self.lines])
+        assumed = [f"taken for granted: {self.content['assumed']}"] if self.content["assumed"] else []
+        return "\n".join([f"Diagnosis of {len(self.recordings)} recordings ({doubt})", *assumed, *self.lines])
 
 
 @overload
@@ -159,7 +165,7 @@ def diagnose(
         if simulation is not None:
             raise InputRefusedError([Fault("simulation", "given", "one recording is compared with a simulation")])
         gathered = gather(given)
-        return JointAnswer.of(diagnose_together(gathered.inspections, gathered.names))
+        return JointAnswer.of(diagnose_together(gathered.inspections, gathered.names, assumed=gathered.assumed))
     if not given:
         raise InputRefusedError([Fault("number of recordings", 0, "one is accepted, or several of one craft")])
     recording = given[0] if isinstance(given[0], Recording) else read_recording(given[0])

@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
@@ -18,13 +17,12 @@ from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
 from magcal_service.errors import Fault, InputRefusedError, unwritable
-from magcal_service.recordings.inspect.inspection import inspect
+from magcal_service.model import Array
+from magcal_service.offline.result_files import DIAGNOSIS, PHYSICS, REPORT, earlier_files, remove, removed_line
+from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
-
-JSON: Final = "diagnosis.json"
-REPORT: Final = "report.html"
-PHYSICS: Final = "physics.toml"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,32 +72,54 @@ class Made:
 
 
 def run(request: Request, tell: Callable[[str], None]) -> Outcome:
-    """Do it all; ``tell`` hears of each step.
+    """Do it all; ``tell`` hears of each step.  What an earlier run has left is removed once the input is accepted.
 
     Raises ``InputRefusedError`` where the recording, the scenario or the folder is refused, ``ExtraMissingError``
     without what the report is drawn with.
     """
     check_packages()
     prepare_folder(request.out)
-    made = make(request, tell)
+    accepted = _accepted(request)
+    earlier = earlier_files(request.out)
+    remove(earlier)
+    made = _made(request, accepted, tell)
     files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
+    lines += removed_line(request.out, earlier, files)
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 
 
 def make(request: Request, tell: Callable[[str], None]) -> Made:
     """Everything but to write the files; ``tell`` hears of each step.  Raises as ``run``."""
+    return _made(request, _accepted(request), tell)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Accepted:
+    """An input that can be diagnosed; ``simulation`` (9,) where one was given."""
+
+    recording: Recording
+    inspection: Inspection
+    simulation: Array | None
+
+
+def _accepted(request: Request) -> _Accepted:
     simulation = None if request.simulation is None else simulation_errors(request.simulation)
     recording = read_recording(request.recording, request.craft)
     inspection = inspect(recording)
     refuse_hopeless(inspection.to_diagnose, inspection.lines())
-    diagnosis = diagnose(recording, simulation, progress=tell, inspection=inspection)
+    return _Accepted(recording, inspection, simulation)
+
+
+def _made(request: Request, accepted: _Accepted, tell: Callable[[str], None]) -> Made:
+    recording, inspection = accepted.recording, accepted.inspection
+    diagnosis = diagnose(recording, accepted.simulation, progress=tell, inspection=inspection)
     tell("writing the results")
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
     origin = _origin(request, *recording.descriptor.files)
     contents = {
-        JSON: content,
+        DIAGNOSIS: content,
         REPORT: report(diagnosis, found, content, origin),
         PHYSICS: write_model(diagnosis, found, recording.name),
     }

@@ -50,7 +50,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "converged": fit.converged,
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
-        "advice": advice(diagnosis),
+        "advice": advice(diagnosis.reasons),
         "findings": [one.to_dict() for one in diagnosis.inspection.findings],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from magcal_service.diagnosis.command import JSON, Request, make
+from magcal_service.diagnosis.command import Request, make
 from magcal_service.diagnosis.report.page import check_packages
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors, simulation_file
 from magcal_service.many.executor import Executor
 from magcal_service.offline.each import Asked, Told, ask_each
+from magcal_service.offline.result_files import DIAGNOSIS
 
 
 def diagnose_each(
@@ -36,7 +37,7 @@ def _told(simulation: str | None, craft: str | None, path: Path) -> Told:
     own = Path(path.stem)  # of the command in the report, which is the same wherever the results go
     made = make(Request(path, own, simulation, craft), tell=lambda step: None)
     diagnosis = made.diagnosis
-    content = json.loads(made.contents[JSON])
+    content = json.loads(made.contents[DIAGNOSIS])
     seconds = content.pop("seconds")
     names = ", ".join(f"{entry.effect} {entry.probability:.3f}" for entry in made.found)
     reasons = [str(reason) for reason in diagnosis.reasons]
@@ -44,8 +45,9 @@ def _told(simulation: str | None, craft: str | None, path: Path) -> Told:
         trusted=diagnosis.trusted,
         verdict=str(diagnosis.verdict),
         says="; ".join(filter(None, (names, ", ".join(reasons)))),
-        files={**made.contents, JSON: json.dumps(content, indent=2, allow_nan=False) + "\n"},
+        files={**made.contents, DIAGNOSIS: json.dumps(content, indent=2, allow_nan=False) + "\n"},
         more={
+            "sentence": content["sentence"],
             "effects": [entry.effect for entry in made.found],
             "reasons": reasons,
             "held_out_rms_nt": held_out_rms(diagnosis),

@@ -35,12 +35,8 @@ def summary(
 ) -> list[str]:
     """What was found, how much better it fits, what remains, and where the files are."""
     lines = [f"verdict: {diagnosis.verdict}"]
-    if diagnosis.reasons:
-        lines.append("  do not act on this:")
-    for reason in diagnosis.reasons:
-        lift = f"; {remedy(reason)}" if remedy(reason) else ""
-        lines += _wrapped(f"{reason}: {reason_in_words(reason)}{lift}", "    ")
-    lines += _wrapped(verdict_sentence(diagnosis, found, held_out), most=3)
+    lines += reason_lines(diagnosis.reasons)
+    lines += wrapped(verdict_sentence(diagnosis, found, held_out), most=3)
     for entry in found[:_MOST_EFFECTS]:
         lines += _of(entry)
     if len(found) > _MOST_EFFECTS:
@@ -57,18 +53,27 @@ def summary(
             f"instead of {_vector(after)} nT"
         )
     lines.append(f"left: {remaining(diagnosis)}")
-    lines += _wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
+    lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines
 
 
+def reason_lines(reasons: Sequence[str]) -> Iterator[str]:
+    """Every reason against acting on a result, with what would lift it."""
+    if reasons:
+        yield "  do not act on this:"
+    for reason in reasons:
+        lift = f"; {remedy(reason)}" if remedy(reason) else ""
+        yield from wrapped(f"{reason}: {reason_in_words(reason)}{lift}", "    ")
+
+
 def _of(entry: Entry) -> Iterator[str]:
     share = f"{percent(float(entry.where['share_of_mismatch']))} of the mismatch"
-    yield from _wrapped(f"{entry.effect}: {share}; {belief(entry)}")
-    yield from _wrapped(entry.says, "    ")
-    yield from _wrapped(_alike(entry), "    ")
+    yield from wrapped(f"{entry.effect}: {share}; {belief(entry)}")
+    yield from wrapped(entry.says, "    ")
+    yield from wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:
-        yield from _wrapped(
+        yield from wrapped(
             f"cannot be told from {', '.join(entry.members[1:])} here; what would: {next_step(entry)}", "    "
         )
 
@@ -93,7 +98,7 @@ def _alike(entry: Entry) -> str:
     return f"driven by one of {', '.join(names)}, which this recording cannot tell apart"
 
 
-def _wrapped(text: str, indent: str = "  ", most: int = 2) -> list[str]:
+def wrapped(text: str, indent: str = "  ", most: int = 2) -> list[str]:
     """Two lines or ``most``: a summary is short, the report holds the rest."""
     return textwrap.wrap(
         text, _WIDTH, initial_indent=indent, subsequent_indent=indent, max_lines=most, placeholder=" ..."

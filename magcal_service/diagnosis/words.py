@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, Protocol
 
 from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
@@ -74,11 +74,9 @@ def remedy(reason: str) -> str:
     return REASONS[reason][1] if reason in REASONS else ""
 
 
-def advice(diagnosis: Diagnosis) -> list[dict[str, str]]:
+def advice(reasons: Sequence[str]) -> list[dict[str, str]]:
     """Every reason against acting on a result with what it means and what would lift it."""
-    return [
-        {"reason": reason, "means": reason_in_words(reason), "remedy": remedy(reason)} for reason in diagnosis.reasons
-    ]
+    return [{"reason": reason, "means": reason_in_words(reason), "remedy": remedy(reason)} for reason in reasons]
 
 
 def odds(nats: float) -> str:
@@ -121,35 +119,59 @@ def titles(diagnosis: Diagnosis) -> dict[str, str]:
     return {effect.name: effect.title for effect in diagnosis.effects}
 
 
+IN_DOUBT: Final = "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
+"""The verdict while something has to be answered about the recording."""
+
+
+def agreed(left_nt: float, noise_nt: float, model_nt: float | None, compared: str = "recording") -> str:
+    """The verdict where nothing is left out.
+
+    Parameters
+    ----------
+    left_nt: rms on data that took no part in the fit [nT].
+    noise_nt, model_nt: noise of the sensor, and rms that the field model may err by, where that counts [nT].
+    compared: what the simulation agrees with.
+    """
+    model = "" if model_nt is None else f", and {model_nt:.1f} nT that the field model may err by"
+    return (
+        f"Simulation and {compared} agree to the noise: {left_nt:.1f} nT are left on data that "
+        f"took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
+    )
+
+
+def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
+    """The verdict where most has no name: the share without one, how large that is, and what has a name besides."""
+    besides = f" besides {listed(titles)}" if titles else ""
+    return (
+        f"Something without a name{sized} makes {percent(unexplained)} of the mismatch{besides}: "
+        "no effect of the catalogue explains it, but where it sits is known."
+    )
+
+
+def explained_share(unexplained: float) -> str:
+    """How much of the mismatch the names explain."""
+    return f"{percent(1.0 - unexplained)} of the mismatch is explained"
+
+
 def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
     """The verdict in one plain sentence: the cause and its size, or what is left without a name."""
     if diagnosis.verdict is Verdict.NONE:
-        floor = diagnosis.prepared.problem.noise_nt
-        error = diagnosis.prepared.problem.field_error
-        model = "" if error is None else f", and {error.rms_nt:.1f} nT that the field model may err by"
-        return (
-            f"Simulation and recording agree to the noise: {held_out['with_effects']:.1f} nT are left on data that "
-            f"took no part in the fit, over a noise of {floor:.1f} nT{model}."
-        )
+        problem = diagnosis.prepared.problem
+        error = problem.field_error
+        return agreed(held_out["with_effects"], problem.noise_nt, None if error is None else error.rms_nt)
     known = titles(diagnosis)
     named = [entry for entry in found if entry.effect != "unknown"]
     if diagnosis.verdict is Verdict.UNKNOWN:
         if diagnosis.inspection.open:
-            return (
-                "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
-            )
-        listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in named)))
-        besides = f" besides {listed}" if listed else ""
-        return (
-            f"Something without a name{_sized(found)} makes {percent(diagnosis.unexplained)} of the mismatch{besides}: "
-            "no effect of the catalogue explains it, but where it sits is known."
-        )
+            return IN_DOUBT
+        besides = list(dict.fromkeys(known[entry.effect] for entry in named))
+        return nameless(diagnosis.unexplained, _sized(found), besides)
     first, others = named[0], named[1:]
-    listed = _listed(list(dict.fromkeys(known[entry.effect] for entry in others if entry.effect != first.effect)))
-    cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {listed}" if listed else "")
+    beside = listed(list(dict.fromkeys(known[entry.effect] for entry in others if entry.effect != first.effect)))
+    cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {beside}" if beside else "")
     if not diagnosis.fit.terms:
         return f"{cause}."
-    return f"{cause}; {percent(1.0 - diagnosis.unexplained)} of the mismatch is explained."
+    return f"{cause}; {explained_share(diagnosis.unexplained)}."
 
 
 def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
@@ -189,7 +211,7 @@ def _sized(found: Sequence[Entry]) -> str:
     return "" if rms_nt is None else f", {rms_nt:.1f} nT rms,"
 
 
-def _listed(parts: Sequence[str]) -> str:
+def listed(parts: Sequence[str]) -> str:
     """``a, b and c``; of more than three the first two and how many more."""
     if len(parts) > _MOST_LISTED:
         parts = [*parts[: _MOST_LISTED - 1], f"{len(parts) - _MOST_LISTED + 1} more"]
@@ -204,7 +226,23 @@ def driver_in_words(driver: str) -> str:
     return f"{name.replace('_', ' ')}, inferred because it was not recorded" if kind == "inferred" else ""
 
 
-def remaining(diagnosis: Diagnosis) -> str:
+class Ended(Protocol):
+    """What ``remaining`` asks of a diagnosis, of one recording or of several."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What it comes to."""
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the mismatch that no effect explains."""
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What speaks against acting on it."""
+
+
+def remaining(diagnosis: Ended) -> str:
     """What is left after the effects, in one sentence."""
     if diagnosis.verdict is Verdict.UNKNOWN:
         return f"{percent(diagnosis.unexplained)} of the mismatch, which no effect of the catalogue explains"

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 from magcal_service.many.executor import Executor
 from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.each import Asked, Told, ask_each
+from magcal_service.offline.result_files import CALIBRATION
 from magcal_service.recordings.reader import read_recording
-
-JSON: Final = "calibration.json"
 
 
 def calibrate_each(paths: Sequence[Path], method: str, craft: str | None, out: Path, executor: Executor) -> Asked:
-    """The nine errors of each recording, ``JSON`` in a folder of each under ``out``; raises as ``ask_each``."""
+    """The nine errors of each recording, ``CALIBRATION`` in a folder of each under ``out``; raises as ``ask_each``."""
     return ask_each("calibrate", partial(_told, method, craft), paths, out, executor)
 
 
@@ -29,6 +27,6 @@ def _told(method: str, craft: str | None, path: Path) -> Told:
         trusted=result.trusted,
         verdict=str(result.verdict),
         says=f"{says}; {', '.join(reasons)}" if reasons else says,
-        files={JSON: result.as_json()},
+        files={CALIBRATION: result.as_json()},
         more={"reasons": reasons, "residual_rms_nt": result.to_dict()["residual_rms_nt"]},
     )

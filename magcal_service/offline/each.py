@@ -13,10 +13,9 @@ from typing import Any, Final
 from magcal_service.errors import Fault, InputRefusedError, RecordingError, unwritable
 from magcal_service.many.executor import Executor
 from magcal_service.many.pieces import Done, Outcome, Piece, Refused
+from magcal_service.offline.result_files import SUMMARY, earlier_files, remove, removed_line
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.specs import SESSION_SUFFIX
-
-SUMMARY: Final = "summary.json"
 
 _TRUSTED, _FAILED, _REFUSED, _NOT_TRUSTED = 0, 1, 2, 3  # exit codes of `magcal diagnose` and `calibrate`
 _WORST: Final = (_FAILED, _REFUSED, _NOT_TRUSTED, _TRUSTED)
@@ -45,10 +44,14 @@ class Told:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What came of all: a row of the summary for each, in their order, and a line for each that has no result."""
+    """What came of all: a row of the summary for each, in their order, and a line for each that has no result.
+
+    ``remarks`` are lines on what an earlier run had left in the folder.
+    """
 
     rows: tuple[Mapping[str, Any], ...]
     faults: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -56,13 +59,17 @@ class Asked:
         return min((row["exit"] for row in self.rows), key=_WORST.index, default=_TRUSTED)
 
     def table(self) -> list[str]:
-        """The rows as lines of a table, and how many there are of each exit code."""
-        width = max(len(row["folder"]) for row in self.rows)
-        lines = [f"{row['exit']}  {row['folder']:<{width}}  {row['verdict']:<12}  {row['says']}" for row in self.rows]
+        """The rows as lines of a table under a header, and how many there are of each exit code."""
+        width = max(len("folder"), *(len(row["folder"]) for row in self.rows))
+        lines = [f"exit  {'folder':<{width}}  {'verdict':<12}  what was found"]
+        lines += [
+            f"{row['exit']:<4}  {row['folder']:<{width}}  {row['verdict']:<12}  {row['says']}" for row in self.rows
+        ]
         counts = Counter(row["exit"] for row in self.rows)
         words = {_TRUSTED: "trusted", _NOT_TRUSTED: "not to be trusted", _REFUSED: "refused", _FAILED: "failed"}
         told = [f"{counts[code]} {word}" for code, word in words.items() if counts[code]]
-        return [*(line.rstrip() for line in lines), f"{len(self.rows)} recordings: {', '.join(told)}"]
+        counted = f"{len(self.rows)} recordings: {', '.join(told)}"
+        return [*(line.rstrip() for line in lines), counted, *self.remarks]
 
 
 def ask_each(
@@ -78,6 +85,8 @@ def ask_each(
     out: folder, made where it is not there; ``SUMMARY`` is written there at the end.
     more: files that each question reads.
 
+    Results that an earlier run has left in ``out``, and in the folders below it that are written to, are removed first.
+
     Raises ``InputRefusedError`` for a recording that is named twice, and for a file that cannot be written.
     """
     folders = folders_of(paths)
@@ -85,15 +94,17 @@ def ask_each(
         Piece(folder, question, path.absolute(), (*inputs_of(path.absolute()), *more))
         for path, folder in zip(paths, folders, strict=True)
     ]
-    rows, faults = [], []
+    earlier = earlier_files(out, folders)
+    remove(earlier)
+    rows, faults, written = [], [], [out / SUMMARY]
     for path, piece, outcome in zip(paths, pieces, executor.outcomes(what, pieces), strict=True):
         if isinstance(outcome, Done):
             for name, content in outcome.value.files.items():
-                _write(out / piece.name / name, content)
+                written.append(_write(out / piece.name / name, content))
         else:
             faults += [f"{path}: {line}" for line in outcome.text.splitlines()]
         rows.append({"recording": str(path), "folder": piece.name, **_row(outcome)})
-    asked = Asked(tuple(rows), tuple(faults))
+    asked = Asked(tuple(rows), tuple(faults), tuple(removed_line(out, earlier, written)))
     content = {"question": what, "exit": asked.exit_code, "recordings": rows}
     _write(out / SUMMARY, json.dumps(content, indent=2, allow_nan=False) + "\n")
     return asked
@@ -105,8 +116,9 @@ def _row(outcome: Outcome) -> dict[str, Any]:
         code = _TRUSTED if told.trusted else _NOT_TRUSTED
         return {"exit": code, "verdict": told.verdict, "says": told.says, **told.more}
     if isinstance(outcome, Refused):
-        return {"exit": outcome.exit_code, "verdict": "refused", "says": outcome.text.partition("\n")[0]}
-    return {"exit": _FAILED, "verdict": "failed", "says": outcome.text}
+        lines = outcome.text.splitlines()
+        return {"exit": outcome.exit_code, "verdict": "refused", "says": lines[0], "faults": lines}
+    return {"exit": _FAILED, "verdict": "failed", "says": outcome.text, "faults": outcome.text.splitlines()}
 
 
 def folders_of(paths: Sequence[Path]) -> list[str]:
@@ -140,7 +152,7 @@ def inputs_of(path: Path) -> tuple[Path, ...]:
         return (path,)
 
 
-def _write(path: Path, content: str) -> None:
+def _write(path: Path, content: str) -> Path:
     """Write a file whole, over whatever an earlier run left there."""
     partial = path.with_name(f"{path.name}.partial")
     try:
@@ -149,3 +161,4 @@ def _write(path: Path, content: str) -> None:
         os.replace(partial, path)
     except OSError as exc:
         raise unwritable(path, exc) from None
+    return path

@@ -26,6 +26,7 @@ from magcal_service.recordings.specs import (
 from magcal_service.recordings.table import FloatArray, IntArray, TextTable
 from magcal_service.typed_toml import Table, nearest
 from magcal_service.units import CHANNEL_UNITS, FieldUnit
+from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Frame, Vector
 
 ARRAYS: Final = "arrays"
@@ -53,8 +54,11 @@ def from_arrays(
     spin_rpm: float | None = None,
     channels: Mapping[str, tuple[npt.ArrayLike, str]] | None = None,
     attitude: npt.ArrayLike | None = None,
+    craft: str | None = None,
 ) -> Recording:
     """A recording of arrays, one row per sample; the parameters are those of ``Recording.from_arrays``."""
+    if craft is not None and not NAME.fullmatch(craft):
+        raise RecordingError([Fault("craft", craft, "a name of 1 to 32 of A-Z a-z 0-9 _ - is accepted")])
     time_ns, utc = _times(time)
     count = len(time_ns)
     field = _columns("B", B, count, 3)
@@ -77,6 +81,7 @@ def from_arrays(
         position=None,
         spin=spin,
         channels=tuple(channel.spec for channel in parts.values()),
+        craft=craft,
     )
     recording = Recording(
         name=ARRAYS,
@@ -94,7 +99,7 @@ def from_arrays(
 
 def from_dataframe(frame: DataFrame, tables: Mapping[str, Any]) -> Recording:
     """A recording of a data frame; the parameters are those of ``Recording.from_dataframe``."""
-    content = {"version": 1, **tables, "samples": {"file": SAMPLES_IN_MEMORY}}
+    content = {"version": 1, **tables, "samples": {**tables.get("samples", {}), "file": SAMPLES_IN_MEMORY}}
     descriptor = descriptor_of(Table(content, "tables", "", []), Path("tables"))
     header = tuple(_names(frame))
     cells = [_texts(frame[name]) for name in header]

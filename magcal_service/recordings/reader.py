@@ -27,7 +27,8 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
 
     Parameters
     ----------
-    craft: which craft of a session; may be left out where it has one, or where the descriptor names it.
+    craft: which craft of a session; may be left out where it has one, or where the descriptor names it; of rows, none
+        but the one that their descriptor names.
     prefer: which craft of a session where none is named and there are several.
 
     Raises
@@ -41,8 +42,10 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
     descriptor = load_descriptor(path)
     if descriptor.session:
         return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer)
-    if craft is not None:
+    if craft is not None and craft != descriptor.craft:
         accepted = "only a recorded session (.mcap) has craft to choose from; leave it out"
+        if descriptor.craft is not None:
+            accepted = f"samples.craft says {descriptor.craft!r}; leave it out, or give that name"
         raise RecordingError([Fault(f"{path}: craft", craft, accepted)])
     return read_described(descriptor)
 

@@ -98,6 +98,7 @@ class Recording:
         spin_rpm: float | None = None,
         channels: Mapping[str, tuple[npt.ArrayLike, str]] | None = None,
         attitude: npt.ArrayLike | None = None,
+        craft: str | None = None,
     ) -> Recording:
         """A recording of arrays, one row per sample.
 
@@ -112,6 +113,7 @@ class Recording:
         spin_axis, spin_rpm: the spin where there is one: body axis, and rate about it [rpm].
         channels: telemetry by name: values (n,) or (n, k), and their unit (``units.CHANNEL_UNITS``).
         attitude: quaternions (n, 4), scalar first, that turn vectors of inertial axes into body axes.
+        craft: name of the craft; recordings that are diagnosed together have to be of one.
 
         Raises RecordingError for shapes, units, axes or times that are not accepted.
         """
@@ -128,6 +130,7 @@ class Recording:
             spin_rpm=spin_rpm,
             channels=channels,
             attitude=attitude,
+            craft=craft,
         )
 
     @classmethod
@@ -137,8 +140,9 @@ class Recording:
         Parameters
         ----------
         frame: columns by name, of pandas, polars, pyarrow, or a mapping; each is taken by ``numpy.asarray``.
-        tables: the tables of a RECORDING.toml without ``[samples]``, such as ``{"time": {"column": "t", "format":
-            "unix_s"}, "magnetometer": {"columns": ["x", "y", "z"], "unit": "uT"}, "reference": {"constant": 49.0}}``.
+        tables: the tables of a RECORDING.toml, of ``[samples]`` no more than ``craft``, such as ``{"time": {"column":
+            "t", "format": "unix_s"}, "magnetometer": {"columns": ["x", "y", "z"], "unit": "uT"}, "reference":
+            {"constant": 49.0}}``.
 
         Rows are read, refused and counted as those of a file.  Raises RecordingError as ``read_recording``.
         """

@@ -84,19 +84,19 @@ def _delimiter(reading: Reading, name: str) -> str:
 
 
 def _craft(reading: Reading, name: str) -> str | None:
-    """Which craft of a session; rows have no craft to choose."""
+    """Which craft of a session, or whose rows these are."""
     table = reading.table
-    if not _is_session(reading) or not table.has(name):
+    if not table.has(name):
         return None
     craft = table.text(name, "")
     if not NAME.fullmatch(craft):
-        table.refuse(name, table.content[name], "the name of a craft in the session is accepted")
+        table.refuse(name, table.content[name], "the name of a craft, 1 to 32 of A-Z a-z 0-9 _ -, is accepted")
     return craft
 
 
 @dataclass(frozen=True, slots=True)
 class SamplesSpec:
-    """The log's name beside the descriptor; the delimiter of its rows, or the craft of its session."""
+    """The log's name beside the descriptor; the delimiter of its rows; whose they are, or which craft of a session."""
 
     file: str = text(accepted="the name of a .csv, .csv.gz or .mcap file", check=_check_file)
     delimiter: str = special(_delimiter, ",")
@@ -173,7 +173,7 @@ class Descriptor:
     path: the descriptor itself.
     samples: the log it describes, found beside the descriptor.
     delimiter: what separates the cells of a row.
-    craft: which craft of a recorded session, where the descriptor names it.
+    craft: whose rows these are, or which craft of a recorded session, where the descriptor names it.
     accepted: likely defects that whoever wrote the descriptor has looked at and found to be none.
     """
 

@@ -45,6 +45,7 @@ def write_recording(
     channels: Sequence[Channel] = (),
     spin: SpinSpec | None = None,
     noise_nt: float | None = None,
+    craft: str | None = None,
     compress: bool = False,
 ) -> Path:
     """Write ``samples.csv`` (or ``.csv.gz``) and ``RECORDING.toml`` into a folder, which is made where absent.
@@ -56,7 +57,7 @@ def write_recording(
     reference_nt: (n, 3) vectors in ``frame``, or (n,) magnitudes without one [nT]; NaN where a row has none.
     position: where the craft was, (n, 3) [km] in ECI or ECEF.
     channels: telemetry, as ``make_channel`` gives it; NaN where a row has none.
-    spin, noise_nt: written to the descriptor.
+    spin, noise_nt, craft: written to the descriptor.
 
     Returns the descriptor's path.  The descriptor appears last, each file at once.  Raises RecordingError for what
     the reader would refuse.
@@ -88,7 +89,7 @@ def write_recording(
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     _replace(folder / name, gzip.compress(content, mtime=0) if compress else content)
-    head = "version = 1\n" + _section("samples", file=name)
+    head = "version = 1\n" + _section("samples", file=name, craft=craft)
     _replace(folder / DESCRIPTOR_NAME, "".join([head, *sections]).encode())
     return folder / DESCRIPTOR_NAME
 

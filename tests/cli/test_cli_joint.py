@@ -68,9 +68,58 @@ def test_two_days_give_three_files_and_end_with_0(
     page = (out / "report.html").read_text()
     assert "day0.csv" in page
     assert f"magcal diagnose {days[0]} {days[1]} --out {out}" in page
-    said = capsys.readouterr().out
-    assert "have in common a bias that follows the sensor" in said
-    assert "thermal_bias nt_per_k: shared" in said
+    told = capsys.readouterr()
+    assert "have in common a bias that follows the sensor" in told.out
+    assert "thermal_bias nt_per_k: shared" in told.out
+    assert "day1: rows: 1000 of 1000 rows used\n" in told.out
+    assert content["recordings"][1]["rows"]["used"] == 1000
+    assert "warning: nothing says that day0, day1 are of one craft" in told.err
+    assert content["assumed"] in told.err
+    assert "nothing says that day0, day1 are of one craft" in page
+
+
+def test_results_of_another_kind_of_run_are_removed_and_a_refused_run_keeps_them(
+    days: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    (out / "day0").mkdir(parents=True)
+    summary = {"question": "diagnose", "recordings": [{"folder": "day0"}]}
+    (out / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    (out / "day0" / "report.html").write_text("old", encoding="utf-8")
+    (out / "notes.html").write_text("mine", encoding="utf-8")
+    stale = "day0/report.html, summary.json"
+    assert main(["diagnose", *days, "absent.toml", "--out", str(out)]) == 2
+    assert f"{out} still has the files of an earlier run: {stale}\n" in capsys.readouterr().err
+    assert (out / "summary.json").is_file()
+    assert main(["diagnose", *days, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.endswith(f"removed from {out}, of an earlier run: {stale}\n")
+    left = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert left == {"diagnosis.json", "report.html", "physics.toml", "notes.html"}
+
+
+def _name_craft(path: str, craft: str) -> None:
+    text = Path(path).read_text(encoding="utf-8")
+    Path(path).write_text(text.replace("[time]", f'craft = "{craft}"\n[time]'), encoding="utf-8")
+
+
+def test_days_that_name_their_craft_need_no_warning(
+    days: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in days:
+        _name_craft(path, "alpha")
+    assert main(["diagnose", *days, "--out", str(tmp_path / "out")]) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["assumed"] == ""
+
+
+def test_days_of_different_craft_are_refused_by_name(
+    days: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path, craft in zip(days, ("alpha", "beta"), strict=True):
+        _name_craft(path, craft)
+    assert main(["diagnose", *days, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("craft: 'day0 of alpha, day1 of beta' is refused; recordings of one craft")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from magcal_service.errors import InputRefusedError
-from magcal_service.offline.each import SUMMARY, Asked, folders_of
+from magcal_service.offline.each import Asked, folders_of
+from magcal_service.offline.result_files import SUMMARY
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
@@ -41,7 +42,8 @@ def test_each_recording_has_its_result_and_the_worst_is_the_exit_code(recordings
     done = run("calibrate", *recordings, "--out", out, "--workers", 2)
     assert done.code == 2
     assert done.out.splitlines()[-1] == "3 recordings: 1 trusted, 1 not to be trusted, 1 refused"
-    assert [line.split()[:3] for line in done.out.splitlines()[:3]] == [
+    assert done.out.splitlines()[0].split() == ["exit", "folder", "verdict", "what", "was", "found"]
+    assert [line.split()[:3] for line in done.out.splitlines()[1:4]] == [
         ["0", "good", "trusted"],
         ["3", "short", "not_started"],
         ["2", "broken", "refused"],
@@ -52,6 +54,8 @@ def test_each_recording_has_its_result_and_the_worst_is_the_exit_code(recordings
     summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
     assert [row["exit"] for row in summary["recordings"]] == [0, 3, 2]
     assert summary["exit"] == 2
+    assert [f"{recordings[2]}: {line}" for line in summary["recordings"][2]["faults"]] == faults
+    assert summary["recordings"][2]["says"] == summary["recordings"][2]["faults"][0]
     run("calibrate", recordings[0], "--json", tmp_path / "alone.json")
     alone = json.loads((tmp_path / "alone.json").read_text(encoding="utf-8"))
     assert json.loads((out / "good" / "calibration.json").read_text(encoding="utf-8")) == alone
@@ -85,6 +89,18 @@ def test_a_diagnosis_of_each_has_its_files_and_they_are_the_same_for_any_workers
     assert min(seconds) > 0.0
     assert found[0] == found[1]
     assert set(found[0]) == {"good/diagnosis.json", "good/report.html", "good/physics.toml"}
+
+
+def test_results_of_an_earlier_run_are_removed_and_said_to_be(recordings: list[Path], tmp_path: Path) -> None:
+    """A recording that is refused now, and one that is not asked for any more, have no result."""
+    out = tmp_path / "out"
+    run("calibrate", *recordings[:2], "--out", out, "--workers", 1)
+    (out / "good" / "notes.txt").write_text("mine")
+    recordings[1].write_text("version = 1\n", encoding="utf-8")
+    done = run("calibrate", recordings[1], "--out", out, "--workers", 1)
+    stale = "good/calibration.json, short/calibration.json"
+    assert done.out.splitlines()[-1] == f"removed from {out}, of an earlier run: {stale}"
+    assert set(files_of(out)) == {"good/notes.txt", SUMMARY}
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +17,12 @@ from magcal_service.diagnosis.joint.compare import chi_square_tail
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
-from magcal_service.diagnosis.joint.result import as_json, model_of, summary
+from magcal_service.diagnosis.joint.result import as_json, model_of, sentence, summary
 from magcal_service.diagnosis.report.page import Origin
+from magcal_service.diagnosis.words import REASONS
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.recordings.recording import Recording
 from tests.diagnosis.joint_days import NOISE_NT, Day, day
 
 PER_K = np.array([12.0, -8.0, 15.0])
@@ -87,6 +93,112 @@ def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnos
 def test_nothing_is_named_from_clean_days() -> None:
     clean = _together([day(number, NONE, NONE) for number in range(2)])
     assert (clean.verdict, clean.fit.terms, clean.reasons) == (Verdict.NONE, (), ())
+    content = json.loads(as_json(clean))
+    assert content["sentence"].startswith("Simulation and recordings agree to the noise: ")
+    assert content["fit"]["held_out_rms_nt"]["with_effects"] == pytest.approx(NOISE_NT, rel=0.1)
+    assert content["advice"] == []
+
+
+def _rms(values: list[np.ndarray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(values) ** 2)))
+
+
+def test_the_levels_before_are_those_of_nine_errors_alone(found: JointDiagnosis) -> None:
+    """Of each recording by its own fit, and of all; the joint fit after; and both over rows that took no part."""
+    content = json.loads(as_json(found))
+    before = [one.baseline.held_out_residual for one in found.recordings]
+    assert {len(one.baseline.terms) for one in found.recordings} == {0}
+    levels = content["fit"]["held_out_rms_nt"]
+    assert levels == pytest.approx({"recalibrated": _rms(before), "with_effects": found.fit.held_out_rms_nt})
+    assert levels["recalibrated"] > 2.0 * levels["with_effects"] > 1.8 * NOISE_NT
+    for one, own, predicted in zip(content["recordings"], before, content["predicted_from_the_others"], strict=True):
+        assert one["held_out_rms_nt"]["recalibrated"] == pytest.approx(_rms([own]))
+        assert one["held_out_rms_nt"]["with_effects"] == pytest.approx(NOISE_NT, rel=0.1)
+        assert one["in_sample_rms_nt"]["with_effects"] < one["held_out_rms_nt"]["with_effects"]
+        assert one["bias_moved_nt"] == pytest.approx(np.linalg.norm(np.subtract(one["bias_nt"], one["bias_before_nt"])))
+        rms = predicted["held_out_rms_nt"]
+        assert rms["recalibrated"] == pytest.approx(_rms([own]), rel=1e-3)
+
+
+def test_what_is_not_common_is_no_part_of_nine_errors_alone(found: JointDiagnosis) -> None:
+    """The current has numbers of each day's own: beside them, heat alone is left to be predicted."""
+    for one in found.compared.predicted:
+        assert one.nine_nt > 1.1 * one.without_nt > 1.3 * one.predicted_nt
+    text = "\n".join(summary(found, ()))
+    first = found.compared.predicted[0]
+    assert f"{first.nine_nt:.0f} nT with nine errors, {first.without_nt:.0f} with what is not common besides" in text
+
+
+def test_where_all_is_common_nothing_stands_between() -> None:
+    heat = _together([day(number, PER_K, NONE) for number in range(2)])
+    assert all(one.nine_nt == one.without_nt for one in heat.compared.predicted)
+    assert "what is not common" not in "\n".join(summary(heat, ()))
+
+
+def test_json_summary_and_page_say_it_in_the_words_of_one_recording(found: JointDiagnosis) -> None:
+    content = json.loads(as_json(found))
+    text, page = "\n".join(summary(found, ())), report(found, Origin("three days", "magcal diagnose a b c", ()))
+    assert content["sentence"] in text
+    assert content["sentence"] in html.unescape(page)
+    assert content["sentence"].startswith("3 recordings have in common a bias that follows the sensor's temperature; ")
+    assert "; each recording has numbers of its own for " in content["sentence"]
+    assert content["sentence"].endswith(" of the mismatch is explained.")
+    assert all(f"{one.name}: held-out rms " in text for one in found.recordings)
+
+
+def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> None:
+    doubted = replace(found, reasons=("not_predicted", "poor_coverage"))
+    content = json.loads(as_json(doubted))
+    assert [(one["reason"], one["means"], one["remedy"]) for one in content["advice"]] == [
+        ("not_predicted", *REASONS["not_predicted"]),
+        ("poor_coverage", *REASONS["poor_coverage"]),
+    ]
+    text = "\n".join(summary(doubted, ()))
+    assert "  do not act on this:\n    not_predicted: " in text
+    assert REASONS["poor_coverage"][1] in " ".join(text.split())
+
+
+def test_a_name_that_is_open_is_said_to_be(found: JointDiagnosis) -> None:
+    index = next(k for k, term in enumerate(found.fit.terms) if term.hypothesis.effect == "thermal_bias")
+    alike = [
+        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect))
+        for effect, nats in (("thermal_bias", 9.0), ("bias_step", 8.0))
+    ]
+    rivals: list[Any] = [()] * len(found.fit.terms)
+    rivals[index] = tuple(alike)
+    text = sentence(replace(found, explained=replace(found.explained, rivals=tuple(rivals))))
+    step = effect_named("bias_step").title
+    assert f"in common a bias that follows the sensor's temperature (not told apart from {step})" in text
+
+
+def test_recordings_that_name_no_craft_are_said_to_be_assumed_of_one(days: list[Day]) -> None:
+    assumed = gather([one.recording for one in days[:2]]).assumed
+    assert assumed.startswith("nothing says that arrays-1, arrays-2 are of one craft")
+    assert 'craft = "NAME" under [samples]' in assumed
+
+
+def _of(recording: Recording, craft: str | None) -> Recording:
+    return replace(recording, descriptor=replace(recording.descriptor, craft=craft))
+
+
+def test_craft_are_told_apart_by_the_names_that_recordings_give(days: list[Day]) -> None:
+    first, second, third = (one.recording for one in days)
+    assert gather([_of(first, "alpha"), _of(second, "alpha")]).assumed == ""
+    some = gather([_of(first, "alpha"), second, _of(third, "alpha")]).assumed
+    assert some.startswith("nothing says of which craft arrays-2 is; alpha is taken, as the others say they are")
+    refused = r"craft: 'arrays-1 of alpha, arrays-3 of beta' is refused; recordings of one craft .* --separately"
+    with pytest.raises(magcal.InputRefusedError, match=refused):
+        gather([_of(first, "alpha"), second, _of(third, "beta")])
+
+
+def test_an_answer_in_python_has_what_the_file_has(days: list[Day], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magcal_service.diagnosis.joint.diagnose.catalogue", lambda: EFFECTS[:1])
+    answer = magcal.diagnose([day(number, PER_K, NONE).recording for number in range(2)])
+    content = answer.to_dict()
+    assert answer.held_out_rms_nt == content["fit"]["held_out_rms_nt"]
+    assert content["assumed"].startswith("nothing says that ")
+    assert f"taken for granted: {content['assumed']}" in str(answer)
+    assert content["sentence"] in str(answer)
 
 
 def test_opposite_signs_are_no_common_number(days: list[Day]) -> None:

@@ -29,6 +29,7 @@ from magcal_service.diagnosis.words import (
     strength,
     verdict_sentence,
 )
+from magcal_service.recordings.inspect.account import Account
 
 HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48}
 TITLES = {"a": "heat", "b": "currents", "c": "a step", "d": "a tone"}
@@ -43,7 +44,7 @@ def diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         reasons=reasons,
-        inspection=SimpleNamespace(open=tuple(doubts), findings=()),
+        inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
         fit=SimpleNamespace(
             terms=(None,) * terms,
@@ -52,7 +53,9 @@ def diagnosis(
         ),
         refused=(),
         prepared=SimpleNamespace(
-            problem=SimpleNamespace(noise_nt=100.04, field_error=None), baseline=SimpleNamespace(x=before)
+            problem=SimpleNamespace(noise_nt=100.04, field_error=None),
+            baseline=SimpleNamespace(x=before),
+            left_out={"spikes": 2},
         ),
     )
 
@@ -308,6 +311,7 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "held-out rms: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise floor 100.0 nT",
         "bias: a static calibration was off by 13.0 nT unseen, at (10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
         "left: nothing that could not be noise",
+        "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
         "files: out/diagnosis.json, out/report.html",
     ]
 

@@ -137,6 +137,11 @@ REFUSED = {
     "mcap with a position": (MCAP + "[position]\n", "position", "brings its own"),
     "mcap with channels": (MCAP + "[channels]\n", "channels", "brings its own"),
     "mcap of a craft without a name": (MCAP + 'craft = "a b"\n', "samples.craft", "name of a craft"),
+    "rows of a craft without a name": (
+        descriptor().replace("[time]", 'craft = "a b"\n[time]', 1),
+        "samples.craft",
+        "1 to 32 of A-Z",
+    ),
     "mcap with a delimiter": (MCAP + 'delimiter = ","\n', "samples.delimiter", "unknown key"),
     "mcap with a unit": (MCAP + '[magnetometer]\nunit = "nT"\n', "magnetometer.unit", "known: noise_nt"),
     "other file": (descriptor(file="log.xls"), "samples.file", ".csv, .csv.gz or .mcap"),

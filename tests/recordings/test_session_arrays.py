@@ -164,10 +164,17 @@ def test_several_craft_without_a_choice_are_refused_by_name(tmp_path: Path) -> N
     assert len(read_recording(path, "other")) == 1
 
 
-def test_a_choice_among_rows_that_know_no_craft_is_refused(tmp_path: Path) -> None:
+def test_rows_have_the_craft_that_their_descriptor_names_and_no_choice(tmp_path: Path) -> None:
     path = record_simulation(Simulation(load_scenario("paper"), 5, 60.0), tmp_path)
+    name = read_recording(path).descriptor.craft
+    assert name == load_scenario("paper").craft
+    assert read_recording(path, name).descriptor.craft == name
+    with pytest.raises(RecordingError, match=rf"craft: 'other' is refused; samples.craft says '{name}'"):
+        read_recording(path, "other")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(f'craft = "{name}"\n', ""), encoding="utf-8")
     with pytest.raises(RecordingError, match="only a recorded session"):
-        read_recording(path, "paper")
+        read_recording(path, name)
 
 
 def test_a_session_without_a_reference_is_refused(tmp_path: Path) -> None:

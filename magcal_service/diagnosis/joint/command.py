@@ -7,12 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.diagnosis.command import JSON, PHYSICS, REPORT, digest, prepare_folder, write
+from magcal_service.diagnosis.command import digest, prepare_folder, write
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.result import as_json, model_of, summary
 from magcal_service.diagnosis.report.page import Origin, check_packages
+from magcal_service.diagnosis.rows import account_of
+from magcal_service.offline.result_files import DIAGNOSIS, PHYSICS, REPORT, earlier_files, remove, removed_line
 from magcal_service.physics.apply.model_file import text_of
 
 
@@ -47,7 +49,7 @@ class JointOutcome:
 
 
 def run_together(request: JointRequest, tell: Callable[[str], None]) -> JointOutcome:
-    """Do it all; ``tell`` hears of each step.
+    """Do it all; ``tell`` hears of each step.  What an earlier run has left is removed once the input is accepted.
 
     Raises ``InputRefusedError`` where a recording, their number or the folder is refused, ``ExtraMissingError`` without
     what the report is drawn with.
@@ -55,17 +57,22 @@ def run_together(request: JointRequest, tell: Callable[[str], None]) -> JointOut
     check_packages()
     prepare_folder(request.out)
     gathered = gather(request.recordings, request.craft)
-    diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=tell)
+    earlier = earlier_files(request.out)
+    remove(earlier)
+    diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=tell, assumed=gathered.assumed)
     tell("writing the results")
     contents = {
-        JSON: as_json(diagnosis),
+        DIAGNOSIS: as_json(diagnosis),
         REPORT: report(diagnosis, _origin(request, gathered)),
         PHYSICS: text_of(model_of(diagnosis)),
     }
     files = [write(request.out / name, content) for name, content in contents.items()]
-    pairs = zip(gathered.names, gathered.recordings, gathered.inspections, strict=True)
-    said = [f"{name}: {line}" for name, one, found in pairs for line in [*one.report.lines(), *found.lines()]]
-    return JointOutcome(diagnosis, (*said, *summary(diagnosis, files)))
+    said = []
+    for recording, one in zip(gathered.recordings, diagnosis.recordings, strict=True):
+        rows = f"rows: {account_of(one.inspection, one.prepared)}"
+        said += [f"{one.name}: {line}" for line in [*recording.report.lines(), *one.inspection.lines(), rows]]
+    lines = [*said, *summary(diagnosis, files), *removed_line(request.out, earlier, files)]
+    return JointOutcome(diagnosis, tuple(lines))
 
 
 def _origin(request: JointRequest, gathered: Gathered) -> Origin:

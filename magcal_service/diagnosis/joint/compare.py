@@ -109,20 +109,23 @@ class Kept:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predicted:
-    """What the other recordings' numbers do for one recording, whose nine errors and start states alone are fitted.
+    """What the other recordings' numbers of the common effects do for one recording; all else is fitted to itself.
 
     Parameters
     ----------
     name: of the recording.
-    alone_nt, predicted_nt, own_nt: held-out rms with nine errors alone, with the others' numbers, with its own [nT].
-    kept: share of its own fit's gain in squares that the prediction has, below 0 where that is worse than nothing.
-    gain: of the prediction over nine errors alone, in blocks that took no part.
-    own_gain: of its own fit over nine errors alone.
+    nine_nt: held-out rms with the nine errors alone [nT].
+    without_nt: with the effects that are not common besides, so without what is predicted; ``nine_nt`` where all are.
+    predicted_nt, own_nt: with the others' numbers of the common ones added, and with its own numbers of them [nT].
+    kept: share of the gain in squares over ``without_nt`` by its own numbers that the others' have; below 0 where those
+        are worse than none.
+    gain, own_gain: over ``without_nt``, in blocks that took no part, by the others' numbers and by its own.
     effects: the same for each effect beside the others; None where it has no common number.
     """
 
     name: str
-    alone_nt: float
+    nine_nt: float
+    without_nt: float
     predicted_nt: float
     own_nt: float
     kept: float
@@ -208,9 +211,11 @@ class Apart:
 
     def _predicted(self, number: int, own: Fit, others: Fit) -> Predicted:
         held = [term for term in others.terms if joint(term).common]
-        alone = self._refitted([number], [term for term in self.fit.terms if not joint(term).common])
+        apart = [term for term in self.fit.terms if not joint(term).common and joint(term).acts_on(self.names[number])]
+        without = self._refitted([number], apart)
+        nine = self._refitted([number], ()) if apart else without
         guess = self._refitted([number], None, held)
-        squares = [_held_out(one) for one in (alone, guess, own)]
+        squares = [_held_out(one) for one in (without, guess, own)]
         sigma2 = max(own.white_rms_nt, self.floor * self.singles[number].noise_nt) ** 2
         blocks = own.problem.blocks(own.white_residual)
 
@@ -223,19 +228,20 @@ class Apart:
                 effects.append(None)
                 continue
             rest = [other for other in held if joint(other).base != joint(term).base]
-            without = self._refitted([number], [other for other in self.fit.terms if other is not term], rest)
+            bare = self._refitted([number], [other for other in self.fit.terms if other is not term], rest)
             free = own if not rest else self._refitted([number], None, rest)
-            most, kept = (_held_out(without) - _held_out(one) for one in (free, guess))
-            nats = gain(without, free).tempered
+            most, kept = (_held_out(bare) - _held_out(one) for one in (free, guess))
+            nats = gain(bare, free).tempered
             effects.append(Kept(kept / most, nats) if most > 0.0 else Kept(math.nan, 0.0))
         return Predicted(
             self.names[number],
-            alone.held_out_rms_nt,
+            nine.held_out_rms_nt,
+            without.held_out_rms_nt,
             guess.held_out_rms_nt,
             own.held_out_rms_nt,
             (squares[0] - squares[1]) / max(squares[0] - squares[2], 1e-12),
-            gain(alone, guess),
-            gain(alone, own),
+            gain(without, guess),
+            gain(without, own),
             tuple(effects),
         )
 

@@ -89,6 +89,7 @@ class JointDiagnosis:
     verdict, reasons: what it comes to, and what speaks against acting on it.
     effects: the catalogue.
     seconds: what it took.
+    assumed: what nothing in the recordings says, in a sentence; empty where nothing had to be assumed.
     """
 
     recordings: tuple[Alone, ...]
@@ -98,6 +99,7 @@ class JointDiagnosis:
     reasons: tuple[str, ...]
     effects: tuple[Effect, ...]
     seconds: float
+    assumed: str = ""
 
     @property
     def trusted(self) -> bool:
@@ -121,6 +123,7 @@ def diagnose_together(
     names: Sequence[str],
     effects: tuple[Effect, ...] | None = None,
     progress: Progress = lambda _: None,
+    assumed: str = "",
 ) -> JointDiagnosis:
     """Find the physics that several recordings of one craft have in common.
 
@@ -131,6 +134,7 @@ def diagnose_together(
     inspections, names: two or more recordings with what was found on each, and a name for each.
     effects: the catalogue; a test may pass its own.
     progress: told what is being done.
+    assumed: what the caller has to take for granted, as ``gather`` says it.
     """
     began = time.monotonic()
     is_open = any(one.open for one in inspections)
@@ -146,7 +150,7 @@ def diagnose_together(
     progress("looking for what is left")
     alone = run.alone(explained.fit, inspections)
     found = JointDiagnosis(
-        tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began
+        tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began, assumed
     )
     verdict = Verdict.NAMED if explained.fit.terms else Verdict.NONE
     if is_open or found.unexplained > UNKNOWN_SHARE:

@@ -18,11 +18,15 @@ from magcal_service.recordings.usable import refuse_hopeless
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
-    """Recordings of one craft, with a name for each and what was found on it."""
+    """Recordings of one craft, with a name for each and what was found on it.
+
+    ``assumed`` says which of them do not name their craft; empty where all do.
+    """
 
     recordings: tuple[Recording, ...]
     names: tuple[str, ...]
     inspections: tuple[Inspection, ...]
+    assumed: str = ""
 
 
 def gather(given: Sequence[Recording | Path | str], craft: str | None = None) -> Gathered:
@@ -41,24 +45,23 @@ def gather(given: Sequence[Recording | Path | str], craft: str | None = None) ->
     recordings = tuple(one if isinstance(one, Recording) else read_recording(one, craft) for one in given)
     names = _names(recordings)
     _refuse_doubled(recordings, names)
-    _refuse_strangers(recordings, names)
+    assumed = _of_one_craft(recordings, names)
     inspections = tuple(inspect(recording) for recording in recordings)
     for inspection in inspections:
         refuse_hopeless(inspection.to_diagnose, inspection.lines())
-    return Gathered(recordings, names, inspections)
+    return Gathered(recordings, names, inspections, assumed)
 
 
 def _names(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """A short name for each: its descriptor's, with the folder's where those repeat, with a number where both do."""
+    """A short name for each: its descriptor's; where those repeat, with the folder's, or with a number if both do."""
     paths = [recording.descriptor.path for recording in recordings]
-    names = [path.stem for path in paths]
-    counts = Counter(names)
-    names = [
-        f"{path.resolve().parent.name}-{name}" if counts[name] > 1 else name
-        for path, name in zip(paths, names, strict=True)
-    ]
-    counts = Counter(names)
-    return tuple(f"{name}-{index}" if counts[name] > 1 else name for index, name in enumerate(names, start=1))
+    stems = Counter(path.stem for path in paths)
+    longer = [f"{path.resolve().parent.name}-{path.stem}" for path in paths]
+    counts = Counter(longer)
+    return tuple(
+        path.stem if stems[path.stem] == 1 else name if counts[name] == 1 else f"{path.stem}-{index}"
+        for index, (path, name) in enumerate(zip(paths, longer, strict=True), start=1)
+    )
 
 
 def _refuse_doubled(recordings: Sequence[Recording], names: Sequence[str]) -> None:
@@ -71,8 +74,8 @@ def _refuse_doubled(recordings: Sequence[Recording], names: Sequence[str]) -> No
                 raise InputRefusedError([Fault("recordings", names[index], accepted)])
 
 
-def _refuse_strangers(recordings: Sequence[Recording], names: Sequence[str]) -> None:
-    """Craft are told apart by their names, where recordings have them."""
+def _of_one_craft(recordings: Sequence[Recording], names: Sequence[str]) -> str:
+    """Refuse recordings that name different craft; what is assumed of those that name none, in a sentence."""
     told = {
         name: recording.craft.name if recording.craft is not None else recording.descriptor.craft
         for name, recording in zip(names, recordings, strict=True)
@@ -80,4 +83,19 @@ def _refuse_strangers(recordings: Sequence[Recording], names: Sequence[str]) -> 
     known = {name: craft for name, craft in told.items() if craft is not None}
     if len(set(known.values())) > 1:
         listed = ", ".join(f"{name} of {craft}" for name, craft in known.items())
-        raise InputRefusedError([Fault("craft", listed, "recordings of one craft; add --separately for several")])
+        accepted = "recordings of one craft are diagnosed together; leave the others out, or add --separately"
+        raise InputRefusedError([Fault("craft", listed, accepted)])
+    unnamed = [name for name, craft in told.items() if craft is None]
+    if not unnamed:
+        return ""
+    if not known:
+        return (
+            f"nothing says that {', '.join(unnamed)} are of one craft (what is found common holds only then): "
+            'write craft = "NAME" under [samples] of each descriptor, or add --separately'
+        )
+    craft = next(iter(known.values()))
+    verb = "is" if len(unnamed) == 1 else "are"
+    return (
+        f"nothing says of which craft {', '.join(unnamed)} {verb}; {craft} is taken, as "
+        f'the others say they are: write craft = "{craft}" under [samples] there if that is so, else leave it out'
+    )

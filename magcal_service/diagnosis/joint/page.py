@@ -11,9 +11,11 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
+from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
 from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
 from magcal_service.diagnosis.report.page import Origin, check_packages
-from magcal_service.diagnosis.words import chance, driver_in_words, percent, reason_in_words, remedy
+from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.words import advice, chance, driver_in_words, percent
 from magcal_service.model import BIAS
 from magcal_service.physics.saying import measured
 from magcal_service.version import __version__
@@ -32,11 +34,13 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
     return environment.get_template(_TEMPLATE).render(
         diagnosis=diagnosis,
         sentence=sentence(diagnosis),
-        reasons=[{"code": code, "means": reason_in_words(code), "remedy": remedy(code)} for code in diagnosis.reasons],
+        advice=advice(diagnosis.reasons),
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
         predicted=[_predicted(one) for one in diagnosis.compared.predicted if diagnosis.compared.shared],
-        recordings=[_recording(one) for one in diagnosis.recordings],
+        recordings=[
+            _recording(one, levels) for one, levels in zip(diagnosis.recordings, levels_of_each(diagnosis), strict=True)
+        ],
         origin=origin,
         version=__version__,
         python=platform.python_version(),
@@ -76,15 +80,16 @@ def _in_words(one: Estimate) -> str:
 
 
 def _predicted(one: Predicted) -> dict[str, Any]:
-    worse = one.predicted_nt > one.alone_nt
+    worse = one.predicted_nt > one.without_nt
     kept = percent(max(one.kept, 0.0)) if one.shows else "shows too little"
     return {
         "name": one.name,
-        "alone": f"{one.alone_nt:.0f} nT",
+        "nine": f"{one.nine_nt:.0f} nT",
+        "without": f"{one.without_nt:.0f} nT",
         "predicted": f"{one.predicted_nt:.0f} nT",
         "own": f"{one.own_nt:.0f} nT",
         "worse": worse,
-        "kept": "worse than nine errors alone" if worse else kept,
+        "kept": "worse than without them" if worse else kept,
         "effects": ["" if part is None else _share(part) for part in one.effects],
     }
 
@@ -96,16 +101,16 @@ def _share(part: Kept) -> str:
     return "worse than without it" if part.share < 0.0 else percent(part.share)
 
 
-def _recording(one: Alone) -> dict[str, Any]:
+def _recording(one: Alone, levels: Levels) -> dict[str, Any]:
     sigma = np.sqrt(np.maximum(np.diagonal(one.covariance), 0.0))[BIAS].tolist()
     bias = ", ".join(measured(value, s) for value, s in zip(one.fit.x[BIAS].tolist(), sigma, strict=True))
     share = left_share(one)
     return {
         "name": one.name,
-        "rows": len(one.prepared.problem.scene),
+        "rows": str(account_of(one.inspection, one.prepared)),
         "noise": f"{one.prepared.problem.noise_nt:.0f} nT",
-        "before": f"{one.baseline.rms_nt:.0f} nT",
-        "after": f"{one.fit.rms_nt:.0f} nT",
+        "before": f"{levels.held_out_nt[0]:.0f} nT",
+        "after": f"{levels.held_out_nt[1]:.0f} nT",
         "bias": bias if one.has_coverage else f"{bias}: not fixed, the field pointed in too few directions",
         "left": percent(share) if share > 0.0 else "nothing that could not be noise",
     }

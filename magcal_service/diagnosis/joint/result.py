@@ -10,17 +10,29 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import Posterior, posterior
+from magcal_service.diagnosis.belief import SURE, Posterior, posterior
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint, started
+from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.words import chance, percent, reason_in_words
+from magcal_service.diagnosis.summary import reason_lines
+from magcal_service.diagnosis.words import (
+    IN_DOUBT,
+    advice,
+    agreed,
+    chance,
+    explained_share,
+    listed,
+    nameless,
+    percent,
+    remaining,
+)
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.interface import Effect, Value, Values
@@ -31,7 +43,10 @@ def as_json(diagnosis: JointDiagnosis) -> str:
     """The ``diagnosis.json`` of several recordings."""
     content: dict[str, Any] = {
         "verdict": str(diagnosis.verdict),
-        "recordings": [_recording(one) for one in diagnosis.recordings],
+        "sentence": sentence(diagnosis),
+        "assumed": diagnosis.assumed,
+        "fit": levels_of_all(diagnosis).to_dict(),
+        "recordings": _recordings(diagnosis),
         "effects": [_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
         "shared": [_shared(one) for one in diagnosis.compared.shared],
         "predicted_from_the_others": [_predicted(diagnosis, one) for one in diagnosis.compared.predicted],
@@ -40,24 +55,29 @@ def as_json(diagnosis: JointDiagnosis) -> str:
         "converged": diagnosis.fit.converged,
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
+        "advice": advice(diagnosis.reasons),
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def _recording(one: Alone) -> dict[str, Any]:
+def _recordings(diagnosis: JointDiagnosis) -> list[dict[str, Any]]:
+    each = zip(diagnosis.recordings, levels_of_each(diagnosis), bias_moved_nt(diagnosis), strict=True)
+    return [_recording(one, levels, moved) for one, levels, moved in each]
+
+
+def _recording(one: Alone, levels: Levels, moved_nt: float) -> dict[str, Any]:
     sigma = np.sqrt(np.maximum(np.diagonal(one.covariance), 0.0))
     left = one.left[0] if one.unexplained > 0.0 else None
     return {
         "name": one.name,
         "file": one.prepared.recording.name,
         "rows": account_of(one.inspection, one.prepared).to_dict(),
-        "noise_floor_nt": one.prepared.problem.noise_nt,
-        "held_out_rms_nt": {"recalibrated": one.baseline.held_out_rms_nt},
-        "rms_nt": {"recalibrated": one.baseline.rms_nt, "with_effects": one.fit.rms_nt},
+        **levels.to_dict(),
         "bias_nt": one.fit.x[BIAS].tolist(),
         "D": d_matrix(one.fit.x[:STATE_SIZE]).tolist(),
         "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
         "bias_before_nt": one.baseline.x[BIAS].tolist(),
+        "bias_moved_nt": moved_nt,
         "has_coverage": one.has_coverage,
         "left": None if left is None else {"shape": left.shape.says, "share": round(left_share(one), 4)},
         "seen_in_samples": sorted(one.prepared.findings),
@@ -166,9 +186,14 @@ def _predicted(diagnosis: JointDiagnosis, one: Predicted) -> dict[str, Any]:
     kept = zip(diagnosis.fit.terms, one.effects, strict=True)
     return {
         "name": one.name,
-        "held_out_rms_nt": {"recalibrated": one.alone_nt, "predicted": one.predicted_nt, "own": one.own_nt},
+        "held_out_rms_nt": {
+            "recalibrated": one.nine_nt,
+            "without_common": one.without_nt,
+            "predicted": one.predicted_nt,
+            "own": one.own_nt,
+        },
         "share_of_own_gain": round(one.kept, 4) if one.shows else None,
-        "worse_than_nothing": one.predicted_nt > one.alone_nt,
+        "worse_than_nothing": one.predicted_nt > one.without_nt,
         "stands_out": one.stands_out,
         "gain_nats": round(one.gain.tempered, 2),
         "seen_in_blocks": [one.gain.seen, one.gain.expected],
@@ -224,33 +249,68 @@ def _model_term(diagnosis: JointDiagnosis, index: int, term: Term, latest: Alone
 
 
 def sentence(diagnosis: JointDiagnosis) -> str:
-    """What it comes to, in one sentence."""
-    count, terms = len(diagnosis.recordings), diagnosis.fit.terms
-    common = [effect_of(diagnosis, k).title for k, term in enumerate(terms) if joint(term).common]
-    own = [effect_of(diagnosis, k).title for k, term in enumerate(terms) if not joint(term).common]
-    if not terms:
-        left = "agree with the simulation to the noise" if diagnosis.verdict is Verdict.NONE else "are not explained"
-        return f"{count} recordings {left}: no physics is named from them."
-    parts = [f"{count} recordings have in common {' and '.join(common)}"] if common else []
-    parts += [f"each has its own: {', '.join(own)}"] if own else []
-    left = f"{percent(diagnosis.unexplained)} of the mismatch has no name" if diagnosis.unexplained > 0.0 else ""
-    text = "; ".join(filter(None, (*parts, left)))
+    """The verdict in one plain sentence: what is common, and what each recording has itself."""
+    if diagnosis.verdict is Verdict.NONE:
+        levels = levels_of_all(diagnosis)
+        return agreed(levels.held_out_nt[1], levels.noise_nt, _field_model_nt(diagnosis), "recordings")
+    terms = list(enumerate(diagnosis.fit.terms))
+    if diagnosis.verdict is Verdict.UNKNOWN:
+        doubted = [one.name for one in diagnosis.recordings if one.inspection.open]
+        if doubted:
+            return f"{IN_DOUBT} It is {listed(doubted)}."
+        titles = [effect_of(diagnosis, k).title for k, _ in terms]
+        return nameless(diagnosis.unexplained, "", list(dict.fromkeys(titles)))
+    common = [_title(diagnosis, k) for k, term in terms if joint(term).common]
+    own = [_title(diagnosis, k) for k, term in terms if not joint(term).common and not joint(term).solo]
+    alone = [f"in {joint(term).solo} alone: {_title(diagnosis, k)}" for k, term in terms if joint(term).solo]
+    parts = [f"{len(diagnosis.recordings)} recordings have in common {listed(common)}"] if common else []
+    parts += [f"each recording has numbers of its own for {listed(own)}"] if own else []
+    text = "; ".join([*parts, *alone, explained_share(diagnosis.unexplained)])
     return f"{text[0].upper()}{text[1:]}."
+
+
+def _title(diagnosis: JointDiagnosis, index: int) -> str:
+    """What a term is; where its name is not sure, the names between which it is open."""
+    titles = {effect.name: effect.title for effect in diagnosis.effects}
+    name, believed = diagnosis.fit.terms[index].hypothesis.effect, posterior(diagnosis.explained, index)
+    alike = [other for other in believed.members if other != name] or [other for other, _ in believed.rivals]
+    if believed.own >= SURE or not alike:
+        return titles[name]
+    return f"{titles[name]} (not told apart from {'; or '.join(titles.get(other, other) for other in alike)})"
+
+
+def _field_model_nt(diagnosis: JointDiagnosis) -> float | None:
+    """rms that the field model may err by [nT], the largest of the recordings; None where that counts in none."""
+    errors = [one.baseline.problem.field_error for one in diagnosis.recordings]
+    return max((error.rms_nt for error in errors if error is not None), default=None)
 
 
 def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     """What was found, what is common, how well each recording is predicted, and where the files are."""
-    lines = [f"verdict: {diagnosis.verdict}", f"  {sentence(diagnosis)}"]
+    lines = [f"verdict: {diagnosis.verdict}", *reason_lines(diagnosis.reasons), f"  {sentence(diagnosis)}"]
     for index, term in enumerate(diagnosis.fit.terms):
         believed = posterior(diagnosis.explained, index)
         lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
         lines.append(f"    {says(diagnosis, index)}")
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
-    lines.append(f"left: {percent(diagnosis.unexplained)} of the mismatch")
-    lines += [f"not to be trusted: {reason} ({reason_in_words(reason)})" for reason in diagnosis.reasons]
+    lines += _level_lines(diagnosis)
+    lines.append(f"left: {remaining(diagnosis)}")
     lines += ["files: " + ", ".join(str(path) for path in files)] if files else []
     return lines
+
+
+def _level_lines(diagnosis: JointDiagnosis) -> list[str]:
+    """How much better each recording fits by the effects, and all of them."""
+    names = [*(one.name for one in diagnosis.recordings), "all"]
+    moved = [f"; bias moved by {nt:.1f} nT" if diagnosis.fit.terms else "" for nt in bias_moved_nt(diagnosis)]
+    return [
+        f"{name}: held-out rms {levels.held_out_nt[0]:.1f} nT recalibrated, {levels.held_out_nt[1]:.1f} nT with "
+        f"effects; noise floor {levels.noise_nt:.1f} nT{more}"
+        for name, levels, more in zip(
+            names, [*levels_of_each(diagnosis), levels_of_all(diagnosis)], [*moved, ""], strict=True
+        )
+    ]
 
 
 def _sure(believed: Posterior) -> str:
@@ -291,10 +351,12 @@ def predicted_lines(diagnosis: JointDiagnosis) -> list[str]:
 
 def prediction(one: Predicted) -> str:
     """What the other recordings' numbers do for one, in words."""
+    besides = "" if one.without_nt == one.nine_nt else f", {one.without_nt:.0f} with what is not common besides"
     levels = (
-        f"{one.alone_nt:.0f} nT with nine errors, {one.predicted_nt:.0f} predicted, {one.own_nt:.0f} by its own fit"
+        f"{one.nine_nt:.0f} nT with nine errors{besides}, {one.predicted_nt:.0f} predicted, "
+        f"{one.own_nt:.0f} by its own fit"
     )
-    if one.predicted_nt > one.alone_nt:
+    if one.predicted_nt > one.without_nt:
         return f"{levels}; the others' numbers make it worse"
     if not one.shows:
         return f"{levels}; it shows too little to be predicted"

@@ -87,7 +87,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         diagnosis=diagnosis,
         numbers=numbers,
         sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
-        advice=advice(diagnosis),
+        advice=advice(diagnosis.reasons),
         levels=_levels(diagnosis, bool(origin.simulation)),
         pictures=pictures(diagnosis),
         track=track(diagnosis),

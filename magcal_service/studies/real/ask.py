@@ -117,7 +117,7 @@ def _together(recordings: Sequence[Recording]) -> Answer:
     from magcal_service.diagnosis.joint.gather import gather
 
     gathered = gather(recordings)
-    diagnosis = diagnose_together(gathered.inspections, gathered.names)
+    diagnosis = diagnose_together(gathered.inspections, gathered.names, assumed=gathered.assumed)
     before = np.concatenate([one.baseline.held_out_residual for one in diagnosis.recordings])
     hypotheses = [term.hypothesis for term in diagnosis.fit.terms]
     return Answer(
@@ -134,7 +134,7 @@ def _together(recordings: Sequence[Recording]) -> Answer:
         predicted=tuple(
             PredictedDay(
                 one.name,
-                float(one.alone_nt),
+                float(one.nine_nt),
                 float(one.predicted_nt),
                 float(one.own_nt),
                 float(one.kept) if one.shows else None,
