@@ -30,6 +30,7 @@ def _replay(options: argparse.Namespace) -> int:
 
     from magcal_service.daemon.estimate_csv import EstimateCsv
     from magcal_service.offline.calibrate import residuals_of
+    from magcal_service.offline.compensated import compensation_lines
     from magcal_service.offline.replay import craft_of, replay
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
@@ -49,6 +50,8 @@ def _replay(options: argparse.Namespace) -> int:
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
         f"(noise floor {residuals.noise_floor:.1f} nT)"
     )
+    if result.pipeline.compensation is not None:
+        print(*compensation_lines(result.compensated, result.pipeline.compensation.model), sep="\n")
     if residuals.published is not None:
         print(f"vectors as they were published since the start: {residuals.published:.1f} nT")
     print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))

@@ -16,6 +16,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.settling import Settling
 from magcal_service.model import Array
+from magcal_service.offline.compensated import Tally
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.ticks.assembler import SECOND_NS, Tick
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Message, Verdict
@@ -89,11 +90,13 @@ class ObservedPipeline(Pipeline):
     def __init__(self, config: CraftConfig) -> None:
         super().__init__(config)
         self.published = Published()
+        self.tally = Tally()
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
         outputs = super()._sample(sample)
         for one in outputs:
             if isinstance(one, CalibratedVector):
+                self.tally.sample(self)
                 self.published.vector(self.ticks.elapsed_s(sample), sample, one)
         return outputs
 

@@ -27,6 +27,7 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links.recording import RecordingLink
 from magcal_service.model import Array
+from magcal_service.offline.compensated import EffectAccount
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.published import ObservedPipeline, Published
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
@@ -114,6 +115,14 @@ class Replay(NineErrors):
         return self.pipeline.published if isinstance(self.pipeline, ObservedPipeline) else None
 
     @property
+    def compensated(self) -> tuple[EffectAccount, ...]:
+        """What was done with each effect of ``physics.toml``; empty where none is compensated."""
+        if not isinstance(self.pipeline, ObservedPipeline) or self.pipeline.compensation is None:
+            return ()
+        channels = self.inspection.recording.channels
+        return self.pipeline.tally.accounts(self.pipeline.compensation.model, channels, self.pipeline.stopped)
+
+    @property
     def counters(self) -> dict[str, int]:
         """What became of the samples, by kind."""
         return dict(self.pipeline.ticks.counters + self.pipeline.counters)
@@ -128,6 +137,7 @@ class Replay(NineErrors):
             "D": self.D.tolist(),
             "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
             "counters": self.counters,
+            "physics": [one.to_dict() for one in self.compensated],
             "remark": self.remark,
             "findings": [one.to_dict() for one in self.inspection.findings],
         }

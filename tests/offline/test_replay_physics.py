@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from magcal_service.offline.compensated import Tally, compensation_lines
 from magcal_service.offline.replay import craft_of, replay
-from magcal_service.physics.apply.model_file import ModelTerm
+from magcal_service.physics.apply.model_file import ModelTerm, Note, parse_model
 from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import CalibratedVector, Message, Verdict
 from sim_sensor.recorder import record_simulation
@@ -72,6 +73,84 @@ def test_the_residual_that_is_printed_is_that_of_the_rows(recorded: Path) -> Non
     assert len(squares) > 900
     assert published == pytest.approx(np.sqrt(np.mean(squares)), rel=0.02)
     assert after == pytest.approx(NOISE_NT, rel=0.1)  # every sample without the heat, at the estimate of the end
+
+
+def test_each_effect_is_said_to_be_compensated_or_why_not(recorded: Path) -> None:
+    """In the counts of the service's own counters; of the first samples the temperature is not there yet."""
+    done = run("replay", recorded / "RECORDING.toml", "--config", recorded / "magcal.toml").out
+    counters = dict(
+        re.findall(r"(\S+) (\d+)(?:,|\n)", next(line for line in done.splitlines(True) if "estimates; " in line))
+    )
+    count = int(counters["accepted"])
+    gone = f"compensated in 0 of {count} samples; not in {count}: the recording has no channel gone"
+    assert f"physics.toml: current_loop (channel:gone): {gone}\n" in done
+    missing = int(counters.get("uncompensated.thermal_bias", 0))
+    assert f"physics.toml: thermal_bias (channel:temperature): compensated in {count - missing} of {count} sa" in done
+    assert int(counters["uncompensated.current_loop"]) == count
+    assert count - missing > 1400
+
+
+def test_the_effects_are_in_the_answer_of_a_program(recorded: Path) -> None:
+    recording = read_recording(recorded / "RECORDING.toml")
+    assert replay(recording).to_dict()["physics"] == []
+    craft = replace(
+        craft_of(recording), physics=replace(physics(origin_ns=0), text=(recorded / "physics.toml").read_text())
+    )
+    content = {one["effect"]: one for one in replay(recording, craft).to_dict()["physics"]}
+    assert set(content) == {"thermal_bias", "thermal_scale", "current_loop"}
+    assert content["current_loop"]["samples"] == {"no_driver": int(DURATION_S)}
+    assert content["thermal_bias"]["samples"]["compensated"] > 1400
+
+
+@dataclass
+class _Craft:
+    """As much of a craft as is counted."""
+
+    missing: tuple[str, ...] = ()
+    stopped: str = ""
+    settling: object = None
+
+    @property
+    def compensation(self) -> _Craft:
+        return self
+
+
+def test_samples_are_counted_by_what_kept_an_effect_from_them() -> None:
+    model = parse_model(physics(*THERMAL, GONE, origin_ns=0).text.encode())
+    tally = Tally()
+    for craft, times in (
+        (_Craft(settling=1), 5),
+        (_Craft(missing=("thermal_bias",)), 3),
+        (_Craft(), 2),
+        (_Craft(stopped="it harms"), 7),
+    ):
+        for _ in range(times):
+            tally.sample(craft)  # type: ignore[arg-type]
+    heat, scale, loop = tally.accounts(model, ["temperature"], "it harms")
+    assert heat.samples == {"compensated": 2, "no_driver": 3, "start_unknown": 5, "stopped": 7}
+    assert scale.samples == {"compensated": 5, "start_unknown": 5, "stopped": 7}
+    assert loop.effect == "current_loop"
+    assert str(scale) == (
+        "thermal_scale (channel:temperature): compensated in 5 of 17 samples; not in 5: before the temperature at the "
+        "start was known; not in 7: after compensation was stopped: it harms"
+    )
+    assert "not in 3: its driver was missing or older than it may be" in heat.why
+
+
+def test_a_form_that_no_single_moment_determines_is_said_to_be_none_for_the_daemon() -> None:
+    late = ModelTerm("time_offset", "none", "by minutes", {"s": np.array([200.0])})
+    model = replace(
+        parse_model(physics(*THERMAL, origin_ns=0).text.encode()),
+        terms=(late,),
+        notes=(Note("nutation", "It nutates."),),
+    )
+    tally = Tally()
+    tally.sample(_Craft(missing=("time_offset",)))  # type: ignore[arg-type]
+    accounts = tally.accounts(model, [], "")
+    assert compensation_lines(accounts, model) == [
+        "physics.toml: time_offset: compensated in 0 of 1 samples; not in 1: this form cannot be followed live",
+        "physics.toml: stated, and no field that is compensated: nutation",
+    ]
 
 
 def test_the_published_residual_is_that_of_the_messages(recorded: Path) -> None:

@@ -1,0 +1,128 @@
+"""Which effects of ``physics.toml`` were taken off the samples of a replay, of how many, and why not of the others."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Final
+
+from magcal_service.daemon.compensating import CompensatingCraft
+from magcal_service.physics.apply.physics_model import PhysicsModel
+from magcal_service.physics.catalogue import effect_named
+
+_CHANNEL: Final = "channel:"
+
+
+class Fate(StrEnum):
+    """What was done with an effect in one sample."""
+
+    COMPENSATED = "compensated"
+    NO_DRIVER = "no_driver"
+    START_UNKNOWN = "start_unknown"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectAccount:
+    """One effect of ``physics.toml`` in a replay.
+
+    Parameters
+    ----------
+    effect, drivers: which, and what it follows in the file.
+    samples: of the craft that were answered, by what was done with the effect in them.
+    why: why it was not compensated in some, in words; empty where it was in all.
+    """
+
+    effect: str
+    drivers: tuple[str, ...]
+    samples: Mapping[str, int]
+    why: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; every fate that occurred with its samples."""
+        return {"effect": self.effect, "drivers": list(self.drivers), "samples": dict(self.samples), "why": self.why}
+
+    def __str__(self) -> str:
+        count = sum(self.samples.values())
+        driven = "" if self.drivers == ("none",) else f" ({', '.join(self.drivers)})"
+        done = self.samples.get(Fate.COMPENSATED, 0)
+        says = f"{self.effect}{driven}: compensated in {done} of {count} samples"
+        return says + (f"; {self.why}" if self.why else "")
+
+
+@dataclass(eq=False)
+class Tally:
+    """Counts of what was done with the effects, sample by sample.
+
+    Parameters
+    ----------
+    states: samples for which compensation as a whole did not work, by why.
+    missing: samples in which one effect was left out alone, by its name.
+    samples: how many there were.
+    """
+
+    states: Counter[Fate] = field(default_factory=Counter)
+    missing: Counter[str] = field(default_factory=Counter)
+    samples: int = 0
+
+    def sample(self, craft: CompensatingCraft) -> None:
+        """Take the sample that a craft has just corrected, or left as it is."""
+        self.samples += 1
+        if craft.compensation is None:
+            return
+        if craft.stopped:
+            self.states[Fate.STOPPED] += 1
+        elif craft.settling is not None:
+            self.states[Fate.START_UNKNOWN] += 1
+        else:
+            self.missing.update(craft.compensation.missing)
+
+    def accounts(self, model: PhysicsModel, channels: Iterable[str], stopped: str) -> tuple[EffectAccount, ...]:
+        """One account for each effect of a model that is compensated.
+
+        Parameters
+        ----------
+        channels: that the recording has.
+        stopped: why compensation was stopped; empty where it was not.
+        """
+        known = set(channels)
+        drivers: dict[str, list[str]] = {}
+        for term in model.terms:
+            drivers.setdefault(term.effect, []).append(term.driver)
+        return tuple(self._account(effect, tuple(of), known, stopped, model) for effect, of in drivers.items())
+
+    def _account(
+        self, effect: str, drivers: tuple[str, ...], channels: set[str], stopped: str, model: PhysicsModel
+    ) -> EffectAccount:
+        lost = self.missing[effect]
+        counts = {Fate.NO_DRIVER: lost, **{fate: self.states[fate] for fate in (Fate.START_UNKNOWN, Fate.STOPPED)}}
+        why = {
+            Fate.NO_DRIVER: self._missing_driver(effect, drivers, channels, model),
+            Fate.START_UNKNOWN: "before the temperature at the start was known",
+            Fate.STOPPED: f"after compensation was stopped: {stopped}",
+        }
+        says = [f"not in {count}: {why[fate]}" for fate, count in counts.items() if count]
+        done = self.samples - sum(counts.values())
+        samples = {str(fate): count for fate, count in {Fate.COMPENSATED: done, **counts}.items() if count}
+        return EffectAccount(effect, drivers, samples, "; ".join(says))
+
+    @staticmethod
+    def _missing_driver(effect: str, drivers: tuple[str, ...], channels: set[str], model: PhysicsModel) -> str:
+        """The likeliest reason for which an effect's driver does not do."""
+        forms = {part for term in model.terms if term.effect == effect for part in (term.driver, term.variant)}
+        if forms & set(effect_named(effect).not_live):
+            return "this form cannot be followed live"
+        absent = [one.removeprefix(_CHANNEL) for one in drivers if one.startswith(_CHANNEL)]
+        absent = [name for name in absent if name not in channels]
+        if absent:
+            return f"the recording has no channel {', '.join(absent)}"
+        return "its driver was missing or older than it may be, or its numbers do not fit the samples"
+
+
+def compensation_lines(accounts: Iterable[EffectAccount], model: PhysicsModel) -> list[str]:
+    """What ``magcal replay`` prints: an effect a line, and what a file only states."""
+    lines = [f"physics.toml: {one}" for one in accounts]
+    noted = ", ".join(note.effect for note in model.notes)
+    return [*lines, f"physics.toml: stated, and no field that is compensated: {noted}"] if noted else lines
