@@ -25,6 +25,7 @@ from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
 from sim_sensor.demo.flow import WindowedLink
 from sim_sensor.node import NodeReport, run_node
+from sim_sensor.physics import doubled
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario import Scenario
 from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
@@ -132,7 +133,14 @@ def _seed(text: str) -> int:
 
 
 def _simulation(options: argparse.Namespace) -> Simulation:
-    return Simulation(_scenario(options), options.seed, options.duration, _model(options))
+    scenario, model = _scenario(options), _model(options)
+    for effect, keys in ({} if model is None else doubled(scenario, model)).items():
+        print(
+            f"warning: {effect} of {options.physics} is added to what {scenario.name} has by itself ({keys}): "
+            "both act; for the file's alone, take that out of the scenario",
+            file=sys.stderr,
+        )
+    return Simulation(scenario, options.seed, options.duration, model)
 
 
 def _model(options: argparse.Namespace) -> PhysicsModel | None:

@@ -27,6 +27,35 @@ def with_errors(scenario: Scenario, model: PhysicsModel) -> Scenario:
     return replace(scenario, sensor=replace(scenario.sensor, bias_nt=(bx, by, bz), D=(d11, d22, d33, d12, d13, d23)))
 
 
+def own_effects(scenario: Scenario) -> dict[str, str]:
+    """What a scenario does by itself, as names of the catalogue, with the keys that switch it off."""
+    effects, sensor, field = scenario.effects, scenario.sensor, scenario.field
+    thermal, steps = effects.thermal, effects.steps
+    panels = any(any(panel.field_nt_per_a) for panel in effects.panels)
+    placed = (field.reference_along_track_km, field.reference_radial_km)
+    found = {
+        "thermal_bias": ("thermal.bias_nt_per_k", thermal is not None and any(thermal.bias_nt_per_k)),
+        "thermal_scale": ("thermal.scale_per_k", thermal is not None and any(thermal.scale_per_k)),
+        "current_loop": ("[[panel]] field_nt_per_a", panels),
+        "sun_disturbance": ("[[panel]] field_nt_per_a", panels),
+        "torquer": ("[torquer]", effects.torquer is not None),
+        "bias_step": ("[[step]] bias_nt", any(any(step.bias_nt) for step in steps)),
+        "scale_step": ("[[step]] D", any(any(step.D) for step in steps)),
+        "response_lag": ("magnetometer.lag_s", sensor.lag_s > 0.0),
+        "external_field": ("field.ring_current_nt", field.ring_current_nt != 0.0),
+        "time_offset": ("field.reference_time_offset_s", field.reference_time_offset_s != 0.0),
+        "position_offset": ("field.reference_along_track_km and reference_radial_km", any(placed)),
+        "reference_epoch": ("field.reference_epoch", field.reference_epoch_ns is not None),
+    }
+    return {effect: keys for effect, (keys, acts) in found.items() if acts}
+
+
+def doubled(scenario: Scenario, model: PhysicsModel) -> dict[str, str]:
+    """Effects of a model that a scenario has by itself already, with the keys that switch its own off: both act."""
+    own = own_effects(scenario)
+    return {term.effect: own[term.effect] for term in model.terms if term.effect in own}
+
+
 class AddedPhysics:
     """Effects of a model along one run, block after block.
 

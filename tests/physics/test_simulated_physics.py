@@ -17,9 +17,10 @@ from magcal_service.physics.apply.model_file import parse_model, read_model, tex
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.reader import read_recording
 from sim_sensor.cli import main
+from sim_sensor.physics import doubled, own_effects
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario import Scenario
-from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
 from sim_sensor.simulation import Simulation
 from tests.physics.live_models import THERMAL, hot, model_of
 from tests.physics.test_model_file import drawn, forms
@@ -117,3 +118,45 @@ def test_a_replay_with_the_model_comes_to_the_noise_and_without_it_does_not(
             assert code == 3
             assert after > 150.0
     assert "verdict: trusted" in lines["with"]
+
+
+def test_an_effect_that_the_scenario_has_by_itself_is_said_to_be_there_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The heat of the file adds to that of the scenario; what the file has not is not spoken of."""
+    path = tmp_path / "physics.toml"
+    path.write_text(text_of(model_of(*THERMAL[:1], origin_ns=0)), encoding="utf-8")
+    arguments = ["record", "--scenario", "hot-electronics", "--duration", "60", "--physics", str(path)]
+    assert main([*arguments, "--out", str(tmp_path / "twice")]) == 0
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
+    assert f"thermal_bias of {path} is added to what hot-electronics has by itself (thermal.bias_nt_per_k): bo" in said
+    assert doubled(cold(), parse_model(path.read_bytes())) == {}
+
+
+def test_every_effect_of_a_scenario_is_known_by_its_name_in_the_catalogue() -> None:
+    """Of each shipped scenario its own, and every name is one of the catalogue."""
+    own = {name: set(own_effects(load_scenario(name))) for name in shipped_scenarios()}
+    assert own["paper"] == own["nutation"] == set()
+    assert own["hot-electronics"] == {"thermal_bias", "thermal_scale"}
+    assert own["torquer-duty"] == {"torquer"}
+    assert {"current_loop", "sun_disturbance"} <= own["noisy-panels"]
+    assert "bias_step" in own["bias-step"]
+    assert "reference_epoch" in own["stale-reference"]
+    for name in set().union(*own.values()):
+        effect_named(name)
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "effect"),
+    [
+        ("sensor", {"lag_s": 0.1}, "response_lag"),
+        ("field", {"ring_current_nt": -50.0}, "external_field"),
+        ("field", {"reference_time_offset_s": 2.0}, "time_offset"),
+        ("field", {"reference_radial_km": 0.5}, "position_offset"),
+    ],
+)
+def test_what_the_field_and_the_sensor_do_counts_too(part: str, changes: dict[str, float], effect: str) -> None:
+    scenario = load_scenario("paper")
+    changed = replace(scenario, **{part: replace(getattr(scenario, part), **changes)})
+    assert set(own_effects(changed)) == {effect}
+    effect_named(effect)
