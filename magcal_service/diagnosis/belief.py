@@ -10,8 +10,8 @@ import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
-from magcal_service.diagnosis.problem import Fit, amplitude_columns, is_collapsed
-from magcal_service.model import STATE_SIZE
+from magcal_service.diagnosis.problem import Fit, amplitude_columns
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
@@ -29,15 +29,15 @@ LITTLE_LEFT: Final = 0.1
 _MORE_THAN_LEFT: Final = 4.0
 """Times what is left without a name, what each name has to hold: of two true ones hardly anything is left."""
 
-MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
-MOST_D_SIGMA: Final = 0.05  # the same, by D
+_MOST_BIAS_SIGMA_NT: Final = 1000.0  # a thirtieth of the field: the vector would be off by 2 deg
+_MOST_D_SIGMA: Final = 0.05  # the same, by D
 """Sigma of the nine errors from which on the field did not point in enough directions; a choice."""
 
 _MOST_NOISE: Final = 0.02
 """Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
 1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
 
-FEWEST_SAMPLES: Final = 300
+_FEWEST_SAMPLES: Final = 300
 """Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
 
 
@@ -100,20 +100,51 @@ def reasons(
     stated: whether the sensor's noise was stated, not estimated from the residual.
     left_nt2: sum of squares that a family of shapes without a name still holds [nT^2].
     """
+    fit, named = explained.fit, bool(explained.fit.terms)
+    return listed(
+        explained,
+        poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
+        unexplained_structure=unknown
+        or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained, left_nt2, floor_nt))),
+        rough_residual=named and not stated and is_rough(fit),
+    )
+
+
+def listed(
+    explained: Explained,
+    *,
+    poor_coverage: bool,
+    unexplained_structure: bool,
+    rough_residual: bool,
+    **beside: bool,
+) -> tuple[str, ...]:
+    """The reasons that hold, in order: what any fit says of itself, with those that its diagnosis found.
+
+    Parameters
+    ----------
+    explained: with effects.
+    poor_coverage, unexplained_structure, rough_residual: whether these hold.
+    beside: further ones, by name.
+    """
     fit = explained.fit
-    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
     found = {
         "not_converged": not fit.converged,
-        "collapsed": is_collapsed(fit.x),
-        "poor_coverage": float(sigma[:3].max()) > MOST_BIAS_SIGMA_NT or float(sigma[3:].max()) > MOST_D_SIGMA,
-        "unexplained_structure": unknown
-        or (bool(fit.terms) and (unexplained > LITTLE_LEFT or _hardly_more(explained, left_nt2, floor_nt))),
-        "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
+        "collapsed": fit.problem.is_collapsed(fit.x),
+        "poor_coverage": poor_coverage,
+        "unexplained_structure": unexplained_structure,
+        "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
         "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
-        "rough_residual": bool(fit.terms) and not stated and is_rough(fit),
+        "rough_residual": rough_residual,
+        **beside,
     }
     return tuple(name for name, holds in found.items() if holds)
+
+
+def has_coverage(covariance: Array) -> bool:
+    """Whether the field pointed in enough directions to fix nine errors of a covariance (9, 9)."""
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return float(sigma[BIAS].max()) <= _MOST_BIAS_SIGMA_NT and float(sigma[D_ALL].max()) <= _MOST_D_SIGMA
 
 
 def _hardly_more(explained: Explained, left_nt2: float, floor_nt: float) -> bool:

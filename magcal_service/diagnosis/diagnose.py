@@ -111,6 +111,32 @@ class Diagnosis:
         return self.explained.fit
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """What a search ends with.
+
+    Parameters
+    ----------
+    search: the last one.
+    explained: with the effects that stand.
+    left: structures that are left, best first.
+    floor_nt: least noise that evidence was counted in [nT].
+    whitening: autoregressive coefficients (p,) of the noise, empty where it is white.
+    """
+
+    search: Search
+    explained: Explained
+    left: list[Structure]
+    floor_nt: float
+    whitening: Array
+
+    def reasons(self, prepared: Prepared, unexplained: float, verdict: Verdict) -> tuple[str, ...]:
+        """What speaks against acting on it, beside the recording itself."""
+        stated = prepared.view.stated_noise_nt is not None
+        left_nt2 = self.left[0].squares if self.left and significant(self.left[0]) else 0.0
+        return reasons(self.explained, unexplained, verdict is Verdict.UNKNOWN, self.floor_nt, stated, left_nt2)
+
+
 def diagnose(
     recording: Recording,
     simulation_x: Array | None = None,
@@ -138,52 +164,27 @@ def diagnose(
     progress("simulating the recording with nine errors")
     progress(f"screening {len(effects)} effects")
     prepared, search, explained, refused = _in_form(inspection.to_diagnose, effects)
-    problem, baseline = prepared.problem, prepared.baseline
-    floor = FLOOR * problem.noise_nt
-    phase = None if prepared.spin is None else prepared.spin.phase_rad
     progress("looking for what is left")
-    coefficients = _memory(prepared, search.problem, explained.fit)
-    if len(coefficients):
-        progress("the noise has a memory: once more with it taken off")
-        quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
-        other = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
-        other, other_left = _standing(quiet, baseline, other, phase, lower)
-        recorded = _drivers(explained)
-        if recorded:
-            explained, left = _standing(search, baseline, explained, phase, floor)
-        if not recorded or _drivers(explained) <= _drivers(other):
-            search, explained, left, floor = quiet, other, other_left, lower
-        else:  # what the blocks bear out of a record is no noise
-            coefficients = np.zeros(0)
-    else:
-        explained, left = _standing(search, baseline, explained, phase, floor)
+    end = _with_memory(prepared, search, explained, progress)
     progress("looking at attitude and noise")
-    findings, spin = _other_findings(prepared, explained.fit, effects, len(coefficients) > 0)
-    unexplained = _unexplained(prepared, explained.fit, left)
-    verdict = _verdict(explained, findings, unexplained)
+    findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
+    unexplained = _unexplained(prepared, end.explained.fit, end.left)
+    verdict = _verdict(end.explained, findings, unexplained)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
         inspection=inspection,
         prepared=prepared,
-        explained=explained,
-        search=search,
+        explained=end.explained,
+        search=end.search,
         findings=findings,
-        left=tuple(left),
+        left=tuple(end.left),
         unexplained=unexplained,
         verdict=verdict,
-        reasons=_doubts(inspection)
-        + reasons(
-            explained,
-            unexplained,
-            verdict is Verdict.UNKNOWN,
-            floor,
-            prepared.view.stated_noise_nt is not None,
-            left[0].squares if left and significant(left[0]) else 0.0,
-        ),
+        reasons=_doubts(inspection) + end.reasons(prepared, unexplained, verdict),
         spin=spin,
         simulation_x=simulated[0],
         simulation_residual_nt=simulated[1],
-        whitening=coefficients,
+        whitening=end.whitening,
         effects=effects,
         seconds=time.monotonic() - began,
         refused=refused,
@@ -251,6 +252,28 @@ def _settled(prepared: Prepared, problem: Problem) -> Prepared:
     """Under a problem's noise, with the vectors that its nine errors calibrate: other vectors' columns hold noise."""
     baseline = Search(problem, []).refreshed(solve(problem, prepared.baseline.x))
     return replace(prepared, problem=baseline.problem, baseline=baseline)
+
+
+def _with_memory(prepared: Prepared, search: Search, explained: Explained, progress: Progress) -> _End:
+    """What stands, with the memory of the noise taken off where it has one.
+
+    It stays on where a recorded driver would go with it: what the blocks bear out of a record is no noise.
+    """
+    problem, baseline = prepared.problem, prepared.baseline
+    floor = FLOOR * problem.noise_nt
+    phase = None if prepared.spin is None else prepared.spin.phase_rad
+    coefficients = _memory(prepared, search.problem, explained.fit)
+    if not len(coefficients):
+        return _End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
+    progress("the noise has a memory: once more with it taken off")
+    quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
+    again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
+    again, again_left = _standing(quiet, baseline, again, phase, lower)
+    if _drivers(explained):
+        explained, left = _standing(search, baseline, explained, phase, floor)
+        if not _drivers(explained) <= _drivers(again):
+            return _End(search, explained, left, floor, np.zeros(0))
+    return _End(quiet, again, again_left, lower, coefficients)
 
 
 def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:

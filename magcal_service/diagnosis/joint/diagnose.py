@@ -8,17 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import (
-    FEWEST_SAMPLES,
-    LITTLE_LEFT,
-    MOST_BIAS_SIGMA_NT,
-    MOST_D_SIGMA,
-    SURE,
-    has_size,
-    is_rough,
-    posterior,
-    stands_out,
-)
+from magcal_service.diagnosis.belief import LITTLE_LEFT, has_coverage, is_rough, listed, stands_out
 from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Verdict
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
@@ -31,7 +21,7 @@ from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.solution import solve
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.inspect.inspection import Inspection
@@ -63,8 +53,7 @@ class Alone:
     @property
     def has_coverage(self) -> bool:
         """Whether the field pointed in enough directions to fix its nine errors."""
-        sigma = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
-        return float(sigma[BIAS].max()) <= MOST_BIAS_SIGMA_NT and float(sigma[D_ALL].max()) <= MOST_D_SIGMA
+        return has_coverage(self.covariance)
 
     @property
     def explained(self) -> float:
@@ -287,18 +276,12 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
     predicts = any(joint(term).common for term in fit.terms) and all(
         one.stands_out and one.kept > 0.0 for one in found.compared.predicted if one.shows
     )
-    baseline = solve(fit.problem, fit.x)
-    holds = {
-        "not_converged": not fit.converged,
-        "collapsed": fit.problem.is_collapsed(fit.x),
-        "poor_coverage": not any(one.has_coverage for one in found.recordings),
-        "unexplained_structure": verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
-        "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
-        "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
-        "name_uncertain": any(posterior(found.explained, index).own < SURE for index in range(len(fit.terms))),
-        "rough_residual": named
+    return listed(
+        found.explained,
+        poor_coverage=not any(one.has_coverage for one in found.recordings),
+        unexplained_structure=verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
+        rough_residual=named
         and any(one.prepared.view.stated_noise_nt is None and is_rough(one.fit) for one in found.recordings),
-        "gain_in_scatter": named and not stands_out(baseline, fit, FLOOR * fit.problem.noise_nt),
-        "not_predicted": named and not predicts,
-    }
-    return tuple(name for name, is_so in holds.items() if is_so)
+        gain_in_scatter=named and not stands_out(solve(fit.problem, fit.x), fit, FLOOR * fit.problem.noise_nt),
+        not_predicted=named and not predicts,
+    )
