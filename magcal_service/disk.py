@@ -1,15 +1,56 @@
-"""What a disk has to be told apart from writing."""
+"""Files on a disk: whole or not there at all, for readers at once and after a power cut as well."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+
+@contextmanager
+def beside(path: Path, *, mode: int = 0o666, mark: str = "") -> Iterator[Path]:
+    """A name beside ``path`` to write its content under, which takes the place of ``path`` where the block ends.
+
+    The file is brought to the disk, renamed, and its folder is brought to the disk, in this order: there is the old
+    file or the new one at any time.  Where the block or the disk fails, the old one stays and nothing is left beside.
+
+    Parameters
+    ----------
+    path: the file; its folder is there.
+    mode: permissions from the first byte on, less those that the process masks.
+    mark: ends the name beside, where only one process writes the file: what a crash has left is then written over.
+        Else the name is this process's own.
+
+    Raises OSError where the disk does not take it.
+    """
+    part = path.with_name(path.name + mark) if mark else path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode))
+        yield part
+        _sync(part, os.O_RDONLY)
+        os.replace(part, path)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def write_whole(path: Path, content: bytes, *, mode: int = 0o666, mark: str = "") -> None:
+    """Write a file as a whole, over what is there; the parameters and errors of ``beside``."""
+    with beside(path, mode=mode, mark=mark) as part:
+        part.write_bytes(content)
 
 
 def sync_folder(path: Path) -> None:
     """Make the names in a folder survive a power cut; ``OSError`` where the disk does not take them."""
-    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    opened = os.open(path, flags)
     try:
-        os.fsync(folder)
+        os.fsync(opened)
     finally:
-        os.close(folder)
+        os.close(opened)

@@ -16,6 +16,7 @@ from magcal_service.diagnosis.report.page import Origin, check_packages, report
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
+from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, unwritable
 from magcal_service.model import Array
 from magcal_service.offline.result_files import DIAGNOSIS, PHYSICS, REPORT, earlier_files, remove, removed_line
@@ -151,9 +152,9 @@ def prepare_folder(folder: Path) -> None:
 
 
 def write(path: Path, content: str) -> Path:
-    """Write one of the files; raises ``InputRefusedError`` where that fails."""
+    """Write one of the files as a whole; raises ``InputRefusedError`` where that fails."""
     try:
-        path.write_text(content, encoding="utf-8")
+        write_whole(path, content.encode())
     except OSError as exc:
         raise unwritable(path, exc) from None
     return path

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 import zlib
 from pathlib import Path
 
-from magcal_service.disk import sync_folder
+from magcal_service.disk import write_whole
 from magcal_service.wire.seal import MAX_COUNTER
 
 _CONTENT = re.compile(rb"magcal counter ([0-9]{1,20}) ([0-9a-f]{8})\n")
@@ -30,13 +29,7 @@ class CounterFile:
     def keep(self, value: int) -> None:
         """Store a value for good; ``OSError`` where the disk does not take it, and the old value stays."""
         number = b"%d" % value
-        temporary = self.path.with_name(self.path.name + ".new")
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
-            file.write(b"magcal counter %s %08x\n" % (number, zlib.crc32(number)))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(self.path)
-        sync_folder(self.path.parent)
+        write_whole(self.path, b"magcal counter %s %08x\n" % (number, zlib.crc32(number)), mode=0o600, mark=".new")
         self.last = value
 
     def _read(self) -> int | None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
 import zlib
 from pathlib import Path
 from typing import Final
 
-from magcal_service.disk import sync_folder
+from magcal_service.disk import write_whole
 from magcal_service.errors import unwritable
 from magcal_service.many.pieces import Done
 from magcal_service.many.plain import NotKnownError, pack, unpack
@@ -59,15 +57,7 @@ class Store:
         """Keep a result; raises ``InputRefusedError`` where it cannot be written, ``TypeError`` for what is no data."""
         packed = zlib.compress(pack(done.value))
         path = self.folder / f"{key}{_SUFFIX}"
-        partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
         try:
-            with partial.open("wb") as file:
-                file.write(hashlib.sha256(packed).digest() + packed)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, path)
-            sync_folder(self.folder)
+            write_whole(path, hashlib.sha256(packed).digest() + packed)
         except OSError as exc:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
             raise unwritable(path, exc) from None

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, RecordingError, unwritable
 from magcal_service.many.executor import Executor
 from magcal_service.many.pieces import Done, Outcome, Piece, Refused
@@ -154,11 +155,9 @@ def inputs_of(path: Path) -> tuple[Path, ...]:
 
 def _write(path: Path, content: str) -> Path:
     """Write a file whole, over whatever an earlier run left there."""
-    partial = path.with_name(f"{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(content, encoding="utf-8")
-        os.replace(partial, path)
+        write_whole(path, content.encode())
     except OSError as exc:
         raise unwritable(path, exc) from None
     return path

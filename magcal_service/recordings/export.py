@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from magcal_service.disk import beside
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
@@ -49,12 +49,10 @@ def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None)
     else:
         raise InputRefusedError([Fault("--kind", kind, nearest(kind, (SAMPLES, *KIND_NAMES)))])
     write = _write_csv if out.suffix.lower() == ".csv" else _write_parquet
-    partial = out.with_name(f"{out.name}.partial")
     try:
-        write(partial, columns)
-        os.replace(partial, out)
+        with beside(out) as part:
+            write(part, columns)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise InputRefusedError(
             [Fault(str(out), error.strerror or str(error), "give a file that can be written")]
         ) from None

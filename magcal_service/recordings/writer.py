@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import Axes, ChannelSpec
 from magcal_service.recordings.recording import Channel, Position
@@ -88,9 +88,9 @@ def write_recording(
     content = sheet.text().encode()
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
-    _replace(folder / name, gzip.compress(content, mtime=0) if compress else content)
+    write_whole(folder / name, gzip.compress(content, mtime=0) if compress else content)
     head = "version = 1\n" + _section("samples", file=name, craft=craft)
-    _replace(folder / DESCRIPTOR_NAME, "".join([head, *sections]).encode())
+    write_whole(folder / DESCRIPTOR_NAME, "".join([head, *sections]).encode())
     return folder / DESCRIPTOR_NAME
 
 
@@ -169,10 +169,3 @@ def _section(name: str, **keys: object) -> str:
 def _toml(value: object) -> str:
     """A string, number or list of them; JSON writes these the way TOML reads them."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file at once: a reader sees the old one or the new one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)

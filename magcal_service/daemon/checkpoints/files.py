@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +22,7 @@ from typing import Any, Final
 import msgpack
 
 from magcal_service.config.settings import CraftConfig, StateConfig
-from magcal_service.disk import sync_folder
+from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
@@ -36,6 +34,8 @@ _LARGEST_BYTES: Final = 64 * 1024 * 1024
 
 _MOST_NAMED: Final = 16
 """Named checkpoints of a craft; they stay until they are replaced, so their number has to be bounded."""
+
+_UNFINISHED: Final = ".part"
 
 _NUMBERED: Final = re.compile(r"([0-9]{10})\.state")
 
@@ -135,7 +135,7 @@ class StateStore:
         self.writes = self.written_bytes = 0
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            for left in self.folder.glob("*.part"):  # what a crash left half written
+            for left in self.folder.glob(f"*{_UNFINISHED}"):  # what a crash left half written
                 left.unlink()
         except OSError as error:
             fault = Fault(str(self.folder), error.strerror or str(error), "a folder that can be written is accepted")
@@ -206,24 +206,9 @@ class StateStore:
 
     def _replace(self, path: Path, checkpoint: Checkpoint) -> None:
         raw = encode(checkpoint)
-        part = path.with_suffix(".part")
-        try:
-            with open(part, "wb", opener=_private) as file:
-                file.write(raw)
-                file.flush()
-                os.fsync(file.fileno())
-            part.rename(path)
-        except OSError:
-            with suppress(OSError):
-                part.unlink()
-            raise
-        sync_folder(self.folder)
+        write_whole(path, raw, mode=0o600, mark=_UNFINISHED)
         self.writes += 1
         self.written_bytes += len(raw)
-
-
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)
 
 
 def utc_s() -> float:
