@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from magcal_service.diagnosis.answer import Answer, JointAnswer, diagnose
     from magcal_service.errors import ExtraMissingError, InputRefusedError, MagcalError
     from magcal_service.offline.calibrate import Calibration, calibrate
-    from magcal_service.offline.fit import Fit, NoSolutionError, fit
+    from magcal_service.offline.fit import Fit, fit
+    from magcal_service.offline.no_solution import NoSolutionError
     from magcal_service.offline.replay import Replay, replay
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.recording import Recording
@@ -37,7 +38,7 @@ _HOMES: Final = {
     "InputRefusedError": ("errors", "InputRefusedError"),
     "JointAnswer": ("diagnosis.answer", "JointAnswer"),
     "MagcalError": ("errors", "MagcalError"),
-    "NoSolutionError": ("offline.fit", "NoSolutionError"),
+    "NoSolutionError": ("offline.no_solution", "NoSolutionError"),
     "Pipeline": ("daemon.pipeline", "Pipeline"),
     "Recording": ("recordings.recording", "Recording"),
     "Replay": ("offline.replay", "Replay"),

@@ -9,33 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.config.settings import FilterConfig
-from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.estimators.interface import StartGate
-from magcal_service.estimators.parts.start import batch_start
+from magcal_service.estimators.parts.start import batch_solution, gated
 from magcal_service.model import Array, scalar_residual
 from magcal_service.offline.nine_errors import NineErrors, vectors
+from magcal_service.offline.no_solution import no_solution, stopped
 from magcal_service.residuals import rms
-from magcal_service.trust.monitor import reason_of
-from magcal_service.trust.reasons import REMEDIES
 
 FEWEST_SAMPLES: Final = 50  # as for a recording: below this not even the residual's level is known to 10 %
 LARGEST_NT: Final = 1e6  # 1 mT, as for a recording: more is no magnetometer's reading
 SMALLEST_REFERENCE_NT: Final = 100.0  # a tenth of a microtesla: the Earth's field is 200 times that, a coil's sweep 10
-
-
-class NoSolutionError(MagcalError):
-    """No sound solution fits the arrays; ``gate`` says what stopped the last one.
-
-    Parameters
-    ----------
-    gate: the condition that was not met (``collapsed``, ``poor_coverage``, ...).
-    """
-
-    exit_code = 3
-
-    def __init__(self, gate: StartGate, samples: int) -> None:
-        self.gate = gate
-        super().__init__(f"no sound solution fits {samples} samples: {gate}; {REMEDIES[reason_of(gate)]}")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -101,9 +85,12 @@ def fit(B: npt.ArrayLike, H: npt.ArrayLike, noise_nt: float | None = None) -> Fi
     usable = np.isfinite(field).all(axis=1) & field.any(axis=1) & np.isfinite(magnitude)
     field, magnitude = field[usable], magnitude[usable]
     _check_sizes(field, magnitude)
-    solution = batch_start(field, magnitude, (), noise_nt, FilterConfig())
+    found = batch_solution(field, magnitude, (), noise_nt, FilterConfig())
+    if isinstance(found, StartGate):
+        raise no_solution(found, field, magnitude)
+    solution = gated(found, field, magnitude, noise_nt, thinned=1)
     if isinstance(solution, StartGate):
-        raise NoSolutionError(solution, len(field))
+        raise stopped(solution, found, field, magnitude, noise_nt)
     return Fit(
         x=solution.x,
         covariance=solution.covariance,

@@ -103,10 +103,35 @@ def test_no_sound_solution_is_an_error_that_names_the_gate() -> None:
     """A craft that does not turn shows one direction only."""
     rng = np.random.default_rng(3)
     B = np.array([20_000.0, 5_000.0, 30_000.0]) + rng.normal(0.0, 50.0, (500, 3))
-    with pytest.raises(magcal.NoSolutionError, match="no sound solution fits 500 samples") as caught:
+    with pytest.raises(magcal.NoSolutionError, match="no sound solution fits 500 samples: poor_coverage: ") as caught:
         magcal.fit(B, np.linalg.norm(B, axis=1), noise_nt=50.0)
-    assert isinstance(caught.value.gate, StartGate)
+    assert caught.value.gate is StartGate.POOR_COVERAGE
     assert caught.value.exit_code == 3
+    said = str(caught.value)
+    sigma, limit = (float(one) for one in re.search(r"known to (\d+) nT .* at most (\d+) nT", said).groups())  # type: ignore[union-attr]
+    assert sigma > 10.0 * limit > 100.0
+    assert "take samples with the sensor turned in more directions" in said
+    assert re.search(r"B varies by \d\d nT \(1 sigma\) where it varies least, by 21\d{3} nT if turned", said)
+
+
+def test_the_error_names_the_value_that_was_refused_and_what_is_accepted() -> None:
+    """B five times too large, a noise ten times too small, H of other instants, an axis that stands still."""
+    _, B, H = flight()
+    length, rng = np.linalg.norm(H, axis=1), np.random.default_rng(3)
+    still = np.column_stack([B[:, :2], np.full(len(B), 30_000.0)])
+    accepted = r"and 0\.4 to 2\.5 is accepted"
+    level = r"the residual is (29|30)\d\.\d nT rms, and at most 45\.0 nT is accepted"
+    cases = (
+        (5.0 * B, H, NOISE_NT, rf"collapsed: eigenvalues of I \+ D from 0\.2 to 0\.23\d?, {accepted}; .*unit of B"),
+        (B, H, 0.1 * NOISE_NT, rf"bad_fit: {level}; .*noise_nt"),
+        (B, rng.permutation(length), NOISE_NT, r"not_positive: .*; check that rows of B and H are of the same inst"),
+        (still, H, None, r"B varies by 0 nT \(1 sigma\) where it varies least"),
+    )
+    for field, reference, noise, says in cases:
+        with pytest.raises(magcal.NoSolutionError, match=says) as caught:
+            magcal.fit(field, reference, noise)
+        ratio = np.linalg.norm(field, axis=1).mean() / length.mean()
+        assert f"a ratio of {ratio:.3g}; " in str(caught.value)
 
 
 B_GOOD, H_GOOD = np.full((60, 3), 20_000.0), np.full(60, 34_000.0)

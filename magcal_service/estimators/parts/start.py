@@ -102,16 +102,23 @@ def batch_start(
     config: prior and limits.
     thinned: each sample stands for this many, of which the others were dropped.
     """
+    solution = batch_solution(field_nt, magnitude_nt, windows, noise_nt, config)
+    if isinstance(solution, StartGate):
+        return solution
+    return gated(solution, field_nt, magnitude_nt, noise_nt, thinned)
+
+
+def batch_solution(
+    field_nt: Array, magnitude_nt: Array, windows: Sequence[Window], noise_nt: float | None, config: FilterConfig
+) -> BatchSolution | StartGate:
+    """A batch solution before it is put to the gates, or why there is none; parameters as ``batch_start``."""
     means = WindowMeans.of(windows)
     problem = BatchProblem(field_nt, magnitude_nt, means, prior_sigma(config), noise_nt or 0.0, noise_nt or 0.0)
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            solution = _solve_without_outliers(problem, noise_nt is None)
+            return _solve_without_outliers(problem, noise_nt is None)
     except np.linalg.LinAlgError:
         return StartGate.NO_CONVERGENCE
-    if isinstance(solution, StartGate):
-        return solution
-    return gated(solution, field_nt, magnitude_nt, noise_nt, thinned)
 
 
 def gated(
