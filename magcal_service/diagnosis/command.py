@@ -12,7 +12,8 @@ from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.handover import write_model
-from magcal_service.diagnosis.report.page import Origin, check_packages, report
+from magcal_service.diagnosis.report.frame import Origin, check_packages
+from magcal_service.diagnosis.report.page import report
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary

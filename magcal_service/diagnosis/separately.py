@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from magcal_service.diagnosis.command import Request, make
-from magcal_service.diagnosis.report.page import check_packages
+from magcal_service.diagnosis.report.frame import check_packages
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors, simulation_file
 from magcal_service.many.executor import Executor

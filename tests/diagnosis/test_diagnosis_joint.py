@@ -18,7 +18,7 @@ from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_tog
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.result import as_json, model_of, sentence, summary
-from magcal_service.diagnosis.report.page import Origin
+from magcal_service.diagnosis.report.frame import Origin
 from magcal_service.diagnosis.words import REASONS
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named

@@ -28,7 +28,7 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-LIGHT, DARK = re.findall(r"--card:(#[0-9a-f]+)", Path(package.__path__[0], "page.html").read_text("utf-8"))
+LIGHT, DARK = re.findall(r"--card:(#[0-9a-f]+)", Path(package.__path__[0], "frame.html").read_text("utf-8"))
 """What a figure is drawn on."""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,25 +12,20 @@ from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Sh
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
 from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
-from magcal_service.diagnosis.report.page import Origin, check_packages
+from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import advice, chance, driver_in_words, percent
 from magcal_service.model import BIAS
 from magcal_service.physics.saying import measured
-from magcal_service.version import __version__
 
-_TEMPLATE: Final = "page.html"
+_TEMPLATE: Final = Path(__file__).with_name("page.html")
 
 
 def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
     """The page as HTML.  Raises ``ExtraMissingError`` without jinja2 or matplotlib."""
-    check_packages()
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template(_TEMPLATE).render(
+    return rendered(
+        _TEMPLATE,
+        origin,
         diagnosis=diagnosis,
         sentence=sentence(diagnosis),
         advice=advice(diagnosis.reasons),
@@ -41,10 +35,6 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         recordings=[
             _recording(one, levels) for one, levels in zip(diagnosis.recordings, levels_of_each(diagnosis), strict=True)
         ],
-        origin=origin,
-        version=__version__,
-        python=platform.python_version(),
-        numpy=np.__version__,
     )
 
 

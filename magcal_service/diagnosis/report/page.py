@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +13,7 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import pictures, track
+from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
@@ -30,44 +29,15 @@ from magcal_service.diagnosis.words import (
     titles,
     verdict_sentence,
 )
-from magcal_service.errors import ExtraMissingError
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.interface import Value
 from magcal_service.physics.saying import AXES, labels_of, measured
-from magcal_service.version import __version__
 
 _MOST_PLACES: Final = 8
 """Rows of the table of places; choice: the rest is in ``diagnosis.json``."""
 
 _BEYOND: Final = 700.0  # nats, which underflow as a probability
-_TEMPLATE: Final = "page.html"
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """What a report says of how it came about.
-
-    Parameters
-    ----------
-    recording: what was diagnosed, as it was given.
-    command: the command line.
-    files: (name, SHA-256) of every file that was read.
-    simulation: name of the scenario compared with; empty for the forward model as calibrated.
-    """
-
-    recording: str
-    command: str
-    files: tuple[tuple[str, str], ...]
-    simulation: str = ""
-
-
-def check_packages() -> None:
-    """Raise ``ExtraMissingError`` where a report could not be made, before the work rather than after it."""
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ImportError as exc:
-        raise ExtraMissingError(exc.name or "jinja2", "diagnosis", "the report of a diagnosis") from None
+_TEMPLATE: Final = Path(__file__).with_name("page.html")
 
 
 def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: Origin) -> str:
@@ -76,14 +46,11 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
     Raises ``ExtraMissingError`` without jinja2 or matplotlib.
     """
     check_packages()
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters |= {word.__name__: word for word in (percent, chance, odds, strength, belief, expected)}
     numbers = json.loads(content)
-    return environment.get_template(_TEMPLATE).render(
+    return rendered(
+        _TEMPLATE,
+        origin,
+        (percent, chance, odds, strength, belief, expected),
         diagnosis=diagnosis,
         numbers=numbers,
         sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
@@ -100,10 +67,6 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         unseen=_unseen(diagnosis, found),
         rows=_rows(diagnosis),
         facts=_facts(diagnosis),
-        origin=origin,
-        version=__version__,
-        python=platform.python_version(),
-        numpy=np.__version__,
     )
 
 
