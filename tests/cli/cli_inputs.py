@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 from magcal_service.cli.__main__ import main
+from tests.recordings.recording_logs import described
 
 CONFIG = """version = 1
 link = "loop:cli"
@@ -35,27 +36,15 @@ csv = "rows.csv"
 status_period_s = 5.0
 """
 
-DESCRIPTOR = """version = 1
-[samples]
-file = "log.csv"
-[time]
-column = "time"
-format = "elapsed_s"
-start = "2025-06-01T00:00:00Z"
-[magnetometer]
-columns = ["mx", "my", "mz"]
-unit = "nT"
-noise_nt = 300.0
-[reference]
-columns = ["hx", "hy", "hz"]
-unit = "nT"
-frame = "eci"
-[spin]
-axis = [0.0, 0.0, 1.0]
-rate_rpm = 7.5
-[channels]
-temperature = { column = "temp", unit = "degC" }
-"""
+DESCRIPTOR = described(
+    "log.csv",
+    time='format = "elapsed_s"\nstart = "2025-06-01T00:00:00Z"',
+    field=("mx", "my", "mz"),
+    noise_nt=300.0,
+    reference=("hx", "hy", "hz"),
+    channels={"temperature": "temp"},
+    spin_axis=(0.0, 0.0, 1.0),
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +69,7 @@ def run(*arguments: object) -> Done:
 
 def log_rows(seconds: int) -> str:
     """A log that the descriptor describes: a turning field that any method can start on."""
-    lines = ["time,mx,my,mz,hx,hy,hz,temp"]
+    lines = ["t,mx,my,mz,hx,hy,hz,temp"]
     for second in range(seconds):
         phase, tilt = 0.785 * second, 0.005 * second
         field = (

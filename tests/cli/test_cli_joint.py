@@ -12,24 +12,9 @@ from magcal_service.cli.__main__ import main
 from magcal_service.physics.apply.model_file import read_model
 from magcal_service.physics.catalogue import effect_named
 from tests.diagnosis.joint_days import day
+from tests.recordings.recording_logs import described
 
 PER_K = np.array([12.0, -8.0, 15.0])
-DESCRIPTION = """version = 1
-[samples]
-file = "{name}.csv"
-[time]
-column = "t"
-format = "unix_s"
-[magnetometer]
-columns = ["x", "y", "z"]
-unit = "nT"
-noise_nt = 50.0
-[reference]
-magnitude = "h"
-unit = "nT"
-[channels]
-board = {{ column = "T", unit = "degC" }}
-"""
 
 
 def _written(number: int, folder: Path) -> Path:
@@ -44,7 +29,9 @@ def _written(number: int, folder: Path) -> Path:
     )
     np.savetxt(folder / f"day{number}.csv", table, "%.4f", ",", header="t,x,y,z,h,T", comments="")
     path = folder / f"day{number}.toml"
-    path.write_text(DESCRIPTION.format(name=path.stem), encoding="utf-8")
+    form, field = 'format = "unix_s"', ("x", "y", "z")
+    text = described(f"day{number}.csv", time=form, field=field, noise_nt=50.0, reference="h", channels={"board": "T"})
+    path.write_text(text, encoding="utf-8")
     return path
 
 

@@ -10,29 +10,10 @@ from typing import Any
 
 from magcal_service.cli.__main__ import main
 from magcal_service.config.settings import SensorConfig
+from tests.recordings.recording_logs import described
 from tests.recordings.sessions import craft, record, stream
 
 SECONDS = 1500
-DESCRIPTOR = """version = 1
-[samples]
-file = "flight.csv"
-[time]
-column = "time"
-format = "unix_s"
-[magnetometer]
-columns = ["field_body_nt.0", "field_body_nt.1", "field_body_nt.2"]
-unit = "nT"
-noise_nt = 100.0
-[reference]
-columns = ["reference_eci_nt.0", "reference_eci_nt.1", "reference_eci_nt.2"]
-unit = "nT"
-frame = "eci"
-[spin]
-axis = {axis}
-rate_rpm = 7.5
-[channels]
-temperature = {{ column = "channel_temperature [degC]", unit = "degC" }}
-"""
 
 
 def diagnosed(recording: Path, out: Path) -> dict[str, Any]:
@@ -52,12 +33,21 @@ def as_csv(session: Path, folder: Path) -> Path:
     assert header[0] == "time_ns"
     with (folder / "flight.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["time", *header[1:]])
+        writer.writerow(["t", *header[1:]])
         writer.writerows([f"{row[0][:-9]}.{row[0][-9:]}", *row[1:]] for row in rows)
-    descriptor = folder / "flight.toml"
     spin = craft().spin
     assert spin is not None
-    descriptor.write_text(DESCRIPTOR.format(axis=list(spin.axis)))
+    descriptor = folder / "flight.toml"
+    text = described(
+        "flight.csv",
+        time='format = "unix_s"',
+        field=[f"field_body_nt.{axis}" for axis in range(3)],
+        noise_nt=100.0,
+        reference=[f"reference_eci_nt.{axis}" for axis in range(3)],
+        channels={"temperature": "channel_temperature [degC]"},
+        spin_axis=spin.axis,
+    )
+    descriptor.write_text(text)
     return descriptor
 
 

@@ -21,6 +21,7 @@ from magcal_service.studies.real.plan import Known, questions_of
 from magcal_service.studies.report import Report
 from magcal_service.studies.study import Request
 from tests.many.here import HERE
+from tests.recordings.recording_logs import described
 
 COUNT, NOISE_NT, PER_K_NT = 400, 50.0, 60.0
 DAYS = ("lab/first", "lab/second")
@@ -46,24 +47,15 @@ def write_recording(folder: Path, name: str, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     table = np.column_stack([t, field, magnitude, oven, bench])
     np.savetxt(folder / f"{name}.csv", table, fmt="%.3f", delimiter=",", header="t,x,y,z,f,oven,bench", comments="")
-    described = f"""version = 1
-[samples]
-file = "{name}.csv"
-[time]
-column = "t"
-format = "elapsed_s"
-[magnetometer]
-columns = ["x", "y", "z"]
-unit = "nT"
-noise_nt = {NOISE_NT}
-[reference]
-magnitude = "f"
-unit = "nT"
-[channels]
-oven = {{ column = "oven", unit = "degC" }}
-bench = {{ column = "bench", unit = "degC" }}
-"""
-    (folder / f"{name}.toml").write_text(described, encoding="utf-8")
+    text = described(
+        f"{name}.csv",
+        time='format = "elapsed_s"',
+        field=("x", "y", "z"),
+        noise_nt=NOISE_NT,
+        reference="f",
+        channels={"oven": "oven", "bench": "bench"},
+    )
+    (folder / f"{name}.toml").write_text(text, encoding="utf-8")
 
 
 @cache
