@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,10 +11,17 @@ import numpy as np
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
 from magcal_service.diagnosis.problem import Fit, amplitude_columns
+from magcal_service.diagnosis.rest import Rest
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
+
+UNLISTED: Final = "unknown"
+"""What stands among the rivals of a name for causes that are in no catalogue."""
+
+_MOST_UNLISTED: Final = 0.999
+"""Probability that a name leaves to what is in no catalogue, at the most: it was seen, after all."""
 
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
@@ -58,13 +65,21 @@ class Posterior:
 
 
 def posterior(explained: Explained, index: int) -> Posterior:
-    """Of a term against its rivals, whose evidence the blocks' scatter has tempered."""
+    """Of a term against its rivals, with evidence that the blocks' scatter has tempered, and causes in no catalogue.
+
+    What is left without a name beside a term may be the rest of a cause that made the term too: it has that probability
+    by its share of the two.
+    """
     name = explained.fit.terms[index].hypothesis.effect
     ranked = explained.rivals[index]
     own = next((c.nats for c in ranked if c.hypothesis.effect == name), explained.nats[index])
     weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
     weights[name] = 1.0
-    total = sum(weights.values())
+    held = max(explained.gains[index].nats, 0.0)
+    unlisted = min(explained.left_nats / (explained.left_nats + held), _MOST_UNLISTED) if explained.left_nats else 0.0
+    total = sum(weights.values()) / (1.0 - unlisted)
+    if unlisted:
+        weights[UNLISTED] = unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
@@ -82,36 +97,47 @@ def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...
     return tuple((c.hypothesis.driver, w / total) for c, w in alike)
 
 
+def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt: float) -> Explained:
+    """The same with what is left without a name [nats]: by a family of shapes, or by what lasts between samples.
+
+    Parameters
+    ----------
+    explained: with effects.
+    left_nt2: sum of squares that a family of shapes still holds [nT^2], 0 where it may be noise.
+    rest: what lasts beside the names; None where the noise has a memory.
+    floor_nt: least noise that evidence is counted in [nT].
+    """
+    fit = explained.fit
+    if rest is not None:
+        left_nt2 = max(left_nt2, len(fit.residual) * rest.beyond_noise_nt2)
+    return replace(explained, left_nats=left_nt2 / (2.0 * max(fit.white_rms_nt, floor_nt) ** 2))
+
+
 def reasons(
-    explained: Explained,
-    unexplained: float,
-    unknown: bool,
-    floor_nt: float,
-    stated: bool = True,
-    left_nt2: float = 0.0,
+    explained: Explained, unexplained: float, unknown: bool, stated: bool = True, rest: Rest | None = None
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``words.REASONS``.
 
     Parameters
     ----------
-    explained: with effects.
+    explained: with effects, and what is left beside them.
     unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
-    floor_nt: least noise that evidence is counted in [nT].
     stated: whether the sensor's noise was stated, not estimated from the residual.
-    left_nt2: sum of squares that a family of shapes without a name still holds [nT^2].
+    rest: what lasts beside the names; None where the noise has a memory.
     """
     fit, named = explained.fit, bool(explained.fit.terms)
     return listed(
         explained,
+        rest,
         poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
-        unexplained_structure=unknown
-        or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained, left_nt2, floor_nt))),
+        unexplained_structure=unknown or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained))),
         rough_residual=named and not stated and is_rough(fit),
     )
 
 
 def listed(
     explained: Explained,
+    rest: Rest | None,
     *,
     poor_coverage: bool,
     unexplained_structure: bool,
@@ -123,6 +149,7 @@ def listed(
     Parameters
     ----------
     explained: with effects.
+    rest: what lasts beside the names; None where the noise has a memory.
     poor_coverage, unexplained_structure, rough_residual: whether these hold.
     beside: further ones, by name.
     """
@@ -132,6 +159,7 @@ def listed(
         "collapsed": fit.problem.is_collapsed(fit.x),
         "poor_coverage": poor_coverage,
         "unexplained_structure": unexplained_structure,
+        "mismatch_lasts": bool(fit.terms) and rest is not None and rest.is_much,
         "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
         "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
@@ -147,10 +175,9 @@ def has_coverage(covariance: Array) -> bool:
     return float(sigma[BIAS].max()) <= _MOST_BIAS_SIGMA_NT and float(sigma[D_ALL].max()) <= _MOST_D_SIGMA
 
 
-def _hardly_more(explained: Explained, left_nt2: float, floor_nt: float) -> bool:
+def _hardly_more(explained: Explained) -> bool:
     """Whether one of the names holds hardly more than what is left without one: it may be a part of that instead."""
-    left_nats = left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2)
-    return any(gain.nats < _MORE_THAN_LEFT * left_nats for gain in explained.gains)
+    return any(gain.nats < _MORE_THAN_LEFT * explained.left_nats for gain in explained.gains)
 
 
 def has_size(fit: Fit, index: int) -> bool:

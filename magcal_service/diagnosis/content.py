@@ -44,6 +44,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "mounting": None if mounting is None else mounting.as_json(),
         "located": [place.as_json() for place in places],
         "unexplained_share": round(diagnosis.unexplained, 4),
+        "left_share": round(diagnosis.left_share, 4),
         "rows": account_of(diagnosis.inspection, diagnosis.prepared).to_dict(),
         "spin": _spin(diagnosis),
         "seconds": round(diagnosis.seconds, 2),

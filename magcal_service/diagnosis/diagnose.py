@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import reasons
+from magcal_service.diagnosis.belief import reasons, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.explain import Explained, Search, is_recorded
 from magcal_service.diagnosis.field_error import SCALES, FieldError
@@ -20,6 +20,7 @@ from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, disturbances, evaluate, is_collapsed
+from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array
@@ -81,6 +82,7 @@ class Diagnosis:
     whitening: autoregressive coefficients of the noise, empty where it is white.
     seconds: what it took.
     refused: forms of the residual that the attitude did not bear out.
+    rest: what lasts beside the names; None where the noise has a memory, which lasts by itself.
     """
 
     inspection: Inspection
@@ -99,6 +101,12 @@ class Diagnosis:
     effects: tuple[Effect, ...]
     seconds: float
     refused: tuple[Form, ...] = ()
+    rest: Rest | None = None
+
+    @property
+    def left_share(self) -> float:
+        """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
+        return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
 
     @property
     def trusted(self) -> bool:
@@ -122,6 +130,7 @@ class _End:
     left: structures that are left, best first.
     floor_nt: least noise that evidence was counted in [nT].
     whitening: autoregressive coefficients (p,) of the noise, empty where it is white.
+    rest: what lasts beside the effects; None where the noise has a memory.
     """
 
     search: Search
@@ -129,12 +138,13 @@ class _End:
     left: list[Structure]
     floor_nt: float
     whitening: Array
+    rest: Rest | None = None
 
-    def reasons(self, prepared: Prepared, unexplained: float, verdict: Verdict) -> tuple[str, ...]:
-        """What speaks against acting on it, beside the recording itself."""
-        stated = prepared.view.stated_noise_nt is not None
+    def with_left(self, baseline: Fit) -> _End:
+        """The same, with what is left beside the effects of a fit whose nine errors alone are ``baseline``."""
+        rest = None if len(self.whitening) else Rest.of(baseline, self.explained.fit)
         left_nt2 = self.left[0].squares if self.left and significant(self.left[0]) else 0.0
-        return reasons(self.explained, unexplained, verdict is Verdict.UNKNOWN, self.floor_nt, stated, left_nt2)
+        return replace(self, rest=rest, explained=with_left(self.explained, left_nt2, rest, self.floor_nt))
 
 
 def diagnose(
@@ -165,7 +175,7 @@ def diagnose(
     progress(f"screening {len(effects)} effects")
     prepared, search, explained, refused = _in_form(inspection.to_diagnose, effects)
     progress("looking for what is left")
-    end = _with_memory(prepared, search, explained, progress)
+    end = _with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
     progress("looking at attitude and noise")
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = _unexplained(prepared, end.explained.fit, end.left)
@@ -180,7 +190,14 @@ def diagnose(
         left=tuple(end.left),
         unexplained=unexplained,
         verdict=verdict,
-        reasons=_doubts(inspection) + end.reasons(prepared, unexplained, verdict),
+        reasons=_doubts(inspection)
+        + reasons(
+            end.explained,
+            unexplained,
+            verdict is Verdict.UNKNOWN,
+            prepared.view.stated_noise_nt is not None,
+            end.rest,
+        ),
         spin=spin,
         simulation_x=simulated[0],
         simulation_residual_nt=simulated[1],
@@ -188,6 +205,7 @@ def diagnose(
         effects=effects,
         seconds=time.monotonic() - began,
         refused=refused,
+        rest=end.rest,
     )
 
 

@@ -59,6 +59,7 @@ class Explained:
     nats: for each term, evidence for it over its absence that survives the blocks' scatter.
     gains: for each term, what it gains over the blocks.
     drivers: for each term, its own effect by each driver, at its best, best first.
+    left_nats: what is seen beside all of them and has no name.
     """
 
     fit: Fit
@@ -66,6 +67,7 @@ class Explained:
     nats: tuple[float, ...] = ()
     gains: tuple[Gain, ...] = ()
     drivers: tuple[tuple[Candidate, ...], ...] = ()
+    left_nats: float = 0.0
 
 
 @dataclass(eq=False)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_service.diagnosis.belief import UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.problem import Fit
@@ -32,7 +33,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> 
     fit, scene = diagnosis.fit, diagnosis.fit.problem.scene
     fitted = {term.hypothesis.effect for term in fit.terms}
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
-    others = [entry for entry in entries if entry.effect not in fitted and entry.effect != "unknown"]
+    others = [entry for entry in entries if entry.effect not in fitted and entry.effect != UNLISTED]
     spin = diagnosis.spin
     return PhysicsModel(
         recording=recording,

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import drivers_of, posterior
+from magcal_service.diagnosis.belief import UNLISTED, drivers_of, posterior
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, plain
 from magcal_service.diagnosis.leftover import fitted_terms
@@ -128,13 +128,13 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         "nearest": None if nearest is None else {"effect": nearest[0], "explains": round(nearest[1], 4)},
     }
     return Entry(
-        effect="unknown",
+        effect=UNLISTED,
         says=says,
         driver="none",
         variant=structure.shape.name,
         probability=1.0 - math.exp(-min(structure.nats, 50.0)),
         rivals=() if nearest is None else ((nearest[0], 0.0),),
-        members=("unknown",),
+        members=(UNLISTED,),
         separated_by="record more telemetry beside the magnetometer, and switch one suspect at a time",
         parameters={},
         where=where,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from magcal_service.diagnosis.belief import SURE
+from magcal_service.diagnosis.belief import SURE, UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
@@ -35,12 +35,17 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "a mismatch is left that nothing in the catalogue explains",
         "record more telemetry beside the magnetometer, and switch one suspect at a time",
     ),
+    "mismatch_lasts": (
+        "too much of what the nine errors leave still lasts, or could, beside what was named: the cause resembles it,"
+        " but may be another one",
+        "record what drives it; see in the report where the rest sits, and record longer where it is faint",
+    ),
     "not_converged": (
         "the fit did not arrive at a solution; its numbers are where it stopped",
         "record longer or over more attitudes, or give the sensor's noise as noise_nt",
     ),
     "name_uncertain": (
-        "another name does nearly as well",
+        "another name, or a cause in no catalogue, does nearly as well",
         "make one of the measurements that stand beside the name",
     ),
     "size_uncertain": (
@@ -115,8 +120,8 @@ def chance(probability: float) -> str:
 
 
 def titles(diagnosis: Diagnosis) -> dict[str, str]:
-    """What each effect of the catalogue is, by name."""
-    return {effect.name: effect.title for effect in diagnosis.effects}
+    """What each effect of the catalogue is, by name, and what is in none."""
+    return {effect.name: effect.title for effect in diagnosis.effects} | {UNLISTED: "something that is in no catalogue"}
 
 
 IN_DOUBT: Final = "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
@@ -160,7 +165,7 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
         error = problem.field_error
         return agreed(held_out["with_effects"], problem.noise_nt, None if error is None else error.rms_nt)
     known = titles(diagnosis)
-    named = [entry for entry in found if entry.effect != "unknown"]
+    named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:
         if diagnosis.inspection.open:
             return IN_DOUBT
@@ -171,7 +176,7 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
     cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {beside}" if beside else "")
     if not diagnosis.fit.terms:
         return f"{cause}."
-    return f"{cause}; {explained_share(diagnosis.unexplained)}."
+    return f"{cause}; {explained_share(diagnosis.left_share)}."
 
 
 def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
@@ -207,7 +212,7 @@ def expected(one: Separation) -> str:
 
 
 def _sized(found: Sequence[Entry]) -> str:
-    rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == "unknown"), None)
+    rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == UNLISTED), None)
     return "" if rms_nt is None else f", {rms_nt:.1f} nT rms,"
 
 
@@ -238,6 +243,10 @@ class Ended(Protocol):
         """Share of the mismatch that no effect explains."""
 
     @property
+    def left_share(self) -> float:
+        """Share of the mismatch that is left beside the names, in a shape or without one."""
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """What speaks against acting on it."""
 
@@ -249,4 +258,7 @@ def remaining(diagnosis: Ended) -> str:
     if diagnosis.unexplained > 0.0:
         much = "too much to act on" if "unexplained_structure" in diagnosis.reasons else "little"
         return f"{percent(diagnosis.unexplained)} of the mismatch, more than noise but {much} beside what was named"
+    if diagnosis.left_share > 0.0:
+        much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else "little"
+        return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"
     return "nothing that could not be noise"

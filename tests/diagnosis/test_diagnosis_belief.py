@@ -10,11 +10,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out
+from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
@@ -54,7 +55,7 @@ def explained(rivals: Sequence[tuple[str, float]], own: float = 100.0) -> Explai
 
 def said(named: Explained, unexplained: float = 0.0, unknown: bool = False) -> tuple[str, ...]:
     """The reasons against it."""
-    return reasons(named, unexplained, unknown, 0.3 * NOISE_NT)
+    return reasons(named, unexplained, unknown)
 
 
 def test_probabilities_are_those_of_the_nats() -> None:
@@ -76,6 +77,29 @@ def test_a_good_name_is_trusted() -> None:
 def test_a_name_needs_ninety_five_per_cent(behind: float, expected: tuple[str, ...]) -> None:
     """One rival 2.94 nats behind leaves 0.95."""
     assert said(explained([("bias_drift", 100.0 - behind)])) == expected
+
+
+@pytest.mark.parametrize(("left", "own"), [(4.0, 0.9615), (25.0, 0.8)])
+def test_what_is_left_may_be_the_rest_of_a_cause_in_no_catalogue(left: float, own: float) -> None:
+    """A name that holds 100 nats, and the rest by its share of the two; the rivals' odds among themselves stay."""
+    alone = posterior(replace(explained([]), left_nats=left), 0)
+    assert alone.own == pytest.approx(own, abs=1e-4)
+    assert alone.rivals == (("unknown", pytest.approx(1.0 - own, abs=1e-4)),)
+    assert alone.members == ("bias_step",)
+    beside = posterior(replace(explained([("bias_drift", 98.0)]), left_nats=left), 0)
+    assert dict(beside.rivals)["unknown"] == pytest.approx(1.0 - own, abs=1e-4)
+    assert dict(beside.rivals)["bias_drift"] / beside.own == pytest.approx(math.exp(-2.0))
+    assert sum(p for _, p in beside.rivals) + beside.own == pytest.approx(1.0)
+
+
+def test_what_is_left_is_counted_once_in_the_noise_of_the_fit() -> None:
+    """The larger of what a family of shapes holds and what lasts, over twice the variance."""
+    named, two = explained([]), 2.0 * fits()[1].white_rms_nt ** 2
+    count = len(fits()[1].residual)
+    for family, after, left in ((5e5, 1.0, 5e5), (0.0, 300.0, 300.0 * count), (0.0, 29.0, 0.0)):
+        rest = Rest(before=1e4, after=after, sigma=10.0)
+        assert with_left(named, family, rest, 1.0).left_nats == pytest.approx(left / two)
+    assert with_left(named, 0.0, None, 1.0).left_nats == 0.0
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.099, ()), (0.101, ("unexplained_structure",))])
@@ -131,4 +155,4 @@ def test_noise_larger_than_any_sensors_is_none(share: float, stated: bool, expec
     named = explained([])
     noise_nt = share * float(scene().magnitude_nt.mean())
     rough = replace(named, fit=replace(named.fit, problem=replace(named.fit.problem, noise_nt=noise_nt)))
-    assert reasons(rough, 0.0, False, 0.3 * NOISE_NT, stated) == expected
+    assert reasons(rough, 0.0, False, stated) == expected

@@ -227,6 +227,7 @@ def made() -> Any:
         findings={},
         left=tuple(left),
         unexplained=0.0,
+        left_share=0.0123456,
         verdict=Verdict.NAMED,
         effects=tuple(search.effects),
         simulation_residual_nt=np.array([3.0, 4.0]),
@@ -279,7 +280,7 @@ def candidates(**nats: float) -> tuple[Candidate, ...]:
 def with_rivals(ranked: tuple[Candidate, ...]) -> Any:
     base = made().explained
     rivals = (base.rivals[0], ranked)
-    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains)
+    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains, left_nats=0.0)
     return SimpleNamespace(**{**vars(made()), "explained": explained})
 
 
@@ -426,6 +427,7 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     assert [effect["effect"] for effect in content["effects"]] == ["other", "one"]
     assert content["effects"][0]["evidence_nats"] == round(made().explained.nats[0], 2)
     assert (content["seconds"], content["spin"]) == (1.23, None)
+    assert (content["unexplained_share"], content["left_share"]) == (0.0, 0.0123)
     assert content["rows"] == {"rows": COUNT + 7, "used": COUNT, "left_out": {"unreadable": 4, "spikes": 3}}
     assert (content["residual"], content["not_borne_out"], content["mounting"]) == ("magnitudes", [], None)
     late = json.loads(as_json(SimpleNamespace(**{**vars(made()), "refused": (Form.AIMED,)})))

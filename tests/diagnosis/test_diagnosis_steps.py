@@ -25,14 +25,14 @@ from magcal_service.diagnosis.diagnose import (
 )
 from magcal_service.diagnosis.leftover import Structure
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
-from magcal_service.diagnosis.problem import Problem, Term, evaluate
+from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.interface import Finding, value_of
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.in_memory import from_arrays
-from tests.diagnosis.made_up import FLOOR_NT, TIME_S, along, body_form, flown
+from tests.diagnosis.made_up import TIME_S, along, body_form, flown
 from tests.physics.scenes import AXIS_BODY, COUNT, NOISE_NT, X, scene, spoiled, turning, view
 
 QUIET = np.zeros((COUNT, 3))
@@ -101,10 +101,10 @@ def test_a_result_has_the_reasons_against_it(
 ) -> None:
     """The largest sigma of bias and of D, the number of rows, the verdict, and whether it is a sensor at all."""
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
-    problem = SimpleNamespace(scene=range(rows))
+    problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed)
     fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=())
     explained: Any = SimpleNamespace(fit=fit)
-    assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN, FLOOR_NT) == reasons
+    assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN) == reasons
 
 
 def test_a_doubtful_recording_is_a_reason_of_its_own() -> None:

@@ -18,6 +18,7 @@ from magcal_service.diagnosis.summary import summary
 from magcal_service.diagnosis.words import (
     REASONS,
     belief,
+    cause_sentence,
     chance,
     driver_in_words,
     next_step,
@@ -27,6 +28,7 @@ from magcal_service.diagnosis.words import (
     remaining,
     remedy,
     strength,
+    titles,
     verdict_sentence,
 )
 from magcal_service.recordings.inspect.account import Account
@@ -36,13 +38,20 @@ TITLES = {"a": "heat", "b": "currents", "c": "a step", "d": "a tone"}
 
 
 def diagnosis(
-    verdict: Verdict, *, terms: int = 0, unexplained: float = 0.0, reasons: tuple[str, ...] = (), doubts: str = ""
+    verdict: Verdict,
+    *,
+    terms: int = 0,
+    unexplained: float = 0.0,
+    lasting: float = 0.0,
+    reasons: tuple[str, ...] = (),
+    doubts: str = "",
 ) -> Any:
     """As much of a diagnosis as words are made of: a bias that moved by 3, 4 and 12 nT."""
     before = np.array([10.0, 20.0, 30.0, *[0.0] * 6])
     return SimpleNamespace(
         verdict=verdict,
         unexplained=unexplained,
+        left_share=max(unexplained, lasting),
         reasons=reasons,
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
@@ -281,6 +290,23 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
 )
 def test_what_remains_is_said_in_one_sentence(verdict: Verdict, unexplained: float, words: str) -> None:
     assert remaining(diagnosis(verdict, unexplained=unexplained)) == words
+
+
+def test_what_lasts_without_a_shape_remains_too() -> None:
+    """It is neither explained nor noise, and no sentence says so."""
+    much = diagnosis(Verdict.NAMED, terms=1, lasting=0.14, reasons=("mismatch_lasts",))
+    assert remaining(much) == "14 % of the mismatch lasts, in no shape that could be told: too much to act on"
+    assert verdict_sentence(much, [entry("a")], HELD_OUT).endswith("86 % of the mismatch is explained.")
+    little = diagnosis(Verdict.NAMED, terms=1, lasting=0.01)
+    assert remaining(little).endswith("in no shape that could be told: little")
+
+
+def test_a_name_beside_a_cause_in_no_catalogue_says_so() -> None:
+    """In words that are no name of an effect."""
+    found = entry("a", share=0.8, probability=0.86)
+    found.rivals = (("unknown", 0.14),)
+    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED)))
+    assert said == "Not told apart: heat; or something that is in no catalogue. If the first: it is hot."
 
 
 def test_what_is_too_much_to_act_on_is_not_called_little() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import LITTLE_LEFT, has_coverage, is_rough, listed, stands_out
+from magcal_service.diagnosis.belief import LITTLE_LEFT, has_coverage, is_rough, listed, stands_out, with_left
 from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Verdict
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
@@ -20,6 +20,7 @@ from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
+from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
@@ -79,6 +80,7 @@ class JointDiagnosis:
     effects: the catalogue.
     seconds: what it took.
     assumed: what nothing in the recordings says, in a sentence; empty where nothing had to be assumed.
+    rest: what lasts beside the names, over all recordings.
     """
 
     recordings: tuple[Alone, ...]
@@ -89,6 +91,7 @@ class JointDiagnosis:
     effects: tuple[Effect, ...]
     seconds: float
     assumed: str = ""
+    rest: Rest | None = None
 
     @property
     def trusted(self) -> bool:
@@ -105,6 +108,11 @@ class JointDiagnosis:
         """Share of the mismatch that no effect explains."""
         left = sum(one.unexplained for one in self.recordings)
         return left / max(left + sum(one.explained for one in self.recordings), 1e-12)
+
+    @property
+    def left_share(self) -> float:
+        """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
+        return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
 
 
 def diagnose_together(
@@ -138,8 +146,11 @@ def diagnose_together(
     explained, compared = run.common(explained)
     progress("looking for what is left")
     alone = run.alone(explained.fit, inspections)
+    rest = Rest.of_all([(one.baseline, one.fit) for one in alone])
+    floor = FLOOR * explained.fit.problem.noise_nt
+    explained = with_left(explained, sum(one.unexplained for one in alone), rest, floor)
     found = JointDiagnosis(
-        tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began, assumed
+        tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began, assumed, rest
     )
     verdict = Verdict.NAMED if explained.fit.terms else Verdict.NONE
     if is_open or found.unexplained > UNKNOWN_SHARE:
@@ -278,6 +289,7 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
     )
     return listed(
         found.explained,
+        found.rest,
         poor_coverage=not any(one.has_coverage for one in found.recordings),
         unexplained_structure=verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
         rough_residual=named

@@ -51,6 +51,7 @@ def as_json(diagnosis: JointDiagnosis) -> str:
         "shared": [_shared(one) for one in diagnosis.compared.shared],
         "predicted_from_the_others": [_predicted(diagnosis, one) for one in diagnosis.compared.predicted],
         "unexplained_share": round(diagnosis.unexplained, 4),
+        "left_share": round(diagnosis.left_share, 4),
         "seconds": round(diagnosis.seconds, 2),
         "converged": diagnosis.fit.converged,
         "trusted": diagnosis.trusted,
@@ -265,7 +266,7 @@ def sentence(diagnosis: JointDiagnosis) -> str:
     alone = [f"in {joint(term).solo} alone: {_title(diagnosis, k)}" for k, term in terms if joint(term).solo]
     parts = [f"{len(diagnosis.recordings)} recordings have in common {listed(common)}"] if common else []
     parts += [f"each recording has numbers of its own for {listed(own)}"] if own else []
-    text = "; ".join([*parts, *alone, explained_share(diagnosis.unexplained)])
+    text = "; ".join([*parts, *alone, explained_share(diagnosis.left_share)])
     return f"{text[0].upper()}{text[1:]}."
 
 

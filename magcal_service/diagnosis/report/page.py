@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.belief import UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import pictures, track
@@ -59,8 +60,8 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         pictures=pictures(diagnosis),
         track=track(diagnosis),
         places=_places(numbers["located"]),
-        effects=[_effect(diagnosis, entry) for entry in found if entry.effect != "unknown"],
-        unknown=next((_unknown(entry) for entry in found if entry.effect == "unknown"), None),
+        effects=[_effect(diagnosis, entry) for entry in found if entry.effect != UNLISTED],
+        unknown=next((_unknown(entry) for entry in found if entry.effect == UNLISTED), None),
         remaining=remaining(diagnosis),
         errors=_errors(diagnosis),
         moved_nt=moved_bias(diagnosis),

@@ -91,6 +91,7 @@ def _without(recording: Recording, hidden: Sequence[str]) -> Recording:
 
 
 def _alone(recording: Recording) -> Answer:
+    from magcal_service.diagnosis.belief import UNLISTED
     from magcal_service.diagnosis.diagnose import diagnose
     from magcal_service.diagnosis.result import entries, held_out_rms
     from magcal_service.recordings.inspect.inspection import inspect
@@ -100,7 +101,7 @@ def _alone(recording: Recording) -> Answer:
     refuse_hopeless(inspection.to_diagnose, inspection.lines())
     diagnosis = diagnose(recording, inspection=inspection)
     level = held_out_rms(diagnosis)
-    named = (entry for entry in entries(diagnosis) if entry.effect != "unknown")
+    named = (entry for entry in entries(diagnosis) if entry.effect != UNLISTED)
     return Answer(
         verdict=str(diagnosis.verdict),
         reasons=tuple(map(str, diagnosis.reasons)),

@@ -1,0 +1,102 @@
+"""What lasts in a residual beside the names: a cause that is only like the one named leaves a part of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.problem import Fit
+from magcal_service.model import Array
+
+LITTLE_LASTS: Final = 0.03
+"""Share of what lasts from one sample to the next in the residual of the nine errors alone, that may still last beside
+names.  A true cause leaves what its model is not exact in: up to 2 % in the flights where it is known from elsewhere;
+one that only resembles it 4 to 66 %."""
+
+_MOST_UNSEEN: Final = 0.25
+"""The same share, which has to be excluded where nothing but its own shape speaks for a name: what one name may fall
+short of the best family without one (``nameless.NEEDED_SHARES``)."""
+
+_SAFE: Final = 2.0
+"""Its standard errors within which what cannot be excluded lies: 95 %, as for a name."""
+
+_NEIGHBOURS: Final = 1.5
+"""Sample periods that two samples may lie apart to be neighbours."""
+
+_BEYOND: Final = 3.0
+"""Standard errors by which it has to stand out of noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What lasts from one sample to the next in the held-out residual [nT^2], before and after names.
+
+    The mean product of neighbours: white noise has none, however large it is and however it is spread, and neither
+    whitening nor a family of shapes can hide what is there.
+
+    Parameters
+    ----------
+    before: under the nine errors alone.
+    after: beside the names, errors of the field model aside, which last too.
+    sigma: 1 sigma of ``after``, were there nothing.
+    is_free: whether nothing but its own shape speaks for one of the names.
+    """
+
+    before: float
+    after: float
+    sigma: float
+    is_free: bool = False
+
+    @classmethod
+    def of(cls, baseline: Fit, fit: Fit) -> Rest:
+        """Of nine errors alone and of a fit with effects."""
+        error = fit.problem.field_error
+        usual_nt2 = 0.0 if error is None else (error.rms_nt / max(error.scale, 1.0)) ** 2
+        after, sigma = _mean_and_sigma(_neighbours(fit))
+        is_free = any(term.hypothesis.is_free for term in fit.terms)
+        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after - usual_nt2, sigma, is_free)
+
+    @classmethod
+    def of_all(cls, pairs: Sequence[tuple[Fit, Fit]]) -> Rest:
+        """Of several recordings, each by its rows: their nine errors alone, and their parts of a fit with effects."""
+        rests = [cls.of(*pair) for pair in pairs]
+        shares = np.array([len(fit.residual) for _, fit in pairs], dtype=np.float64)
+        shares /= shares.sum()
+        before, after, sigma = np.array([(rest.before, rest.after, rest.sigma) for rest in rests]).T
+        total = math.sqrt(float(shares**2 @ sigma**2))
+        return cls(float(shares @ before), float(shares @ after), total, any(rest.is_free for rest in rests))
+
+    @property
+    def beyond_noise_nt2(self) -> float:
+        """``after``, where it is more than noise."""
+        return self.after if self.after > _BEYOND * self.sigma else 0.0
+
+    @property
+    def share(self) -> float:
+        """Of the mismatch, what lasts beyond noise beside the names."""
+        return min(self.beyond_noise_nt2 / self.before, 1.0) if self.before > 0.0 else 0.0
+
+    @property
+    def is_much(self) -> bool:
+        """Whether it is more than may be left of a true cause, or, where a name is free, could be a quarter."""
+        if self.after - _BEYOND * self.sigma > LITTLE_LASTS * self.before:
+            return True
+        return self.is_free and self.after + _SAFE * self.sigma > _MOST_UNSEEN * self.before
+
+
+def _neighbours(fit: Fit) -> Array:
+    """Products (m,) of the held-out residual of samples that follow one another [nT^2]."""
+    scene = fit.problem.scene
+    rows = fit.held_out_residual.reshape(len(scene), -1)
+    follow = np.diff(scene.time_s) < _NEIGHBOURS * scene.period_s
+    return np.asarray((rows[1:] * rows[:-1]).mean(axis=1)[follow])
+
+
+def _mean_and_sigma(products: Array) -> tuple[float, float]:
+    if not len(products):
+        return 0.0, 0.0
+    return float(products.mean()), math.sqrt(float(np.mean(products**2)) / len(products))

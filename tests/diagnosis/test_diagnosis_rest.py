@@ -1,0 +1,119 @@
+"""What lasts in a residual beside the names, from one sample to the next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array, measure
+from magcal_service.physics.catalogue import effect_named
+from tests.physics.scenes import NOISE_NT, X, scene, spoiled
+
+STEP_NT = np.array([220.0, -140.0, 90.0])
+AT_S = 4100.0
+
+
+def fit_with(disturbance_nt: Array, noise_nt: float = NOISE_NT, stated_nt: float = NOISE_NT) -> tuple[Fit, Fit]:
+    """Nine errors alone, and with the step; in the samples (n, 3) besides the step is a disturbance."""
+    late = (scene().time_s >= AT_S)[:, None]
+    noise = noise_nt * np.random.default_rng(71).normal(size=(len(scene()), 3))
+    seen = spoiled(measure(X, scene().calibrated_nt + STEP_NT * late + disturbance_nt + noise), scene())
+    problem = Problem(seen, stated_nt)
+    alone = solve(problem, X)
+    form = effect_named("bias_step").hypotheses(scene())[0]
+    return alone, solve(problem, alone.x, [Term(form, np.array([AT_S]), STEP_NT)])
+
+
+def rest(disturbance_nt: Array, noise_nt: float = NOISE_NT, stated_nt: float = NOISE_NT) -> Rest:
+    """Of these."""
+    return Rest.of(*fit_with(disturbance_nt, noise_nt, stated_nt))
+
+
+@cache
+def nothing() -> Array:
+    """No disturbance (n, 3)."""
+    return np.zeros((len(scene()), 3))
+
+
+def along_field(size_nt: float) -> Array:
+    """A disturbance (n, 3) along the field, of this amplitude, three times an hour: all of it is seen."""
+    course = np.sin(2.0 * np.pi * scene().time_s / 1200.0)
+    return size_nt * course[:, None] * scene().unit
+
+
+def test_white_noise_leaves_nothing_however_large_it_is() -> None:
+    """As stated, and three times as large as stated."""
+    for noise_nt in (NOISE_NT, 3.0 * NOISE_NT):
+        found = rest(nothing(), noise_nt)
+        assert abs(found.after) < 3.0 * found.sigma
+        assert found.sigma == pytest.approx(noise_nt**2 / np.sqrt(len(scene())), rel=0.1)
+        assert not found.is_much
+        assert found.share == 0.0
+
+
+def test_what_a_name_does_not_hold_is_measured() -> None:
+    """Half of the amplitude's square, within its own scatter."""
+    found = rest(along_field(1.5 * NOISE_NT))
+    assert found.after == pytest.approx(0.5 * (1.5 * NOISE_NT) ** 2, abs=4.0 * found.sigma + 0.03 * NOISE_NT**2)
+    assert found.share == pytest.approx(found.after / found.before)
+    assert found.is_much
+
+
+@pytest.mark.parametrize(("after", "is_free", "much"), [
+    (300.0 + 30.1, False, True), (300.0 + 29.9, False, False),
+    (2480.1, True, True), (320.0, True, False), (-60.0, True, False),
+])  # fmt: skip
+def test_how_much_is_too_much(after: float, is_free: bool, much: bool) -> None:
+    """3 % beyond three sigma of 10."""
+    assert Rest(1e4, after, 10.0, is_free).is_much is much
+
+
+@pytest.mark.parametrize(("after", "much"), [(0.0, True), (-200.0, False)])
+def test_a_free_form_has_to_exclude_a_quarter(after: float, much: bool) -> None:
+    """Within two sigma of 300: a quarter of 2000 is 500."""
+    assert Rest(2000.0, after, 300.0, is_free=True).is_much is much
+    assert not Rest(2000.0, after, 300.0, is_free=False).is_much
+
+
+def test_several_recordings_count_by_their_rows() -> None:
+    """Twice one recording: the same rest, known to a root of two better; a quiet one beside it halves it."""
+    noisy, quiet = fit_with(along_field(1.5 * NOISE_NT)), fit_with(nothing())
+    one, other = Rest.of(*noisy), Rest.of(*quiet)
+    twice = Rest.of_all([noisy, noisy])
+    assert (twice.before, twice.after) == (pytest.approx(one.before), pytest.approx(one.after))
+    assert twice.sigma == pytest.approx(one.sigma / np.sqrt(2.0))
+    both = Rest.of_all([noisy, quiet])
+    assert both.after == pytest.approx(0.5 * (one.after + other.after))
+    assert both.sigma == pytest.approx(0.5 * np.hypot(one.sigma, other.sigma))
+
+
+def test_errors_of_the_field_model_last_too() -> None:
+    """Their usual variance is no rest; errors taken four times as large excuse no more, smaller ones less."""
+    alone, fit = fit_with(along_field(NOISE_NT))
+    usual = FieldError.of(scene(), NOISE_NT)
+    assert usual is not None
+    for scale, excused in ((0.25, 0.25), (1.0, 1.0), (4.0, 1.0)):
+        rows = fit.held_out_residual
+        under = replace(fit, problem=replace(fit.problem, field_error=usual.scaled(scale)))
+        under.__dict__["_held_out"] = rows, rows  # the same residual under other errors
+        assert Rest.of(alone, fit).after - Rest.of(alone, under).after == pytest.approx((excused * usual.rms_nt) ** 2)
+
+
+def test_rows_on_both_sides_of_a_gap_do_not_follow_one_another() -> None:
+    """One jump over two rows counts, and does not where a pause lies between them."""
+    alone, fit = fit_with(nothing())
+    jumped = np.array(fit.residual)
+    jumped[999:1001] += 3e4
+    late = np.array(scene().time_s)
+    late[1000:] += 100.0
+    apart = replace(fit.problem, scene=replace(fit.problem.scene, time_s=late))
+    together = Rest.of(alone, replace(fit, residual=jumped)).after
+    assert together == pytest.approx(3e4**2 / (len(scene()) - 1), rel=0.05)
+    assert abs(Rest.of(alone, replace(fit, residual=jumped, problem=apart)).after) < 0.01 * together
