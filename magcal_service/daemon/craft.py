@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.events import Event
-from magcal_service.daemon.outbox import SOURCE, Stamp, estimate_message
+from magcal_service.daemon.outbox import SOURCE, Stamp, estimate_message, unsendable
 from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate, TickOutcome
@@ -43,11 +43,14 @@ UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 
 
 def learned(estimator: Estimator, tick: Tick) -> tuple[TickOutcome, StateEstimate]:
-    """What a tick did to an estimator, and its estimate; LinAlgError where its arithmetic fails."""
+    """What a tick did to an estimator, and its estimate; LinAlgError where that is no estimate, or cannot be sent."""
     outcome = estimator.handle(tick)
     state = estimator.estimate()
     if not math.isfinite(float(state.x.sum()) + float(state.covariance.sum())):
         raise np.linalg.LinAlgError("the estimate is not finite")
+    too_much = unsendable(state)
+    if too_much:
+        raise np.linalg.LinAlgError(f"the estimate cannot be sent: {too_much}")
     return outcome, state
 
 
@@ -164,6 +167,9 @@ class Craft(Stateful, CraftMemory):
         sigma = np.sqrt(np.maximum(np.diagonal(self._state.covariance), 1e-300))
         if np.linalg.eigvalsh(self._state.covariance / np.outer(sigma, sigma))[0] <= 0.0:
             raise SnapshotError("the covariance is not positive definite")
+        too_much = unsendable(self._state)
+        if too_much:
+            raise SnapshotError(f"the estimate cannot be sent: {too_much}")
         self.trust = self.monitor.judge(self._state)
 
     # Ticks

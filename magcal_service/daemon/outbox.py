@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import Final
@@ -11,8 +12,8 @@ import numpy as np
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
 from magcal_service.trust.monitor import Trust
-from magcal_service.wire.fields import fitting
-from magcal_service.wire.kinds import MAX_COUNTERS
+from magcal_service.wire.fields import fitting, shown
+from magcal_service.wire.kinds import MAX_COUNTERS, MAX_RESULT_FIELD_NT, MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
     CalibratedVector,
     Clock,
@@ -30,6 +31,15 @@ SOURCE: Final = "magcal"
 _UPPER: Final = np.triu_indices(STATE_SIZE)  # a covariance travels as its upper triangle, row by row
 _UPPER_3: Final = np.triu_indices(3)
 _IDENTITY_3: Final = np.eye(3)
+
+_LONGEST_READ_NT: Final = math.sqrt(3.0) * MAX_SAMPLE_FIELD_NT
+"""Longest vector that is calibrated: one that compensation has corrected is held to the limit by its components."""
+
+_LARGEST_COVARIANCE: Final = 1e16
+"""Of the nine errors [nT^2, nT, 1]: with the longest vector it makes less than the wire's 1e30 nT^2.
+
+A sigma of 0.1 T, or of a factor of 10^8, is no estimate of a magnetometer.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +88,21 @@ def calibrated_vector(
     )
 
 
+def unsendable(state: StateEstimate) -> str:
+    """Why results of a finite estimate might be beyond the limits of the wire, for some sample; empty if none can."""
+    bx, by, bz, d11, d22, d33, d12, d13, d23 = state.x.tolist()
+    stretch = math.sqrt(d11 * d11 + d22 * d22 + d33 * d33 + 2.0 * (d12 * d12 + d13 * d13 + d23 * d23))
+    longest_nt = (1.0 + stretch) * _LONGEST_READ_NT + math.hypot(bx, by, bz)
+    covariance = state.covariance
+    if longest_nt > MAX_RESULT_FIELD_NT:
+        return f"the nine errors {shown(state.x.tolist())} make vectors of more than {MAX_RESULT_FIELD_NT:g} nT"
+    if max(-covariance.min(), covariance.max()) > _LARGEST_COVARIANCE:
+        return f"its covariance has an element of more than {_LARGEST_COVARIANCE:g}"
+    if covariance.diagonal().min() < 0.0:
+        return "it has a variance below 0"
+    return "" if state.noise_nt <= MAX_RESULT_FIELD_NT else f"its noise is {state.noise_nt:g} nT"
+
+
 def estimate_message(
     stamp: Stamp, method: str, tick: int, state: StateEstimate, covariance: Array, trust: Trust, residual_rms_nt: float
 ) -> Estimate:
@@ -98,7 +123,7 @@ def estimate_message(
         verdict=trust.verdict,
         reasons=tuple(str(reason) for reason in trust.reasons),
         remedy=trust.remedy,
-        residual_rms_nt=residual_rms_nt,
+        residual_rms_nt=min(residual_rms_nt, MAX_RESULT_FIELD_NT),
         noise_nt=state.noise_nt,
         samples_used=state.samples,
     )

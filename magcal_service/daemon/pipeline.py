@@ -5,12 +5,15 @@ Live links, recordings and the simulator all use it, so what is verified on one 
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
+from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.command_table import unknown
-from magcal_service.daemon.compensating import CompensatingCraft
+from magcal_service.daemon.compensating import CompensatingCraft, CompensatingMemory
 from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.outbox import calibrated_vector, command_reply, status_message
@@ -35,13 +38,34 @@ CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
 """Carries out a command of the daemon's for a craft; None where the craft does."""
 
 
-class Pipeline(CompensatingCraft):
+_MOST_LEFT_OUT: Final = 64
+"""Messages that are known to make a craft fail, the newest: what a node's history may bring back at once is 128."""
+
+
+@dataclass(init=False, repr=False, eq=False)
+class PipelineMemory(CompensatingMemory):
+    """What of ``Pipeline`` outlives a restart, saved and restored whole."""
+
+    failure: str
+    _left_out: list[str]
+
+
+class Pipeline(CompensatingCraft, PipelineMemory):
     """Everything the daemon does for one craft.
 
     Parameters
     ----------
     config: the craft's configuration.
+
+    Attributes
+    ----------
+    failure: why it last began anew by itself; empty where it never did.
     """
+
+    def __init__(self, config: CraftConfig) -> None:
+        super().__init__(config)
+        self.failure = ""
+        self._left_out = []  # digests of messages at which it failed
 
     def handle(self, message: Message) -> list[Message]:
         """Take one message; every message to be published because of it, in order; events wait for ``take_events``."""
@@ -63,6 +87,37 @@ class Pipeline(CompensatingCraft):
         yield from self.answer(message) if reply is None else [reply]
         yield from self.advance()
         yield from self.take_events()
+
+    def begin_anew(self, cause: str, message: Message | None = None) -> None:
+        """Discard all that a defect may have spoilt: estimate, verdict, ticks, references, channels, loaded physics.
+
+        Counters and numbers of messages go on, a freeze and a process noise that was set stay, and samples that were
+        accepted are known again as doubled.  It is counted as ``failed``.
+
+        Parameters
+        ----------
+        cause: what failed, in words.
+        message: at which it failed: it is left out where it comes again, as from a node's history after a restart.
+        """
+        fresh = type(self)(self.config)
+        fresh.ticks.go_on_from(self.ticks)
+        fresh.counters.update(self.counters)
+        if self._process_noise is not None:
+            fresh.set_process_noise(*self._process_noise)
+        fresh.frozen, fresh._sequence, fresh._events = self.frozen, self._sequence, self._events
+        fresh.first_time_ns, fresh.last_time_ns, fresh._clock = self.first_time_ns, self.last_time_ns, self._clock
+        fresh._left_out = self._left_out if message is None else [*self._left_out, _digest(message)][-_MOST_LEFT_OUT:]
+        vars(self).update(vars(fresh))
+        self.failure = cause
+        self.counters["failed"] += 1
+        self.note("failed", f"{cause}; it begins anew")
+
+    def leaves_out(self, message: Message) -> bool:
+        """Whether the craft has failed at this message before; it is counted as ``left_out`` then."""
+        if not self._left_out or _digest(message) not in self._left_out:
+            return False
+        self.counters["left_out"] += 1
+        return True
 
     def answer(self, message: Message) -> list[Message]:
         """Take one message; what is published at once: a sample's vector, a command's reply."""
@@ -168,3 +223,8 @@ class Pipeline(CompensatingCraft):
         except DecodeError as error:
             raise SnapshotError(f"{where}: what it would publish is refused: {error}") from None
         self._sequence = number
+
+
+def _digest(message: Message) -> str:
+    """What a message is known again by."""
+    return hashlib.sha256(encode(message)).hexdigest()[:16]

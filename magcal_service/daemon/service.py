@@ -7,8 +7,8 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +17,7 @@ from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.commands import Commander
+from magcal_service.daemon.containment import contained
 from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.health.metrics import MetricsServer
@@ -26,7 +27,8 @@ from magcal_service.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
 from magcal_service.wire.fields import fitting
-from magcal_service.wire.messages import Command, Estimate, Message
+from magcal_service.wire.kinds import kind_of
+from magcal_service.wire.messages import Command, Estimate, Message, Status
 
 if TYPE_CHECKING:
     from magcal_service.recordings.recorder import Recorder
@@ -92,6 +94,7 @@ class Service:
         self._ending = False
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
+        self._left_out: set[str] = set()  # craft of which it was told that messages are left out
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
 
@@ -144,15 +147,30 @@ class Service:
             if status.due():
                 self.publish_status()
             if summary.due():
-                log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
+                self.log_health()
             if watchdog.due():
                 self.feed_watchdog()
             if checkpoint.due():
                 self.save()
         self.save()
         for pipeline in self.pipelines.values():
-            self._publish(pipeline.flush())
+            with contained(pipeline, "closing its ticks"):
+                self._publish(pipeline.flush())
         self.publish_status()
+
+    def log_health(self) -> None:
+        """Log how the daemon and each craft are."""
+        with self._telling("health"):
+            log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
+
+    @contextmanager
+    def _telling(self, what: str) -> Iterator[None]:
+        """Within, a defect of what only tells of the craft costs that telling: logged, and counted as ``untold``."""
+        try:
+            yield
+        except Exception:
+            self.counters["untold"] += 1
+            log.exception("%s could not be told", what)
 
     def save(self) -> None:
         """Write a checkpoint of every craft that has taken samples since its last one."""
@@ -167,6 +185,14 @@ class Service:
             return
         if self.recorder is not None:
             self.recorder.add(message)
+        if pipeline.leaves_out(message):
+            self._tell_left_out(message)
+            return
+        with contained(pipeline, f"taking a {kind_of(message).name} message", message):
+            self._work_off(pipeline, message)
+        self._report(pipeline.take_events())
+
+    def _work_off(self, pipeline: Pipeline, message: Message) -> None:
         for output in pipeline.outputs(message, self._commander.carry_out):
             if isinstance(output, Event):
                 self._report([output])
@@ -174,6 +200,13 @@ class Service:
                 self._publish([output])
         if isinstance(message, Command) and message.name == "status":
             self._publish_status(pipeline)
+
+    def _tell_left_out(self, message: Message) -> None:
+        """Report a craft's first message that is left out."""
+        if message.craft not in self._left_out:
+            self._left_out.add(message.craft)
+            cause = f"a {kind_of(message).name} message has come again at which it failed"
+            self._report([self.pipelines[message.craft].event("left_out", cause)])
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:
@@ -208,13 +241,18 @@ class Service:
     def _publish_metrics(self) -> None:
         if self.metrics is not None:
             others = sum(self._others(), Counter(self.counters))
-            self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
+            with self._telling("metrics"):
+                self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
 
     def _others(self) -> list[Counter[str]]:
         """What recorder and checkpoints have counted."""
         return [part.counters for part in (self.recorder, self.checkpoints) if part is not None]
 
     def _publish_status(self, pipeline: Pipeline) -> None:
+        with contained(pipeline, "telling its status"):
+            self._send(self._status(pipeline))
+
+    def _status(self, pipeline: Pipeline) -> Status:
         """With the link's counters as ``link.*``, the craft's newest event, and faults of disk and link."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
         troubles = self.health.troubles(pipeline)
@@ -226,7 +264,7 @@ class Service:
         event = self._last_events.get(pipeline.config.name)
         remarks = [*troubles, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
         status = pipeline.status(self.health.uptime_s, counters)
-        self._send(replace(status, text=fitting("; ".join((status.text, *remarks)))))
+        return replace(status, text=fitting("; ".join((status.text, *remarks))))
 
     def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
         """A full disk ends the file, not the service: the error is kept, and rows from then on are counted."""
@@ -248,7 +286,9 @@ class Service:
         accepted = sum(pipeline.ticks.counters["accepted"] for pipeline in self.pipelines.values())
         closed = sum(pipeline.ticks.closed for pipeline in self.pipelines.values())
         if closed > self._fed[1] or accepted == self._fed[0]:
-            text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
+            text = ""
+            with self._telling("the state of the craft"):
+                text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
             notify.notify(notify.WATCHDOG, notify.status(text))
         self._fed = (accepted, closed)
 

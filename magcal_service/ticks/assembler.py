@@ -8,25 +8,27 @@ interleaved, which is why a replay equals the live run bit for bit.
 What happens to a sample that is not the next in time (each outcome is counted under its name; ``Rejection`` has those
 that reject it):
 
-=================  ===================================================================================================
-``out_of_order``   older than its predecessor, its tick still open: accepted, sorted in.
-``late``           its tick is closed: rejected.
-``doubled``        the time of a sample already taken: rejected.
-``stuck``          the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
-``time_behind``    more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step`` backwards.
-``time_ahead``     more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted, a century
-                   ahead as a ``clock_step``.
-``gap``            more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
-``clock_changed``  other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
+=====================  ===============================================================================================
+``out_of_order``       older than its predecessor, its tick still open: accepted, sorted in.
+``late``               its tick is closed: rejected.
+``doubled``            the time of a sample already taken: rejected.
+``stuck``              the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
+``time_behind``        more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step``
+                       backwards.
+``time_ahead``         more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted, a
+                       century ahead as a ``clock_step``.
+``gap``                more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
+``clock_changed``      other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
 ``time_out_of_range``  its time is outside of ``ticks.time_window``: rejected.
-``saturated``      a component reaches ``range_nt``: rejected.
-``axis_stuck``     one component is constant while noise or the others should change it: rejected until it changes.
-``zero``           all three components are 0, as of a sensor that has not measured yet: rejected.
-``crowded``        its second holds ``_MOST_IN_TICK`` samples already: rejected.
-``held``           the vector of the sample before, where noise would have changed each axis: the sensor had no new one;
-                   it is calibrated, but not used by the estimator.
-``no_reference``   no reference at its time when its tick closes: it is calibrated, but not used by the estimator.
-=================  ===================================================================================================
+``saturated``          a component reaches ``range_nt``: rejected.
+``axis_stuck``         one component is constant while noise or the others should change it: rejected until it
+                       changes.
+``zero``               all three components are 0, as of a sensor that has not measured yet: rejected.
+``crowded``            its second holds ``_MOST_IN_TICK`` samples already: rejected.
+``held``               the vector of the sample before, where noise would have changed each axis: the sensor had no
+                       new one; it is calibrated, but not used by the estimator.
+``no_reference``       no reference at its time when its tick closes: it is calibrated, but not used by the estimator.
+=====================  ===============================================================================================
 
 A tick of which no sample has a reference is skipped and counted under ``ticks_skipped``; a second without samples,
 between two that are less than ``gap_s`` apart, under ``ticks_empty``.
@@ -168,6 +170,11 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         """Wait so much longer for references than configured [s]: their time tags are shifted."""
         self._hold_ns = self._configured_hold_ns + round(seconds * SECOND_NS)
 
+    def go_on_from(self, before: TickAssembler) -> None:
+        """Know again as doubled what another has accepted, and go on with its counters; nothing else is taken."""
+        self._recent = dict(before._recent)
+        self.counters.update(before.counters)
+
     def add_reference(self, sample: ReferenceSample) -> None:
         """Take a reference sample; what is wrong with it is counted."""
         self.references.add(sample)
@@ -213,11 +220,11 @@ class TickAssembler(Stateful, TickAssemblerMemory):
             return Rejection.TIME_OUT_OF_RANGE
         if not any(sample.field_body_nt):
             return Rejection.ZERO
+        if self._recent.get(sample.time_ns) == sample.field_body_nt and self._clock in (sample.clock, None):
+            return Rejection.DOUBLED  # however far behind: a node's history after a restart, no step of its clock
         if self._clock is None:
             self._anchor(sample, 0)
         elapsed_ns = sample.time_ns - self._base_ns
-        if self._recent.get(sample.time_ns) == sample.field_body_nt and sample.clock is self._clock:
-            return Rejection.DOUBLED  # however far behind: a node's history after a restart, no step of its clock
         if sample.clock is not self._clock:
             return self._vote(sample, Rejection.CLOCK_CHANGED)
         if elapsed_ns > self._newest_ns + self._jump_ns or elapsed_ns > LONGEST_NS:

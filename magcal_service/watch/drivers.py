@@ -104,8 +104,9 @@ class DriverTrack(Stateful, DriverTrackMemory):
         lit = float(sunlit(place, sun_eci(time_ns * 1e-9))[0])
         if step_s <= 0.0:
             self._light = []
-        kept = float(np.exp(-step_s / _WARMTH_S))
-        warmth = lit if not self._light else lit + (self._light[-1][2] - lit) * kept
+        warmth = lit
+        if self._light:
+            warmth += (self._light[-1][2] - lit) * float(np.exp(-step_s / _WARMTH_S))
         self._light = [*self._light[-1:], (sample.time_ns, lit, warmth)]
 
     def drivers(self) -> list[Driver]:

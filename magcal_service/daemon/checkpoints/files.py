@@ -5,7 +5,7 @@ all; a SHA-256 over its content detects a file that a failing disk has changed. 
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
 data as ``snapshot`` has them.  It is restored only where craft, version and digest agree.
 
-    magcal-state 3\\n   SHA-256 of the rest, 32 bytes   msgpack
+    magcal-state 4\\n   SHA-256 of the rest, 32 bytes   msgpack
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
-MAGIC: Final = b"magcal-state 3\n"  # 2: no craft without compensation beside that with it
+MAGIC: Final = b"magcal-state 4\n"  # 3: nothing of what is left out, and why
 _DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
 """Far above any craft's state: 0.4 MB with 4096 samples collected towards a start."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig, StateConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
+from magcal_service.daemon.containment import contained, told
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.snapshot import SnapshotError
@@ -75,6 +76,9 @@ class Checkpoints:
             return self._restored(config, found)
         except MISFITS as error:
             return str(error)
+        except Exception as error:  # a state that a defect has written, or that meets one: the one before may do
+            log.exception("%s: a checkpoint could not be restored", config.name)
+            return told(error)
 
     @staticmethod
     def _restored(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:
@@ -88,15 +92,19 @@ class Checkpoints:
             accepted = pipeline.ticks.counters["accepted"]
             if self._saved.get(pipeline.config.name) == accepted:
                 continue
-            store = self._stores[pipeline.config.name]
-            try:
-                store.write(self._checkpoint(pipeline, store))
-            except OSError as error:
-                self._failed(error)
-                continue
-            self._saved[pipeline.config.name] = accepted
-            self.trouble = ""
-            self._count()
+            with contained(pipeline, "writing its checkpoint"):
+                self._save(pipeline, accepted)
+
+    def _save(self, pipeline: Pipeline, accepted: int) -> None:
+        store = self._stores[pipeline.config.name]
+        try:
+            store.write(self._checkpoint(pipeline, store))
+        except OSError as error:
+            self._failed(error)
+            return
+        self._saved[pipeline.config.name] = accepted
+        self.trouble = ""
+        self._count()
 
     def save_named(self, pipeline: Pipeline, name: str) -> str:
         """Write one under a name; why that failed, empty where it did not."""

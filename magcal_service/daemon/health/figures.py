@@ -108,4 +108,6 @@ def troubles(pipeline: Pipeline, silent_s: float) -> list[str]:
         found.append(f"no sample for {silent_s:.0f} s")
     if pipeline.trust.verdict in (Verdict.NOT_STARTED, Verdict.DOUBTFUL):
         found.append(f"{pipeline.trust.verdict}: {', '.join(pipeline.trust.reasons) or 'no reason given'}")
+    if pipeline.failure and pipeline.trust.verdict is Verdict.NOT_STARTED:
+        found.append(f"failed: {pipeline.failure}")
     return found

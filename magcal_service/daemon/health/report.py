@@ -113,6 +113,8 @@ class Health:
             for name in ("ticks", "ticks_skipped", "ticks_empty")
         ]
         metrics.add("ticks_total", "counter", "Ticks used, skipped without reference, and without samples.", rows)
+        rows = [({"craft": craft.config.name}, craft.counters["failed"]) for craft in crafts]
+        metrics.add("craft_failures_total", "counter", "Times that a defect made the craft begin anew.", rows)
         rows = [({"craft": craft.config.name}, craft.counters["rejected"]) for craft in crafts]
         metrics.add("samples_rejected_total", "counter", "Samples that the filter's gate stopped.", rows)
 

@@ -1,0 +1,211 @@
+"""A daemon's service in this process, driven over the loop link, and the promises that it has to keep.
+
+``World`` holds both ends.  After each step it takes what has come out and asserts: nothing was raised; all of it is a
+message; each accepted sample was answered once; the calm craft publishes what it would alone, bit for bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from magcal_service.config.settings import Config, CraftConfig, OutputConfig, RecordConfig, StateConfig
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.estimate_csv import EstimateCsv
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.service import Service
+from magcal_service.links import Role, open_link
+from magcal_service.links.loop import LoopLink
+from magcal_service.recordings.recorder import Recorder
+from magcal_service.wire.codec import decode, encode
+from magcal_service.wire.messages import CalibratedVector, Estimate, Message
+from tests.fuzz.inputs import folder
+from tests.fuzz.rules.crafts import CALM, OTHER, WILD, calm, crafts, flown
+
+_numbers = itertools.count()
+
+
+class PlantedError(Exception):
+    """A defect that a rule has planted: nothing in the daemon knows it."""
+
+
+class World:
+    """A service with three craft, its checkpoints, and a node.
+
+    Parameters
+    ----------
+    craft: configuration of the craft that is driven.
+    begins_flown: whether it, and the other, begin as after a flight.
+    writes: whether rows and a recording are written too.
+    """
+
+    def __init__(self, craft: CraftConfig, *, begins_flown: bool, writes: bool) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="world-", dir=folder()))
+        self.name = f"loop:rules-{next(_numbers)}?queue=100000"
+        other = replace(crafts("ukf")[2], name=OTHER)
+        state = StateConfig(self.folder / "state")
+        record = RecordConfig(self.folder / "record", flush_s=0.1, min_free_mb=0.0) if writes else None
+        output = OutputConfig(csv=self.folder / "rows.csv" if writes else None)
+        self.config = Config(self.name, (craft, other, calm()), output, record, state)
+        self.done: Counter[str] = Counter()
+        self.planted = 0  # defects that may still show
+        self._shadow = Pipeline(calm())
+        self._saved: dict[str, Any] | None = None
+        self._saved_accepted = -1
+        self._expected: list[Message] = []
+        self.node = open_link(self.name, Role.NODE)
+        self.begin()
+        if begins_flown:
+            for one in (craft, other):
+                self.service.pipelines[one.name].restore_state(flown(replace(one, name=WILD)))
+            self._answered = self._accepted()
+
+    def begin(self) -> None:
+        """Start a daemon: it takes up what the checkpoints hold."""
+        link = open_link(self.name, Role.SERVICE, crafts=(WILD, OTHER, CALM))
+        assert isinstance(link, LoopLink)
+        self.link = link
+        config = self.config
+        self._csv = None if config.output.csv is None else EstimateCsv(config.output.csv, append=True)
+        self._recorder = None if config.record is None else Recorder(config.record, config.crafts)
+        assert config.state is not None
+        self.checkpoints = Checkpoints(config.state, config.crafts)
+        self.service = Service(config, link, self._csv, self._recorder, self.checkpoints)
+        self.service.restore()
+        self._failed, self._answered = self._failures(), self._accepted()
+        self._shadow = Pipeline(calm())
+        if self._saved is not None:
+            self._shadow.restore_state(self._saved)
+        self._saved_accepted = -1
+        self.done["starts"] += 1
+
+    def _failures(self) -> int:
+        return sum(one.counters["failed"] for one in self.service.pipelines.values())
+
+    def _accepted(self) -> int:
+        return sum(one.ticks.counters["accepted"] for one in self.service.pipelines.values())
+
+    def send(self, messages: Iterable[Message]) -> None:
+        """Let the node send, and the daemon work it off."""
+        for message in messages:
+            self.done["messages"] += 1
+            self.node.send(message)
+            if message.craft == CALM:
+                self._expected += self._shadow.handle(message)
+        self.settle()
+
+    def inject(self, data: bytes) -> None:
+        """Let bytes arrive that are no message, or one."""
+        assert isinstance(self.node, LoopLink)
+        self.done["messages"] += 1
+        self.node.inject(data)
+        self.settle()
+
+    def settle(self) -> None:
+        """Work off what has come, and hold what goes out against the promises."""
+        for message in self.link.receive(0.0):
+            self.service.handle(message)
+        self.check()
+
+    def check(self) -> None:
+        """Assert what has to hold after each step."""
+        published = self.node.receive(0.0)
+        for counters, what in ((self.link.counters, "unsendable"), (self.node.counters, "refused")):
+            assert not [name for name in counters if name.startswith(what)], counters
+        for message in published:
+            assert decode(encode(message)) == message
+        failed = self._failures() - self._failed
+        self._failed += failed
+        self.done["contained"] += failed
+        assert failed <= self.planted, "a craft failed by itself"
+        self.planted -= failed
+        vectors, accepted = sum(isinstance(one, CalibratedVector) for one in published), self._accepted()
+        if not failed:
+            assert vectors == accepted - self._answered
+        self._answered = accepted
+        self._check_calm(published)
+
+    def _check_calm(self, published: list[Message]) -> None:
+        results = (CalibratedVector, Estimate)
+        found = [one for one in published if one.craft == CALM and isinstance(one, results)]
+        assert [_unnumbered(one) for one in found] == [_unnumbered(one) for one in self._expected]
+        self._expected = []
+
+    def save(self) -> None:
+        """Write the checkpoints that are due."""
+        self.service.save()
+        self._note_saved()
+        self.check()
+
+    def _note_saved(self) -> None:
+        accepted = self._shadow.ticks.counters["accepted"]
+        if accepted != self._saved_accepted:
+            self._saved, self._saved_accepted = self._shadow.export_state(), accepted
+        self.done["checkpoints"] += 1
+
+    def status(self) -> None:
+        """Everything that is said of the daemon's health."""
+        self.service.publish_status()
+        self.service.feed_watchdog()
+        crafts = list(self.service.pipelines.values())
+        self.service.health.summary(crafts)
+        self.service.health.metrics(crafts, Counter())
+        self.check()
+
+    def kill(self) -> None:
+        """End the daemon where it stands and start another."""
+        self._close()
+        self.planted = 0
+        self.begin()
+        self.check()
+
+    def stop(self) -> None:
+        """End the daemon as a signal does, and start another."""
+        stop = threading.Event()
+        stop.set()
+        self.service.run(stop)
+        self._note_saved()
+        self._expected += self._shadow.flush()
+        self.check()
+        self.kill()
+
+    def plant(self, craft: str, place: Callable[[Pipeline], tuple[object, str]]) -> None:
+        """Let a method of a craft's part raise once."""
+        part, name = place(self.service.pipelines[craft])
+
+        def fail(*_: object, **__: object) -> None:
+            vars(part).pop(name, None)
+            raise PlantedError(f"planted in {name}")
+
+        setattr(part, name, fail)
+        self.planted += 1
+
+    def spoil_newest(self, craft: str, change: Callable[[bytes], bytes]) -> None:
+        """Change the newest checkpoint of a craft on disk."""
+        newest = max((self.folder / "state" / craft).glob("*.state"), default=None)
+        if newest is not None:
+            newest.write_bytes(change(newest.read_bytes()))
+
+    def _close(self) -> None:
+        self.link.close()
+        for part in (self._recorder, self._csv):
+            if part is not None:
+                part.close()
+
+    def close(self) -> None:
+        """End it all."""
+        self._close()
+        self.node.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _unnumbered(message: Message) -> Message:
+    """Estimates are numbered with replies and status, which the shadow does not send."""
+    return replace(message, sequence=0) if isinstance(message, Estimate) else message
