@@ -201,6 +201,24 @@ def test_an_answer_in_python_has_what_the_file_has(days: list[Day], monkeypatch:
     assert content["sentence"] in str(answer)
 
 
+def test_a_common_number_is_no_better_known_than_it_differs() -> None:
+    """A fifth apart, which is many of its own sigma: the sigma said holds both days' numbers, everywhere the same."""
+    apart = _together([day(0, PER_K, NONE), day(1, 1.2 * PER_K, NONE)])
+    content = json.loads(as_json(apart))
+    (effect,), (shared,) = content["effects"], content["shared"]
+    assert (effect["common"], shared["agrees"]) == (True, False)
+    (number,) = apart.compared.shared
+    assert number.spread > 3.0
+    assert number.spread**2 == pytest.approx(max(one.ratio for one in number.each))
+    per_k = effect["parameters"]["nt_per_k"]
+    value, sigma = np.array(per_k["value"]), np.array(per_k["sigma"])
+    for truth in (PER_K, 1.2 * PER_K):
+        assert np.all(np.abs(value - truth) < 2.5 * sigma)
+    assert np.all(sigma < 0.2 * np.abs(PER_K))
+    assert number.together.sigma == pytest.approx(sigma)
+    assert model_of(apart).terms[0].sigma["nt_per_k"] == pytest.approx(sigma)
+
+
 def test_opposite_signs_are_no_common_number(days: list[Day]) -> None:
     """A common number would be that of neither day, and nothing is left by which one predicts the other."""
     opposite = _together([day(0, PER_K, NONE), day(1, -PER_K, NONE)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -48,12 +48,14 @@ class Against:
     name: of the recording.
     own, others: from this recording alone, and from all others together.
     probability: of a difference at least so large by chance, were the number common.
+    ratio: chi-square of the difference over its degrees of freedom, 1 on average by chance.
     """
 
     name: str
     own: Estimate
     others: Estimate
     probability: float
+    ratio: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +66,7 @@ class Shared:
     ----------
     index: of the term.
     effect, parameter, unit, shape: what it is.
-    together: from all recordings.
+    together: from all recordings, its sigma widened by ``spread``.
     each: every recording against the others.
     """
 
@@ -81,6 +83,14 @@ class Shared:
         """Of the largest difference by chance, among as many as were looked at."""
         trials = 1 if len(self.each) == 2 else len(self.each)  # of two, each is the other's other
         return min(1.0, trials * min(one.probability for one in self.each))
+
+    @property
+    def spread(self) -> float:
+        """Times its own sigma by which a number differs between recordings, at least 1.
+
+        As measurements that disagree are averaged (Particle Data Group, Review of Particle Physics, section 5.2.2).
+        """
+        return spread_of(self.each)
 
     @property
     def agrees(self) -> bool:
@@ -158,6 +168,10 @@ class Compared:
         Either they differ by no more than chance, or the others' numbers do most of what the recordings' own would.
         """
         return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= LEAST_KEPT
+
+    def spread(self, index: int, parameter: str) -> float:
+        """Times its own sigma by which a number of a term differs between recordings; 1 where it is each one's own."""
+        return next((one.spread for one in self.shared if (one.index, one.parameter) == (index, parameter)), 1.0)
 
     def kept(self, index: int) -> float:
         """Share of what the recordings' own numbers of a term gain that the others' have, weighed by evidence.
@@ -257,13 +271,14 @@ def _shared(fit: Fit, own: Sequence[Fit], others: Sequence[Fit], names: Sequence
         wanted = [(block.name, block.unit, block.shape) for block in form.common]
         wanted += [(form.nonlinear[k].name, form.nonlinear[k].unit, ()) for k in free_numbers(term) if form.common]
         for name, unit, shape in wanted:
-            together = estimate(fit, index, name)
             each = [
                 _against(
                     recording, estimate(one, place_of(term, one), name), estimate(rest, place_of(term, rest), name)
                 )
                 for recording, one, rest in zip(names, own, others, strict=True)
             ]
+            alone = estimate(fit, index, name)
+            together = replace(alone, covariance=spread_of(each) ** 2 * alone.covariance)
             found.append(Shared(index, form.effect, name, unit, shape, together, tuple(each)))
     return found
 
@@ -276,12 +291,18 @@ def place_of(term: Term, fit: Fit) -> int:
 def _against(name: str, own: Estimate, others: Estimate) -> Against:
     seen = (np.diagonal(own.covariance) > 0.0) & (np.diagonal(others.covariance) > 0.0)
     if not seen.any():
-        return Against(name, own, others, 1.0)
+        return Against(name, own, others, 1.0, 0.0)
     difference = (own.value - others.value)[seen]
     covariance = (own.covariance + others.covariance)[np.ix_(seen, seen)]
     values, vectors = np.linalg.eigh(covariance)
     turned, values = vectors.T @ difference, np.maximum(values, 1e-12 * max(float(values[-1]), 1e-300))
-    return Against(name, own, others, chi_square_tail(float((turned**2 / values).sum()), len(difference)))
+    chi_square = float((turned**2 / values).sum())
+    return Against(name, own, others, chi_square_tail(chi_square, len(difference)), chi_square / len(difference))
+
+
+def spread_of(each: Sequence[Against]) -> float:
+    """Times its own sigma by which a number differs between recordings, at least 1."""
+    return math.sqrt(max(1.0, *(one.ratio for one in each)))
 
 
 def estimate(fit: Fit, index: int, name: str) -> Estimate:

@@ -120,7 +120,10 @@ def effect_of(diagnosis: JointDiagnosis, index: int) -> Effect:
 
 
 def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
-    """The numbers of a term with 1 sigma, without start states; an instant on the clock of its own recording."""
+    """The numbers of a term with 1 sigma, without start states; an instant on the clock of its own recording.
+
+    A number that differs between recordings is no better known than it differs.
+    """
     term = diagnosis.fit.terms[index]
     form = joint(term)
     found = dict(parameters_of(diagnosis.fit, index, effect_of(diagnosis, index)))
@@ -129,7 +132,11 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
             acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
             own = form.theta_of(acting, term.theta)[number]
             found[nonlinear.name] = replace(found[nonlinear.name], value=np.asarray(own))
-    return {name: value for name, value in found.items() if not name.startswith(START)}
+    return {
+        name: replace(value, sigma=diagnosis.compared.spread(index, name) * value.sigma)
+        for name, value in found.items()
+        if not name.startswith(START)
+    }
 
 
 def says(diagnosis: JointDiagnosis, index: int) -> str:
@@ -240,8 +247,11 @@ def _model_term(diagnosis: JointDiagnosis, index: int, term: Term, latest: Alone
     found = model_term(own.hypothesis, own.theta, own.amplitudes)
     variance = np.diagonal(diagnosis.fit.covariance)
     at = amplitude_columns(diagnosis.fit, index).start
-    spread = np.sqrt(np.maximum(variance[at + form.index[number]], 0.0))
-    sigma = model_term(own.hypothesis, own.theta, spread).amplitudes
+    spread = np.repeat(
+        [diagnosis.compared.spread(index, block.name) for block in form.blocks], [block.size for block in form.blocks]
+    )
+    sigmas = spread * np.sqrt(np.maximum(variance[at : at + form.size], 0.0))
+    sigma = model_term(own.hypothesis, own.theta, sigmas[form.index[number]]).amplitudes
     constants = started(latest.prepared.problem.scene, own.hypothesis.constants)
     return replace(found, sigma=sigma, constants=dict(constants))
 
