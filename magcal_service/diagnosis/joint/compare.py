@@ -11,7 +11,8 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import STANDS_OUT
 from magcal_service.diagnosis.blocks import Gain, gain_over
-from magcal_service.diagnosis.joint.forms import Forms, joint, like
+from magcal_service.diagnosis.joint.catalogue import Forms
+from magcal_service.diagnosis.joint.forms import joint, like
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import refitted
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers

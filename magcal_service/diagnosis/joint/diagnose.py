@@ -13,8 +13,9 @@ from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Ve
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
+from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.compare import Apart, Compared
-from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, Forms, joint, transferred
+from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, joint, transferred
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures

@@ -14,9 +14,10 @@ from magcal_service.diagnosis.belief import SURE, Posterior, posterior
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.handover import model_term
+from magcal_service.diagnosis.joint.catalogue import started
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
-from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint, started
+from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns

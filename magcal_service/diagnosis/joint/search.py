@@ -9,16 +9,9 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.explain import Search, clean_vectors
-from magcal_service.diagnosis.joint.forms import (
-    EACH_ITS_OWN,
-    Forms,
-    JointHypothesis,
-    frozen,
-    frozen_term,
-    joint,
-    like,
-    transferred,
-)
+from magcal_service.diagnosis.joint.catalogue import Forms
+from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, like, transferred
+from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
