@@ -180,6 +180,8 @@ def diagnose(
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = _unexplained(prepared, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
+    stated = prepared.view.stated_noise_nt is not None
+    against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
         inspection=inspection,
@@ -190,14 +192,7 @@ def diagnose(
         left=tuple(end.left),
         unexplained=unexplained,
         verdict=verdict,
-        reasons=_doubts(inspection)
-        + reasons(
-            end.explained,
-            unexplained,
-            verdict is Verdict.UNKNOWN,
-            prepared.view.stated_noise_nt is not None,
-            end.rest,
-        ),
+        reasons=_doubts(inspection) + against,
         spin=spin,
         simulation_x=simulated[0],
         simulation_residual_nt=simulated[1],
