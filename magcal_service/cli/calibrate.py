@@ -15,6 +15,7 @@ from magcal_service.cli.common import (
     executor_of,
     methods_text,
     refuse_executor,
+    refuse_unwritable,
     tell,
     verdict_text,
 )
@@ -64,6 +65,7 @@ def _calibrate_one(options: argparse.Namespace) -> int:
         raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
     refuse_executor(options, accepted)
     method = find_method(options.method or DEFAULT_METHOD)
+    refuse_unwritable(options.json)
     recording = read_recording(options.recordings[0], options.craft)
     result = calibrate(recording, method.name)
     print("\n".join([*recording.report.lines(), *(f"found: {one}" for one in result.findings)]))

@@ -43,9 +43,11 @@ def executor_of(options: argparse.Namespace) -> Executor:
     """What ``add_executor`` and ``--out`` ask for; raises ``ConfigError``."""
     from magcal_service.many.executor import POOL, Executor, engine_for
     from magcal_service.many.store import FOLDER, Store
+    from magcal_service.offline.result_files import prepare_folder
 
     engine = engine_for(options.executor or POOL, options.workers)
     if options.out is not None:
+        prepare_folder(options.out)
         return Executor(engine, Store(options.out / FOLDER, reuse=options.resume))
     if options.resume:
         accepted = "finished pieces are kept in the folder of --out; name that folder"
@@ -59,6 +61,18 @@ def refuse_executor(options: argparse.Namespace, accepted: str) -> None:
     faults = [Fault(name, value, accepted) for name, value in given.items() if value is not None]
     if faults:
         raise ConfigError(faults)
+
+
+def refuse_unwritable(path: Path | None) -> None:
+    """Refuse before the work is done an output file that plainly cannot be written after it."""
+    from magcal_service.errors import InputRefusedError
+
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputRefusedError([Fault(str(path), "a folder", "give a file that can be written")])
+    if not path.parent.is_dir():
+        raise InputRefusedError([Fault(str(path), f"no folder {path.parent}", "give a file in a folder that is there")])
 
 
 def tell(asked: Asked) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, refuse_unwritable
 
 
 def add_inspect(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +23,7 @@ def _inspect(options: argparse.Namespace) -> int:
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
 
+    refuse_unwritable(options.json)
     recording = read_recording(options.recording, options.craft)
     inspection = inspect(recording)
     content = inspection.to_dict()

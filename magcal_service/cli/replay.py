@@ -37,7 +37,7 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.recordings.usable import refuse_hopeless
 
     configured = _craft_from(options.config, options.craft)
-    recording = read_recording(options.recording, options.craft)
+    recording = read_recording(options.recording, _craft_to_read(options))
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
     craft = configured or craft_of(inspection.to_replay)
@@ -74,13 +74,24 @@ def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
     if config is None:
         return None
     crafts = load_config(config).crafts
+    known = ", ".join(craft.name for craft in crafts)
     if len(crafts) > 1 and name is not None:
         crafts = tuple(craft for craft in crafts if craft.name == name)
+        if not crafts:
+            raise ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])
     if len(crafts) != 1:
-        accepted = "a replay takes exactly one [[craft]], or the one that --craft names"
+        accepted = f"a replay takes exactly one [[craft]], or the one that --craft names; known: {known}"
         raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
     check_method(config, crafts[0].filter.method)
     return crafts[0]
+
+
+def _craft_to_read(options: argparse.Namespace) -> str | None:
+    """Which craft to read: of a session the one that is named; rows have none to choose, but the configuration may."""
+    from magcal_service.recordings.reader import is_session
+
+    chosen: str | None = options.craft
+    return chosen if options.config is None or is_session(options.recording) else None
 
 
 def _counts(recording: Recording, result: Replay) -> str:

@@ -18,9 +18,17 @@ from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.summary import summary
 from magcal_service.disk import write_whole
-from magcal_service.errors import Fault, InputRefusedError, unwritable
+from magcal_service.errors import unwritable
 from magcal_service.model import Array
-from magcal_service.offline.result_files import DIAGNOSIS, PHYSICS, REPORT, earlier_files, remove, removed_line
+from magcal_service.offline.result_files import (
+    DIAGNOSIS,
+    PHYSICS,
+    REPORT,
+    earlier_files,
+    prepare_folder,
+    remove,
+    removed_line,
+)
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -139,17 +147,6 @@ def digest(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def prepare_folder(folder: Path) -> None:
-    """Refuse before the work is done what could not be written after it."""
-    if "\0" in str(folder):
-        raise InputRefusedError([Fault("--out", str(folder), "give a folder that can be made")])
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        accepted = "give a folder that can be made or written"
-        raise InputRefusedError([Fault(str(folder), exc.strerror or str(exc), accepted)]) from None
 
 
 def write(path: Path, content: str) -> Path:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import unwritable
+from magcal_service.errors import Fault, InputRefusedError, unwritable
 
 CALIBRATION: Final = "calibration.json"
 DIAGNOSIS: Final = "diagnosis.json"
@@ -17,6 +17,17 @@ SUMMARY: Final = "summary.json"
 
 _OF_ONE: Final = (CALIBRATION, DIAGNOSIS, REPORT, PHYSICS)
 """Files that the result of one recording, or of several together, consists of."""
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder of results, or refuse before the work is done what could not be written after it."""
+    if "\0" in str(folder):
+        raise InputRefusedError([Fault("--out", str(folder), "give a folder that can be made")])
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        accepted = "give a folder that can be made or written"
+        raise InputRefusedError([Fault(str(folder), exc.strerror or str(exc), accepted)]) from None
 
 
 def earlier_files(folder: Path, own: Sequence[str] = ()) -> list[Path]:

@@ -18,6 +18,7 @@ from magcal_service.recordings.specs import (
     SamplesSpec,
     TimeFormat,
     TimeSpec,
+    VectorReference,
 )
 from magcal_service.typed_toml import Table, open_toml
 from magcal_service.typed_toml.record import read_record
@@ -58,6 +59,7 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
         given |= _of_session(top)
     descriptor = read_record(top, Descriptor, given)
     _check_model(top, descriptor)
+    _check_columns(top, descriptor)
     if top.faults:
         raise RecordingError(top.faults)
     return descriptor
@@ -76,6 +78,23 @@ def _of_session(top: Table) -> dict[str, Any]:
         "position": None,
         "channels": (),
     }
+
+
+def _check_columns(top: Table, descriptor: Descriptor) -> None:
+    """No axis is there twice, and a sensor is not its own reference: a fit of that is perfect and means nothing."""
+    measured = descriptor.magnetometer.columns
+    if len(set(measured)) != len(measured):
+        accepted = "three different columns are accepted: the sensor's x, y and z"
+        top.faults.append(Fault(f"{top.file}: magnetometer.columns", list(measured), accepted))
+    reference = descriptor.reference
+    if isinstance(reference, VectorReference):
+        own = sorted(set(reference.columns) & set(measured))
+        if own or len(set(reference.columns)) != len(reference.columns):
+            accepted = "three different columns are accepted, and none of the magnetometer's own"
+            top.faults.append(Fault(f"{top.file}: reference.columns", list(reference.columns), accepted))
+    elif isinstance(reference, MagnitudeReference) and reference.column in measured:
+        accepted = "a column of the reference's magnitude is accepted, and none of the magnetometer's own"
+        top.faults.append(Fault(f"{top.file}: reference.magnitude", reference.column, accepted))
 
 
 def _check_model(top: Table, descriptor: Descriptor) -> None:

@@ -12,6 +12,8 @@ from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.report import RowFault, RowReport
 from magcal_service.recordings.row_arrays import RowArrays
 from magcal_service.recordings.specs import (
+    DESCRIPTOR_NAME,
+    LOG_SUFFIXES,
     SESSION_SUFFIX,
     Descriptor,
     GeodeticPosition,
@@ -39,6 +41,7 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
     path = Path(path)
     if path.suffix.lower() == SESSION_SUFFIX:
         return _read_session(path, None, craft, prefer)
+    _refuse_undescribed(path)
     descriptor = load_descriptor(path)
     if descriptor.session:
         return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer)
@@ -48,6 +51,29 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
             accepted = f"samples.craft says {descriptor.craft!r}; leave it out, or give that name"
         raise RecordingError([Fault(f"{path}: craft", craft, accepted)])
     return read_described(descriptor)
+
+
+def is_session(path: Path) -> bool:
+    """Whether a recording is a session, which may hold several craft; raises as ``read_recording`` for a descriptor."""
+    if path.suffix.lower() == SESSION_SUFFIX:
+        return True
+    _refuse_undescribed(path)
+    return load_descriptor(path).session
+
+
+def _refuse_undescribed(path: Path) -> None:
+    """Refuse a log, or a folder, that is given in place of the description of a log."""
+    if path.is_dir():
+        accepted = "a described log is accepted; give the file that describes it"
+        if (path / DESCRIPTOR_NAME).is_file():
+            accepted += f": {path / DESCRIPTOR_NAME}"
+        raise RecordingError([Fault(str(path), "a folder", accepted)])
+    if path.name.lower().endswith(LOG_SUFFIXES):
+        accepted = (
+            f'a log is read by its description; write a {DESCRIPTOR_NAME} beside it with file = "{path.name}" under '
+            "[samples] (docs/recording-format.md), and give that"
+        )
+        raise RecordingError([Fault(str(path), "a log without its description", accepted)])
 
 
 def _read_session(path: Path, descriptor: Descriptor | None, craft: str | None, prefer: str | None) -> Recording:

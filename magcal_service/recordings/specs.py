@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Final
 
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
@@ -51,7 +52,10 @@ __all__ = [
 SESSION_SUFFIX = ".mcap"
 """The service's own recordings."""
 
-_SUFFIXES = (".csv", ".csv.gz")
+DESCRIPTOR_NAME: Final = "RECORDING.toml"
+"""Name of a descriptor that this project writes; any other name is read as well."""
+
+LOG_SUFFIXES: Final = (".csv", ".csv.gz")
 _DELIMITERS = (",", ";", "\t")
 
 
@@ -64,7 +68,7 @@ class Axis(StrEnum):
 
 
 def _check_file(reading: Reading, name: str, file: str) -> None:
-    if file and not file.lower().endswith((*_SUFFIXES, SESSION_SUFFIX)):
+    if file and not file.lower().endswith((*LOG_SUFFIXES, SESSION_SUFFIX)):
         reading.table.refuse(name, file, "a .csv, .csv.gz or .mcap file is accepted")
 
 

@@ -15,12 +15,10 @@ from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import Axes, ChannelSpec
 from magcal_service.recordings.recording import Channel, Position
-from magcal_service.recordings.specs import MAX_FIELD_NT, SpinSpec
+from magcal_service.recordings.specs import DESCRIPTOR_NAME, MAX_FIELD_NT, SpinSpec
 from magcal_service.recordings.timestamps import ns_to_iso8601, ns_to_seconds
 from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
-
-DESCRIPTOR_NAME = "RECORDING.toml"
 
 
 def make_channel(name: str, values: npt.ArrayLike, unit: str = "", frame: Axes | None = None) -> Channel:

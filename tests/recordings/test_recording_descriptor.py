@@ -142,6 +142,27 @@ REFUSED = {
         "samples.craft",
         "1 to 32 of A-Z",
     ),
+    "an axis twice": (
+        descriptor(magnetometer='[magnetometer]\ncolumns = ["a", "b", "a"]\nunit = "nT"\n'),
+        "magnetometer.columns",
+        "three different columns",
+    ),
+    "a sensor that is its own reference": (
+        descriptor(
+            magnetometer='[magnetometer]\ncolumns = ["a", "b", "c"]\nunit = "nT"\n',
+            reference='[reference]\ncolumns = ["c", "e", "f"]\nunit = "nT"\nframe = "eci"\n',
+        ),
+        "reference.columns",
+        "none of the magnetometer's own",
+    ),
+    "an axis that is its own reference": (
+        descriptor(
+            magnetometer='[magnetometer]\ncolumns = ["a", "b", "c"]\nunit = "nT"\n',
+            reference='[reference]\nmagnitude = "b"\nunit = "nT"\n',
+        ),
+        "reference.magnitude",
+        "none of the magnetometer's own",
+    ),
     "mcap with a delimiter": (MCAP + 'delimiter = ","\n', "samples.delimiter", "unknown key"),
     "mcap with a unit": (MCAP + '[magnetometer]\nunit = "nT"\n', "magnetometer.unit", "known: noise_nt"),
     "other file": (descriptor(file="log.xls"), "samples.file", ".csv, .csv.gz or .mcap"),

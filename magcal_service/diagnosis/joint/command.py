@@ -7,14 +7,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.diagnosis.command import digest, prepare_folder, write
+from magcal_service.diagnosis.command import digest, write
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.result import as_json, model_of, summary
 from magcal_service.diagnosis.report.frame import Origin, check_packages
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.offline.result_files import DIAGNOSIS, PHYSICS, REPORT, earlier_files, remove, removed_line
+from magcal_service.offline.result_files import (
+    DIAGNOSIS,
+    PHYSICS,
+    REPORT,
+    earlier_files,
+    prepare_folder,
+    remove,
+    removed_line,
+)
 from magcal_service.physics.apply.model_file import text_of
 
 

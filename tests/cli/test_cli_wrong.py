@@ -1,0 +1,89 @@
+"""What is asked wrongly: no traceback, and a line that says what was given, what is accepted, and what to do."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
+
+COMMANDS = ("inspect", "calibrate", "replay", "diagnose")
+
+
+@pytest.fixture
+def described(tmp_path: Path) -> Path:
+    (tmp_path / "log.csv").write_text(log_rows(120), encoding="utf-8")
+    (tmp_path / "RECORDING.toml").write_text(DESCRIPTOR, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_log_without_its_description_is_told_what_it_needs(described: Path, command: str) -> None:
+    more = ("--out", described / "out") if command == "diagnose" else ()
+    done = run(command, described / "log.csv", *more)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"{described / 'log.csv'}: 'a log without its description' is refused; ")
+    assert 'write a RECORDING.toml beside it with file = "log.csv" under [samples]' in done.err
+    done = run(command, described, *more)
+    assert done.code == 2
+    assert done.err.endswith(f"give the file that describes it: {described / 'RECORDING.toml'}\n")
+    (described / "RECORDING.toml").unlink()
+    assert run(command, described, *more).err.endswith("give the file that describes it\n")
+
+
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+def test_a_file_in_place_of_a_folder_is_refused_by_its_own_name(described: Path, command: str) -> None:
+    (described / "taken").write_text("")
+    more = ("--separately",) if command == "diagnose" else ()
+    done = run(command, described / "RECORDING.toml", *more, "--out", described / "taken")
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"{described / 'taken'}: 'File exists' is refused; give a folder that can be made or written\n"
+
+
+@pytest.mark.parametrize("command", ["calibrate", "inspect"])
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(described: Path, command: str) -> None:
+    done = run(command, described / "RECORDING.toml", "--json", described)
+    assert (done.code, done.out, done.err) == (
+        2,
+        "",
+        f"{described}: 'a folder' is refused; give a file that can be written\n",
+    )
+    done = run(command, described / "RECORDING.toml", "--json", described / "no" / "x.json")
+    assert (done.code, done.out) == (2, "")
+    assert f"'no folder {described / 'no'}' is refused; give a file in a folder that is there" in done.err
+
+
+def test_rows_are_replayed_as_the_craft_that_is_chosen_of_a_configuration(described: Path) -> None:
+    second = CONFIG.split("[[craft]]")[1].split("[output]")[0].replace('"paper"', '"spare"')
+    config = described / "magcal.toml"
+    config.write_text(CONFIG.replace("[output]", f"[[craft]]{second}[output]"), encoding="utf-8")
+    asked = ("replay", described / "RECORDING.toml", "--config", config)
+    assert "estimates; " in run(*asked, "--craft", "spare").out
+    done = run(*asked, "--craft", "nobody")
+    assert done.code == 2
+    assert done.err == "--craft: 'nobody' is refused; a [[craft]] of magcal.toml is accepted; known: paper, spare\n"
+    assert "magcal.toml: craft: 2 is refused; a replay takes exactly one" in run(*asked).err
+    assert "known: paper, spare" in run(*asked).err
+    assert "craft: 'spare' is refused; only a recorded session" in run(*asked[:2], "--craft", "spare").err
+
+
+def test_an_interrupted_command_says_so(described: Path) -> None:
+    """Ctrl-C: one line and exit code 130, and no result that looks like one."""
+    (described / "log.csv").write_text(log_rows(20_000), encoding="utf-8")
+    out = described / "out"
+    command = [sys.executable, "-m", "magcal_service.cli", "diagnose", described / "RECORDING.toml", "--out", out]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60.0
+        while not out.is_dir() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert said.endswith("interrupted: what was asked for is not done\n")
+    assert "Traceback" not in said
+    assert list(out.iterdir()) == []
