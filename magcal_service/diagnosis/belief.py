@@ -107,10 +107,10 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
     rest: what lasts beside the names; None where the noise has a memory.
     floor_nt: least noise that evidence is counted in [nT].
     """
-    fit = explained.fit
-    if rest is not None:
-        left_nt2 = max(left_nt2, len(fit.residual) * rest.beyond_noise_nt2)
-    return replace(explained, left_nats=left_nt2 / (2.0 * max(fit.white_rms_nt, floor_nt) ** 2))
+    in_a_shape = left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2)
+    share = 0.0 if rest is None else min(rest.share, _MOST_UNLISTED)
+    held = sum(max(gain.nats, 0.0) for gain in explained.gains)  # through the noise's whitening, as shapes are
+    return replace(explained, left_nats=max(in_a_shape, share / (1.0 - share) * held))
 
 
 def reasons(

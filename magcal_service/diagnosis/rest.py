@@ -12,10 +12,10 @@ import numpy as np
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import Array
 
-LITTLE_LASTS: Final = 0.03
+LITTLE_LASTS: Final = 0.02
 """Share of what lasts from one sample to the next in the residual of the nine errors alone, that may still last beside
-names.  A true cause leaves what its model is not exact in: up to 2 % in the flights where it is known from elsewhere;
-one that only resembles it 4 to 66 %."""
+names.  A true cause leaves what its model is not exact in, and no more than noise where that is exact; one that only
+resembles it left 4 to 66 %."""
 
 _MOST_UNSEEN: Final = 0.25
 """The same share, which has to be excluded where nothing but its own shape speaks for a name: what one name may fall
@@ -83,7 +83,7 @@ class Rest:
     @property
     def is_much(self) -> bool:
         """Whether it is more than may be left of a true cause, or, where a name is free, could be a quarter."""
-        if self.after - _BEYOND * self.sigma > LITTLE_LASTS * self.before:
+        if self.share > LITTLE_LASTS:
             return True
         return self.is_free and self.after + _SAFE * self.sigma > _MOST_UNSEEN * self.before
 

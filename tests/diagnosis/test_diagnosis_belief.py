@@ -92,14 +92,15 @@ def test_what_is_left_may_be_the_rest_of_a_cause_in_no_catalogue(left: float, ow
     assert sum(p for _, p in beside.rivals) + beside.own == pytest.approx(1.0)
 
 
-def test_what_is_left_is_counted_once_in_the_noise_of_the_fit() -> None:
-    """The larger of what a family of shapes holds and what lasts, over twice the variance."""
+def test_what_is_left_is_counted_once_by_its_share_or_its_squares() -> None:
+    """A family of shapes over twice the variance; what lasts by its share beside all names (100 nats)."""
     named, two = explained([]), 2.0 * fits()[1].white_rms_nt ** 2
-    count = len(fits()[1].residual)
-    for family, after, left in ((5e5, 1.0, 5e5), (0.0, 300.0, 300.0 * count), (0.0, 29.0, 0.0)):
+    for family, after, left in ((5e6, 300.0, 5e6 / two), (0.0, 300.0, 100.0 * 0.03 / 0.97), (0.0, 29.0, 0.0)):
         rest = Rest(before=1e4, after=after, sigma=10.0)
-        assert with_left(named, family, rest, 1.0).left_nats == pytest.approx(left / two)
+        assert with_left(named, family, rest, 1.0).left_nats == pytest.approx(left)
     assert with_left(named, 0.0, None, 1.0).left_nats == 0.0
+    half = with_left(replace(named, fit=fits()[1]), 0.0, Rest(before=1e4, after=5000.0, sigma=10.0), 1.0)
+    assert posterior(half, 0).own == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.099, ()), (0.101, ("unexplained_structure",))])
