@@ -11,7 +11,7 @@ from magcal_service.cli.common import DONE, Parser, add_executor, executor_of, m
 def add_study(parser: Parser) -> None:
     """The arguments of ``magcal study``."""
     parser.add_argument(
-        "name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, blind, reality"
+        "name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, concealed, reality"
     )
     parser.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the whole study (default: 1)")
@@ -20,7 +20,10 @@ def add_study(parser: Parser) -> None:
     parser.add_argument("--methods", default="", metavar="A,B", help="of those below (default: the study's own)")
     parser.more = methods_text
     parser.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
-    folders = "of recordings' descriptors, for reality (default: ../shared/data); to one alone, `cases` beside it"
+    folders = (
+        "of recordings' descriptors, for reality (default: ../shared/data; to one alone, `cases` beside it), or of "
+        "concealed cases, for concealed"
+    )
     parser.add_argument("--recordings", type=Path, nargs="+", default=[], metavar="FOLDER", help=folders)
     add_executor(parser)
     parser.set_defaults(command=_study)

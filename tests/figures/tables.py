@@ -123,6 +123,13 @@ def study_table(name: str, title: str) -> str:
     return table(columns, shown_rows, numbers)
 
 
+def _concealed_reliability() -> str:
+    """What a claimed probability was worth, over all simulators; bins in which nothing was claimed are left out."""
+    columns, rows = _study("concealed", "Reliability")
+    claims = [[shown(row[c]) for c in columns[1:]] for row in rows if row["simulator"] == "all" and row["names"]]
+    return table(columns[1:], claims, range(1, len(columns) - 1))
+
+
 def _figures(name: str) -> tuple[dict[str, Any], str]:
     """Figures of a benchmark, and the command that gave them."""
     content = read(name)
@@ -200,6 +207,8 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "together-predicted": together_predicted,
     "together-shared": together_shared,
     "reality": lambda: study_table("reality", "What is said of each recording"),
+    "concealed": lambda: study_table("concealed", "By simulator and what was asked"),
+    "concealed-reliability": _concealed_reliability,
     "costs": costs,
     "costs-short": costs_short,
 }

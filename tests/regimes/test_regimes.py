@@ -22,9 +22,7 @@ from tests.regimes.world import REGIMES, draw_world
 from tests.regimes.write import write_case
 
 HERE = Path(__file__).parent
-SIMULATOR = [
-    path for path in sorted(HERE.glob("*.py")) if path.name != "score.py" and not path.name.startswith("test_")
-]
+SIMULATOR = [path for path in sorted(HERE.glob("*.py")) if not path.name.startswith("test_")]
 ALLOWED = {"numpy", "ppigrf"}
 
 

@@ -210,7 +210,7 @@ def test_a_file_that_cannot_be_written_is_refused_by_name(tmp_path) -> None:
 
 def test_every_study_of_the_contract_is_found() -> None:
     names = {study.name for study in studies()}
-    assert names == {"blind", "table2", "convergence", "noise", "window", "step", "spin-rates", "reality"}
+    assert names == {"concealed", "table2", "convergence", "noise", "window", "step", "spin-rates", "reality"}
 
 
 def test_an_unknown_study_is_refused_with_the_nearest() -> None:

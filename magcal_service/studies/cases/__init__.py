@@ -1,0 +1,1 @@
+"""Concealed cases: where they lie, what is true of each, what is said of it, and how the two are compared."""
