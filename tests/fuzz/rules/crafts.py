@@ -39,7 +39,7 @@ WILD, OTHER, CALM = "wild", "other", "calm"
 
 SECOND_NS: Final = 1_000_000_000
 START_NS: Final = 1_750_000_000 * SECOND_NS
-FLOWN_S: Final = 700
+FLOWN_S: Final = 400
 """Seconds that a craft has flown where it does not begin at rest: its filter runs, its watch has a window."""
 
 _PAPER: Final = SpinConfig(rate_rpm=7.5)

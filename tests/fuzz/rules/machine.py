@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from typing import Any, ClassVar, Final
 
 from hypothesis import strategies as st
@@ -55,8 +56,8 @@ class Rules(RuleBasedStateMachine):
         choices = crafts(self.method)
         self.world = World(choices[number % len(choices)], begins_flown=begins_flown, writes=writes == 9)
         first_ns = START_NS + (FLOWN_S * SECOND_NS if begins_flown else 0)
-        self.now_ns = {WILD: first_ns, OTHER: first_ns, CALM: START_NS}
-        self.seconds = {WILD: FLOWN_S, OTHER: FLOWN_S, CALM: 0}
+        self.now_ns = {WILD: first_ns, OTHER: START_NS, CALM: START_NS}
+        self.seconds = {WILD: FLOWN_S, OTHER: 0, CALM: 0}
 
     @invariant()
     def counted(self) -> None:
@@ -147,7 +148,7 @@ class Rules(RuleBasedStateMachine):
     @rule(craft=st.sampled_from([WILD, OTHER, "nobody"]), number=st.integers(0, 20), time_ns=drawn.edges_ns)
     def any_kind(self, craft: str, number: int, time_ns: int) -> None:
         """A message of each kind, results among them, as of any craft."""
-        kinds = inputs.one_of_each()
+        kinds = _kinds()
         self.world.send([replace(kinds[number % len(kinds)], craft=craft, time_ns=time_ns)])
 
     @rule(data=st.binary(max_size=40))
@@ -185,6 +186,11 @@ class Rules(RuleBasedStateMachine):
         if hasattr(self, "world"):
             self.total.update(self.world.done)
             self.world.close()
+
+
+@cache
+def _kinds() -> tuple[Message, ...]:
+    return inputs.one_of_each()
 
 
 def _rising(messages: list[Any]) -> list[Any]:

@@ -42,7 +42,7 @@ class World:
     Parameters
     ----------
     craft: configuration of the craft that is driven.
-    begins_flown: whether it, and the other, begin as after a flight.
+    begins_flown: whether it begins as after a flight.
     writes: whether rows and a recording are written too.
     """
 
@@ -54,7 +54,7 @@ class World:
         record = RecordConfig(self.folder / "record", flush_s=0.1, min_free_mb=0.0) if writes else None
         output = OutputConfig(csv=self.folder / "rows.csv" if writes else None)
         self.config = Config(self.name, (craft, other, calm()), output, record, state)
-        self.done: Counter[str] = Counter()
+        self.done: Counter[str] = Counter({"worlds": 1})
         self.planted = 0  # defects that may still show
         self._shadow = Pipeline(calm())
         self._saved: dict[str, Any] | None = None
@@ -63,8 +63,7 @@ class World:
         self.node = open_link(self.name, Role.NODE)
         self.begin()
         if begins_flown:
-            for one in (craft, other):
-                self.service.pipelines[one.name].restore_state(flown(replace(one, name=WILD)))
+            self.service.pipelines[WILD].restore_state(flown(craft))
             self._answered = self._accepted()
 
     def begin(self) -> None:
