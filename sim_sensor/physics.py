@@ -1,4 +1,4 @@
-"""A ``physics.toml`` added to a scenario: its nine errors, and its effects on the scenario's own drivers."""
+"""A ``physics.toml`` added to a scenario: its nine errors, its effects and curves on the scenario's own drivers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy.typing as npt
 from magcal_service import geomagnetic
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.model import BIAS, D_ALL, measure
-from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, at_origin, bind, described
+from magcal_service.physics.apply.empirical import NAME
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, at_origin, bind, described, followed
 from magcal_service.physics.apply.model_file import PhysicsModel
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.units import CHANNEL_UNITS
@@ -57,7 +58,7 @@ def doubled(scenario: Scenario, model: PhysicsModel) -> dict[str, str]:
 
 
 class AddedPhysics:
-    """Effects of a model along one run, block after block.
+    """Effects and curves of a model along one run, block after block.
 
     Parameters
     ----------
@@ -86,17 +87,25 @@ class AddedPhysics:
             try:
                 field, magnitude = bind(term, placed, memory).disturbance()
             except DriverMissingError:
-                known = ", ".join(channel.value for channel in self._channels) or "none"
-                accepted = (
-                    f"the scenario has nothing that drives it; its telemetry: {known}; position is needed for light"
-                )
-                raise ConfigError([Fault(f"physics: {term.effect}.driver", described(term), accepted)]) from None
+                raise self._undriven(f"physics: {term.effect}.driver", described(term)) from None
             except MisfitError as error:
                 raise ConfigError([Fault(f"physics: {term.effect}", str(error), "numbers that fit the form")]) from None
             body += field[-rows:]
             growth += np.broadcast_to(magnitude, len(scene))[-rows:]
+        for curve in self.model.empirical:
+            try:
+                field, magnitude = curve.disturbance(followed(curve, placed), placed.clean_field_nt)
+            except DriverMissingError:
+                raise self._undriven(f"physics: {NAME}.driver", curve.driver) from None
+            body += field[-rows:]
+            growth += magnitude[-rows:]
         self._last_ns = int(scene.time_ns[-1])
         return body, growth
+
+    def _undriven(self, where: str, driver: str) -> ConfigError:
+        known = ", ".join(channel.value for channel in self._channels) or "none"
+        accepted = f"the scenario has nothing that drives it; its telemetry: {known}; position is needed for light"
+        return ConfigError([Fault(where, driver, accepted)])
 
 
 def scene_of(

@@ -44,7 +44,7 @@ _MOST_NOISE: Final = 0.02
 """Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
 1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
 
-_FEWEST_SAMPLES: Final = 300
+FEWEST_SAMPLES: Final = 300
 """Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
 
 
@@ -160,7 +160,7 @@ def listed(
         "poor_coverage": poor_coverage,
         "unexplained_structure": unexplained_structure,
         "mismatch_lasts": bool(fit.terms) and rest is not None and rest.is_much,
-        "not_enough_data": len(fit.problem.scene) < _FEWEST_SAMPLES,
+        "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
         "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
         "rough_residual": rough_residual,

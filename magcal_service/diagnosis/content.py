@@ -43,6 +43,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "not_borne_out": [str(form) for form in diagnosis.refused],
         "mounting": None if mounting is None else mounting.as_json(),
         "located": [place.as_json() for place in places],
+        "empirical": None if diagnosis.modelled is None else diagnosis.modelled.as_json(),
         "unexplained_share": round(diagnosis.unexplained, 4),
         "left_share": round(diagnosis.left_share, 4),
         "rows": account_of(diagnosis.inspection, diagnosis.prepared).to_dict(),

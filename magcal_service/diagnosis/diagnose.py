@@ -12,6 +12,7 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import reasons, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
+from magcal_service.diagnosis.empirical import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search, is_recorded
 from magcal_service.diagnosis.field_error import SCALES, FieldError
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
@@ -83,6 +84,7 @@ class Diagnosis:
     seconds: what it took.
     refused: forms of the residual that the attitude did not bear out.
     rest: what lasts beside the names; None where the noise has a memory, which lasts by itself.
+    modelled: what has no name as curves over drivers; None where nothing is left, or no curve helps.
     """
 
     inspection: Inspection
@@ -102,6 +104,7 @@ class Diagnosis:
     seconds: float
     refused: tuple[Form, ...] = ()
     rest: Rest | None = None
+    modelled: Modelled | None = None
 
     @property
     def left_share(self) -> float:
@@ -201,7 +204,18 @@ def diagnose(
         seconds=time.monotonic() - began,
         refused=refused,
         rest=end.rest,
+        modelled=_modelled(end, against, inspection, spin, progress),
     )
+
+
+def _modelled(
+    end: _End, against: tuple[str, ...], inspection: Inspection, spin: SpinSolution | None, progress: Progress
+) -> Modelled | None:
+    """Curves over drivers where too much has no name; while the recording itself is in doubt nothing is modelled."""
+    if inspection.open or not {"unexplained_structure", "mismatch_lasts"} & set(against):
+        return None
+    progress("modelling what has no name")
+    return modelled(end.search, end.explained.fit, end.floor_nt, with_sun=spin is not None)
 
 
 def _in_form(recording: Recording, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained, tuple[Form, ...]]:

@@ -12,6 +12,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import STATE_SIZE, Array
+from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.wire.messages import Clock
@@ -23,15 +24,16 @@ def write_model(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) 
 
 
 def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> PhysicsModel:
-    """The model of a diagnosis.
+    """The model of a diagnosis; with curves that may be used elsewhere, the numbers of the fit that has them.
 
     Parameters
     ----------
     entries: of ``result.entries``: those that are no term of the fit become notes, but for ``unknown``.
     recording: name of the recording.
     """
-    fit, scene = diagnosis.fit, diagnosis.fit.problem.scene
-    fitted = {term.hypothesis.effect for term in fit.terms}
+    usable = diagnosis.modelled if diagnosis.modelled is not None and diagnosis.modelled.is_usable else None
+    fit = diagnosis.fit if usable is None else usable.fit
+    scene, fitted = fit.problem.scene, {term.hypothesis.effect for term in fit.terms}
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     others = [entry for entry in entries if entry.effect not in fitted and entry.effect != UNLISTED]
     spin = diagnosis.spin
@@ -42,10 +44,11 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> 
         x=fit.x[:STATE_SIZE],
         sigma=sigma[:STATE_SIZE],
         noise_nt=fit.problem.noise_nt,
-        terms=terms_of(fit),
+        terms=tuple(term for term in terms_of(fit) if term.effect != NAME),
         notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),
         spin=None if spin is None else _spin(spin.axis_body, spin.axis_eci, spin.rate_rad_s),
         doubts=", ".join(diagnosis.reasons),
+        empirical=() if usable is None else usable.curves,
     )
 
 

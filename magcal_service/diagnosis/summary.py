@@ -14,6 +14,7 @@ from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     belief,
+    modelled_sentence,
     next_step,
     percent,
     reason_in_words,
@@ -53,6 +54,8 @@ def summary(
             f"instead of {_vector(after)} nT"
         )
     lines.append(f"left: {remaining(diagnosis)}")
+    if diagnosis.modelled is not None:
+        lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines

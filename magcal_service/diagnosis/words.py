@@ -8,8 +8,11 @@ from typing import Final, Protocol
 
 from magcal_service.diagnosis.belief import SURE, UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
+from magcal_service.diagnosis.empirical import Modelled, unit_of
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
+from magcal_service.physics.apply.empirical import Empirical
+from magcal_service.physics.drivers.computed import COMPUTED
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
@@ -229,6 +232,43 @@ def driver_in_words(driver: str) -> str:
     if kind == "channel":
         return f"the recorded channel {name}"
     return f"{name.replace('_', ' ')}, inferred because it was not recorded" if kind == "inferred" else ""
+
+
+def modelled_sentence(modelled: Modelled) -> str:
+    """What has no name as curves: over what, how much they take off, and where they may be used."""
+    before_nt, after_nt = modelled.held_out_rms_nt
+    curves = listed([curve_in_words(curve) for curve in modelled.curves])
+    takes = "takes" if len(modelled.curves) == 1 else "take"
+    use = (
+        "physics.toml has it, for use inside that range only"
+        if modelled.is_usable
+        else "it holds for this recording only, and physics.toml does not have it"
+    )
+    return (
+        f"Without a name, but modelled: {curves} {takes} the held-out residual from {before_nt:.1f} to "
+        f"{after_nt:.1f} nT, {modelled.standard_errors:.1f} standard errors beyond its scatter, in {modelled.seen} of "
+        f"{modelled.blocks} blocks; {use}."
+    )
+
+
+def curve_in_words(curve: Empirical) -> str:
+    """A curve with its driver and range."""
+    low, high = curve.span
+    unit = unit_of(curve)
+    return (
+        f"a {curve.kind} over {curve_driver(curve)} ({len(curve.knots)} knots, {low:.4g} to {high:.4g}"
+        f"{'' if unit == '1' else f' {unit}'})"
+    )
+
+
+def curve_driver(curve: Empirical) -> str:
+    """A curve's driver in words."""
+    kind, _, name = curve.driver.partition(":")
+    if kind == "computed":
+        return COMPUTED[name].says
+    if kind != "channel":
+        return curve.driver.replace("_", " ")
+    return f"the recorded {name}" + (f", column {curve.column + 1}" if curve.column else "")
 
 
 class Ended(Protocol):

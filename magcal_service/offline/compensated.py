@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from magcal_service.daemon.compensating import CompensatingCraft
+from magcal_service.physics.apply.empirical import NAME, OUTSIDE
 from magcal_service.physics.apply.physics_model import PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 
@@ -20,6 +21,7 @@ class Fate(StrEnum):
 
     COMPENSATED = "compensated"
     NO_DRIVER = "no_driver"
+    DRIVER_OUTSIDE = "driver_outside"
     START_UNKNOWN = "start_unknown"
     STOPPED = "stopped"
 
@@ -77,10 +79,11 @@ class Tally:
         elif craft.settling is not None:
             self.states[Fate.START_UNKNOWN] += 1
         else:
-            self.missing.update(craft.compensation.missing)
+            missing = set(craft.compensation.missing)
+            self.missing.update(missing - ({OUTSIDE} if NAME in missing else set()))
 
     def accounts(self, model: PhysicsModel, channels: Iterable[str], stopped: str) -> tuple[EffectAccount, ...]:
-        """One account for each effect of a model that is compensated.
+        """One account for each effect of a model that is compensated, and one for its curves without a name.
 
         Parameters
         ----------
@@ -91,15 +94,19 @@ class Tally:
         drivers: dict[str, list[str]] = {}
         for term in model.terms:
             drivers.setdefault(term.effect, []).append(term.driver)
+        for curve in model.empirical:
+            drivers.setdefault(NAME, []).append(curve.driver)
         return tuple(self._account(effect, tuple(of), known, stopped, model) for effect, of in drivers.items())
 
     def _account(
         self, effect: str, drivers: tuple[str, ...], channels: set[str], stopped: str, model: PhysicsModel
     ) -> EffectAccount:
-        lost = self.missing[effect]
-        counts = {Fate.NO_DRIVER: lost, **{fate: self.states[fate] for fate in (Fate.START_UNKNOWN, Fate.STOPPED)}}
+        beyond = self.missing[OUTSIDE] if effect == NAME else 0
+        counts = {Fate.NO_DRIVER: self.missing[effect], Fate.DRIVER_OUTSIDE: beyond}
+        counts |= {fate: self.states[fate] for fate in (Fate.START_UNKNOWN, Fate.STOPPED)}
         why = {
             Fate.NO_DRIVER: self._missing_driver(effect, drivers, channels, model),
+            Fate.DRIVER_OUTSIDE: "a driver was beyond the range of its curve",
             Fate.START_UNKNOWN: "before the temperature at the start was known",
             Fate.STOPPED: f"after compensation was stopped: {stopped}",
         }
@@ -112,7 +119,7 @@ class Tally:
     def _missing_driver(effect: str, drivers: tuple[str, ...], channels: set[str], model: PhysicsModel) -> str:
         """The likeliest reason for which an effect's driver does not do."""
         forms = {part for term in model.terms if term.effect == effect for part in (term.driver, term.variant)}
-        if forms & set(effect_named(effect).not_live):
+        if forms and forms & set(effect_named(effect).not_live):
             return "this form cannot be followed live"
         absent = [one.removeprefix(_CHANNEL) for one in drivers if one.startswith(_CHANNEL)]
         absent = [name for name in absent if name not in channels]

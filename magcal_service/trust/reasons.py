@@ -69,6 +69,6 @@ REMEDIES: Final = {
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
     Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it is not compensated any more: diagnose a "
     "recording of today and load its physics.toml",
-    Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, so it is not compensated: bring "
-    "the channel, position or reference back, or take the effect out of the file",
+    Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, or beyond the range of its "
+    "curve, so it is not compensated: bring channel, position or reference back, or take the effect out of the file",
 }

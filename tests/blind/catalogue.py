@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import combinations
 from types import MappingProxyType
 
-from tests.blind import body, hysteresis, motion, noise, outside, power, reference, response, thermal, torquer
+from tests.blind import body, driven, hysteresis, motion, noise, outside, power, reference, response, thermal, torquer
 from tests.blind.cause import Builder
 
 EFFECTS: Mapping[str, Builder] = MappingProxyType(
@@ -53,12 +53,17 @@ OUTSIDE: Mapping[str, Builder] = MappingProxyType(
 )
 """Disturbances that have none."""
 
+DRIVEN_OUTSIDE: Mapping[str, Builder] = MappingProxyType(
+    {"hopkinson": driven.hopkinson, "two_paths": driven.two_paths},
+)
+"""Those that follow a recorded channel; drawn by name only, as ``"outside:hopkinson"``."""
+
 ABSORBED: Mapping[str, Builder] = MappingProxyType(
     {"steady_lag": motion.steady_lag, "steady_skew": motion.steady_skew},
 )
 """Effects of the catalogue as they are where nothing of them shows: to be answered ``none``."""
 
-BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **ABSORBED})
+BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **DRIVEN_OUTSIDE, **ABSORBED})
 
 DRIVEN = frozenset({"thermal_bias", "thermal_scale", "current_loop", "torquer", "sun_disturbance"})
 """Effects whose driver can be recorded or not."""

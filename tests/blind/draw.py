@@ -12,7 +12,7 @@ import numpy as np
 from magcal_service import geomagnetic
 from tests.blind.attitude import RPM
 from tests.blind.case import Answer, Case, EffectTruth, Verdict
-from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, EFFECTS, OUTSIDE, PAIRS
+from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, DRIVEN_OUTSIDE, EFFECTS, OUTSIDE, PAIRS
 from tests.blind.cause import Cause, Telemetry
 from tests.blind.decoys import draw_decoys
 from tests.blind.field import times_ns
@@ -76,7 +76,7 @@ def _names(seed: int, kind: str) -> tuple[tuple[str, ...], Verdict]:
     if kind == "outside":
         return (str(rng.choice(sorted(OUTSIDE))),), "unknown"
     outer, _, name = kind.partition(":")
-    if outer == "outside" and name in OUTSIDE:
+    if outer == "outside" and name in {*OUTSIDE, *DRIVEN_OUTSIDE}:
         return (name,), "unknown"
     names = tuple(kind.split("+"))
     if 1 <= len(names) <= 2 and all(name in EFFECTS for name in names):

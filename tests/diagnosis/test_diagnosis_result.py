@@ -224,6 +224,7 @@ def made() -> Any:
         fit=explained.fit,
         prepared=SimpleNamespace(baseline=fit, problem=search.problem, left_out={"spikes": 3}, form=Form.SCALAR),
         refused=(),
+        modelled=None,
         findings={},
         left=tuple(left),
         unexplained=0.0,

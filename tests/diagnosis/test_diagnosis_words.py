@@ -12,6 +12,7 @@ import pytest
 
 from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.empirical import Modelled
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.summary import summary
@@ -21,6 +22,7 @@ from magcal_service.diagnosis.words import (
     cause_sentence,
     chance,
     driver_in_words,
+    modelled_sentence,
     next_step,
     odds,
     percent,
@@ -31,6 +33,7 @@ from magcal_service.diagnosis.words import (
     titles,
     verdict_sentence,
 )
+from magcal_service.physics.apply.empirical import Empirical, Kind
 from magcal_service.recordings.inspect.account import Account
 
 HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48}
@@ -61,6 +64,7 @@ def diagnosis(
             problem=SimpleNamespace(aimed=None),
         ),
         refused=(),
+        modelled=None,
         prepared=SimpleNamespace(
             problem=SimpleNamespace(noise_nt=100.04, field_error=None),
             baseline=SimpleNamespace(x=before),
@@ -382,3 +386,39 @@ def test_what_is_long_takes_two_lines_of_118_and_no_more() -> None:
     assert [len(line) for line in words] == [118, 117]
     assert words[0] == "    " + " ".join(["word"] * 23)
     assert words[1].endswith(" ...")
+
+
+@pytest.mark.parametrize(
+    ("curves", "words"),
+    [
+        (
+            (("channel:board", Kind.GAIN, 0),),
+            "a gain over the recorded board (3 knots, 10 to 30 degC) takes the held-out residual from 120.0 to 80.0 nT"
+            ", 4.2 standard errors beyond its scatter, in 40 of 50 blocks; physics.toml has it, for use inside that "
+            "range only.",
+        ),
+        (
+            (("channel:board", Kind.BIAS, 1), ("computed:light", Kind.MAGNITUDE, 0)),
+            "a bias over the recorded board, column 2 (3 knots, 10 to 30 degC) and a magnitude over the share of "
+            "sunlight (3 knots, 10 to 30) take the held-out residual",
+        ),
+        (
+            (("elapsed_time", Kind.BIAS, 0),),
+            "a bias over elapsed time (3 knots, 10 to 30 s) takes the held-out residual from 120.0 to 80.0 nT, 4.2 "
+            "standard errors beyond its scatter, in 40 of 50 blocks; it holds for this recording only, and "
+            "physics.toml does not have it.",
+        ),
+    ],
+)
+def test_what_is_modelled_says_over_what_how_much_and_where(
+    curves: tuple[tuple[str, Kind, int], ...], words: str
+) -> None:
+    knots = np.array([10.0, 20.0, 30.0])
+    made = tuple(
+        Empirical(driver, kind, "temperature", column, knots, np.zeros((3, 3)), np.zeros((3, 3)), (10.0, 30.0))
+        for driver, kind, column in curves
+    )
+    before, after = SimpleNamespace(held_out_rms_nt=120.0), SimpleNamespace(held_out_rms_nt=80.0)
+    modelled = Modelled(before, after, made, 4.2, 40, 50, None, ())  # type: ignore[arg-type]
+    assert words in modelled_sentence(modelled)
+    assert modelled_sentence(modelled).startswith("Without a name, but modelled: ")

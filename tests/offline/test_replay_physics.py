@@ -12,6 +12,7 @@ import pytest
 
 from magcal_service.offline.compensated import Tally, compensation_lines
 from magcal_service.offline.replay import craft_of, replay
+from magcal_service.physics.apply.empirical import NAME, OUTSIDE, Empirical, Kind
 from magcal_service.physics.apply.model_file import ModelTerm, Note, parse_model
 from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import CalibratedVector, Message, Verdict
@@ -135,6 +136,30 @@ def test_samples_are_counted_by_what_kept_an_effect_from_them() -> None:
         "start was known; not in 7: after compensation was stopped: it harms"
     )
     assert "not in 3: its driver was missing or older than it may be" in heat.why
+
+
+def test_curves_without_a_name_are_one_account() -> None:
+    """A sample in which one's driver is missing and another's beyond its range counts once, as missing."""
+    curve = Empirical(
+        driver="channel:warm",
+        kind=Kind.BIAS,
+        quantity="temperature",
+        column=0,
+        knots=np.array([0.0, 1.0]),
+        values=np.zeros((2, 3)),
+        sigma=np.zeros((2, 3)),
+        span=(0.0, 1.0),
+    )
+    both = (curve, replace(curve, driver="computed:latitude", quantity=""))
+    model = parse_model(physics(origin_ns=0, empirical=both).text.encode())
+    tally = Tally()
+    for missing, times in (((), 3), ((NAME,), 2), ((OUTSIDE,), 4), ((NAME, OUTSIDE), 5)):
+        for _ in range(times):
+            tally.sample(_Craft(missing))  # type: ignore[arg-type]
+    (account,) = tally.accounts(model, ["warm"], "")
+    assert account.samples == {"compensated": 3, "no_driver": 7, "driver_outside": 4}
+    assert account.drivers == ("channel:warm", "computed:latitude")
+    assert "not in 4: a driver was beyond the range of its curve" in str(account)
 
 
 def test_a_form_that_no_single_moment_determines_is_said_to_be_none_for_the_daemon() -> None:

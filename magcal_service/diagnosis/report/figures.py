@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.empirical import unit_of
 from magcal_service.diagnosis.report.curves import Against, against, binned_rms, spectrum
 from magcal_service.diagnosis.report.drawing import (
     AFTER,
@@ -25,7 +26,9 @@ from magcal_service.diagnosis.report.drawing import (
     picture,
     readable,
 )
+from magcal_service.diagnosis.words import curve_driver
 from magcal_service.model import Array
+from magcal_service.physics.apply.empirical import Empirical
 
 _POINTS: Final = 4000
 """Points drawn of a long curve; choice: several for each pixel of the figure's width, and the page stays small."""
@@ -161,6 +164,29 @@ def _against(shown: Against, changed: bool) -> Picture:
     ends = f"from {shown.before.min():.3g} to {shown.before.max():.3g} nT before"
     ends += f", from {shown.after.min():.3g} to {shown.after.max():.3g} nT after" if changed else ""
     return picture(draw, f"{shown.y_label} against {shown.x_label}: {ends}.", shown.caption)
+
+
+def curve_picture(curve: Empirical) -> Picture:
+    """A curve without a name over its driver, each axis with 1 sigma."""
+    values, sigma = (part.reshape(len(curve.knots), -1) for part in (curve.values, curve.sigma))
+    names = ("magnitude",) if values.shape[1] == 1 else tuple(f"axis {axis}" for axis in "xyz")
+    driver, unit = curve_driver(curve), unit_of(curve)
+    x_label = driver if unit == "1" else f"{driver} [{unit}]"
+    y_label = f"{curve.kind} beyond its mean" + ("" if curve.kind.unit == "1" else f" [{curve.kind.unit}]")
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.axhline(0.0, color=FLOOR, lw=0.8, ls="--")
+        for column, (name, colour) in enumerate(zip(names, (AFTER, BEFORE, FLOOR), strict=False)):
+            axes.plot(curve.knots, values[:, column], color=colour, marker="o", ms=3, lw=1.4, label=name)
+            band = values[:, column] - sigma[:, column], values[:, column] + sigma[:, column]
+            axes.fill_between(curve.knots, *band, color=colour, alpha=0.2, lw=0)
+        axes.set(xlabel=readable(x_label), ylabel=readable(y_label))
+        legend(axes)
+
+    alt = f"{curve.kind} against {x_label}: from {values.min():.3g} to {values.max():.3g} {curve.kind.unit}, over "
+    alt += f"{curve.span[0]:.4g} to {curve.span[1]:.4g}"
+    return picture(draw, f"{alt}.", f"The {curve.kind} over {driver}, straight between its knots, with 1 sigma.")
 
 
 def _histogram(before: Array, after: Array, noise: float, changed: bool) -> Picture:

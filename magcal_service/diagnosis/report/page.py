@@ -12,8 +12,9 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.empirical import Modelled
 from magcal_service.diagnosis.entry import Entry
-from magcal_service.diagnosis.report.figures import pictures, track
+from magcal_service.diagnosis.report.figures import curve_picture, pictures, track
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
@@ -23,6 +24,7 @@ from magcal_service.diagnosis.words import (
     chance,
     driver_in_words,
     expected,
+    modelled_sentence,
     odds,
     percent,
     remaining,
@@ -63,6 +65,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         effects=[_effect(diagnosis, entry) for entry in found if entry.effect != UNLISTED],
         unknown=next((_unknown(entry) for entry in found if entry.effect == UNLISTED), None),
         remaining=remaining(diagnosis),
+        modelled=None if diagnosis.modelled is None else _modelled(diagnosis.modelled),
         errors=_errors(diagnosis),
         moved_nt=moved_bias(diagnosis),
         unseen=_unseen(diagnosis, found),
@@ -181,6 +184,16 @@ def _unknown(entry: Entry) -> dict[str, Any]:
         "nearest": where["nearest"],
         "time": where["time_s"],
         "frequency": ", ".join(f"{f:.4g} Hz" for f in where["frequency_hz"]),
+    }
+
+
+def _modelled(modelled: Modelled) -> dict[str, Any]:
+    return {
+        "says": modelled_sentence(modelled),
+        "forward_nt": modelled.forward_nt,
+        "usable": modelled.is_usable,
+        "alike": [driver_in_words(driver) or driver.partition(":")[2] for driver in modelled.alike],
+        "pictures": [curve_picture(curve) for curve in modelled.curves],
     }
 
 

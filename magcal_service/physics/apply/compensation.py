@@ -3,8 +3,8 @@
 A sample becomes B' = B - (I + D)^-1 d with D and d of the model; a reference gets the magnitude, or the time, that the
 model gives it.  Drivers are the newest values on the link: a channel is held until its next value, a position carried
 on along a straight line.  An effect whose driver is missing or stale, whose numbers do not fit its form or its driver,
-or whose disturbance is absurdly large, is left out and named in ``missing``.  Effects with a memory carry it from
-sample to sample (``scene.Memory``).
+or whose disturbance is absurdly large, is left out and named in ``missing``; so is a curve without a name whose driver
+is beyond its range.  Effects with a memory carry it from sample to sample (``scene.Memory``).
 
 What a driver is at this moment is in ``live_drivers``, attitude in ``live_spin``, references in ``live_reference``.
 """
@@ -19,7 +19,9 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array, calibrate, d_matrix
+from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
+from magcal_service.physics.apply.live_curves import added_now, name_of
 from magcal_service.physics.apply.live_drivers import Held, Place, fresh, hold, positions_km, with_place
 from magcal_service.physics.apply.live_reference import GROWTH_NS, KNOT_S, grown, growth_of, shifts_s
 from magcal_service.physics.apply.live_spin import attitude, axis_of, axis_sums_with, no_axis_sums
@@ -125,7 +127,7 @@ class Compensation(Stateful, CompensationMemory):
 
     def begins_elsewhere(self, sample: MagnetometerSample) -> bool:
         """Whether a stream begins with this sample, and its temperature or spin axis then is not known to the model."""
-        unknown = bool(self._terms.groups) or (self._terms.needs_scene and self.model.spin is not None)
+        unknown = bool(self._terms.groups) or (self._terms.needs_attitude and self.model.spin is not None)
         return unknown and not self._begun_ns and not self._is_at_start(sample.time_ns)
 
     def _is_at_start(self, time_ns: int) -> bool:
@@ -194,14 +196,14 @@ class Compensation(Stateful, CompensationMemory):
             self._reference, self._reference_ns = sample.field_nt, sample.time_ns
         shift_s, unfit = shifts_s(self._terms.time, (sample.time_ns - self.model.origin_ns) * 1e-9)
         sample = replace(sample, time_ns=sample.time_ns - sum(round(one_s * 1e9) for one_s in shift_s))
-        sample = self._grown(sample) if self._terms.growth else sample
+        sample = self._grown(sample) if self._terms.growth or self._terms.grown else sample
         of_time = {term.effect for term in self._terms.time}
         self._missing_reference = [*(name for name in self._missing_reference if name not in of_time), *unfit]
         return sample
 
     def correct(self, sample: MagnetometerSample) -> MagnetometerSample:
         """The sample less the model's disturbances."""
-        if not self._terms.field:
+        if not self._terms.field and not self._terms.curves:
             return sample
         self._begun_ns = self._begun_ns or sample.time_ns
         in_order = self._last is None or sample.time_ns > self._last.time_ns
@@ -217,9 +219,15 @@ class Compensation(Stateful, CompensationMemory):
                     if scene is None or self._terms.direct[index]
                     else self._on(scene, index, row, in_order)
                 )
-                corrected = self._without(corrected, d, term)
+                corrected = self._without(corrected, d, term.effect)
             except (DriverMissingError, MisfitError):
                 missing.append(term.effect)
+        for curve in self._terms.curves:
+            try:
+                body, _ = added_now(curve, self._channels, scene, row.time_ns, np.array(row.field_nt))
+                corrected = self._without(corrected, body.tolist(), NAME)
+            except (DriverMissingError, MisfitError) as error:
+                missing.append(name_of(error))
         if in_order:
             self._last = row
         if in_order and self._terms.groups:
@@ -228,7 +236,7 @@ class Compensation(Stateful, CompensationMemory):
         self._missing_field = missing
         return replace(sample, field_body_nt=corrected)
 
-    def _without(self, measured: Vector, d: Sequence[float], term: ModelTerm) -> Vector:
+    def _without(self, measured: Vector, d: Sequence[float], name: str) -> Vector:
         """B - (I + D)^-1 d (3,) [nT]; MisfitError where that is no reading that a sensor could give."""
         b1, b2, b3 = measured
         limit = MAX_SAMPLE_FIELD_NT
@@ -238,7 +246,7 @@ class Compensation(Stateful, CompensationMemory):
         else:
             x, y, z = d
         if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):
-            raise MisfitError(f"{term.effect}: without it the sample would be {(x, y, z)}")
+            raise MisfitError(f"{name}: without it the sample would be {(x, y, z)}")
         return x, y, z
 
     def _now(self, index: int, row: Row) -> list[float]:
@@ -346,7 +354,8 @@ class Compensation(Stateful, CompensationMemory):
         """The reference brought to the magnitude that acts; computed once a second, held in between."""
         if abs(sample.time_ns - self._growth_ns) >= GROWTH_NS:
             self._growth_ns = sample.time_ns
+            track = partial(positions_km, self._places)
             self._growth_nt, self._missing_reference = growth_of(
-                self._terms.growth, sample, partial(positions_km, self._places), self.model.origin_ns
+                self._terms.growth, self._terms.grown, self._channels, sample, track, self.model.origin_ns
             )
         return grown(sample, self._growth_nt)

@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_service.errors import MagcalError
 from magcal_service.model import Array
+from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
@@ -88,8 +89,16 @@ def _check_names(term: ModelTerm, what: str, wanted: Iterable[str], found: Mappi
         raise MisfitError(f"{term.effect}: {what} {', '.join(found) or 'none'}; {accepted} is accepted for this form")
 
 
+def followed(curve: Empirical, scene: Scene) -> Array:
+    """Values (n,) of a curve's driver on a scene; raises DriverMissingError where the scene lacks it."""
+    values = curve.followed(scene)
+    if values is None:
+        raise DriverMissingError(f"{NAME}: driver {curve.driver!r} is not there")
+    return values
+
+
 def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
-    """What a model's effects add on a scene.
+    """What a model's effects and curves add on a scene.
 
     Parameters
     ----------
@@ -104,6 +113,10 @@ def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
     placed = at_origin(scene, model)
     for term in model.terms:
         field, growth = bind(term, placed).disturbance()
+        body += field
+        magnitude += growth
+    for curve in model.empirical:
+        field, growth = curve.disturbance(followed(curve, placed), placed.clean_field_nt)
         body += field
         magnitude += growth
     return body, magnitude

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array
+from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind
+from magcal_service.physics.apply.live_curves import added_now, name_of
+from magcal_service.physics.apply.live_drivers import Held
 from magcal_service.physics.apply.model_file import ModelTerm
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.scene.scene import Scene
@@ -65,15 +68,21 @@ def grown(sample: ReferenceSample, growth_nt: float) -> ReferenceSample:
 
 
 def growth_of(
-    terms: Sequence[ModelTerm], sample: ReferenceSample, track: Track, origin_ns: int
+    terms: Sequence[ModelTerm],
+    curves: Sequence[Empirical],
+    channels: Mapping[str, Held],
+    sample: ReferenceSample,
+    track: Track,
+    origin_ns: int,
 ) -> tuple[float, list[str]]:
-    """Growth of the magnitude by a model's terms [nT], and the effects that are left out.
+    """Growth of the magnitude by a model's terms and curves [nT], and the names of what is left out.
 
     Left out is what needs the orbit ahead, what has no driver and what is absurdly large.
 
     Parameters
     ----------
-    terms: those that act on the reference.
+    terms, curves: those that act on the reference.
+    channels: the newest values.
     sample: the reference.
     track: where the craft was.
     origin_ns: the model's.
@@ -87,12 +96,23 @@ def growth_of(
                 raise DriverMissingError(f"{term.effect}, {term.variant}: needs the orbit ahead")
             with np.errstate(all="ignore"):
                 growth = float(np.broadcast_to(bind(term, scene).disturbance()[1], 3)[-1])
-            if not abs(total + growth) <= _MOST_GROWTH * magnitude:
-                raise MisfitError(f"{term.effect}: the reference would grow by {growth:g} nT")
-            total += growth
+            total = _more(term.effect, total, growth, magnitude)
         except (DriverMissingError, MisfitError):
             missing.append(term.effect)
+    for curve in curves:
+        try:
+            _, growth = added_now(curve, channels, scene, sample.time_ns, np.zeros(3))
+            total = _more(NAME, total, growth, magnitude)
+        except (DriverMissingError, MisfitError) as error:
+            missing.append(name_of(error))
     return total, missing
+
+
+def _more(name: str, total: float, growth: float, magnitude: float) -> float:
+    """The sum [nT]; MisfitError where the reference would grow absurdly."""
+    if not abs(total + growth) <= _MOST_GROWTH * magnitude:
+        raise MisfitError(f"{name}: the reference would grow by {growth:g} nT")
+    return total + growth
 
 
 def _scene(sample: ReferenceSample, track: Track, origin_ns: int) -> Scene:

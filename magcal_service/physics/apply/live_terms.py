@@ -1,4 +1,4 @@
-"""A model's terms, told apart once by what is done with them live."""
+"""A model's terms and curves, told apart once by what is done with them live."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from dataclasses import dataclass
 from typing import Final
 
 from magcal_service.physics.acting import ActsOn, Direct
+from magcal_service.physics.apply.empirical import Empirical, Kind
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 
 WARMTH: Final = "inferred:temperature"
 """Driver of the effects whose temperature at the start is not known elsewhere."""
 
+_BY_ATTITUDE: Final = ("computed:sun_x", "computed:sun_y", "computed:sun_z")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveTerms:
-    """The terms of one model.
+    """The terms and curves of one model.
 
     Parameters
     ----------
@@ -25,7 +28,10 @@ class LiveTerms:
     groups: for those (by their place) that an inferred temperature drives, the number of their temperature.
     growth: those that act on the reference's magnitude.
     time: those that act on its time.
+    curves: curves without a name that disturb the sensor.
+    grown: those that act on the reference's magnitude.
     needs_scene: whether a sample takes a scene.
+    needs_attitude: whether the craft's attitude may be asked for.
     """
 
     field: tuple[ModelTerm, ...]
@@ -33,20 +39,27 @@ class LiveTerms:
     groups: Mapping[int, int]
     growth: tuple[ModelTerm, ...]
     time: tuple[ModelTerm, ...]
+    curves: tuple[Empirical, ...]
+    grown: tuple[Empirical, ...]
     needs_scene: bool
+    needs_attitude: bool
 
 
 def live_terms(model: PhysicsModel) -> LiveTerms:
-    """A model's terms by what they act on."""
+    """A model's terms and curves by what they act on."""
     field = tuple(term for term in model.terms if not _acts_on(term).is_reference)
     direct = tuple(effect_named(term.effect).direct(term) for term in field)
+    curves = tuple(curve for curve in model.empirical if curve.kind is not Kind.MAGNITUDE)
     return LiveTerms(
         field=field,
         direct=direct,
         groups=_groups_of(field),
         growth=tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE),
         time=tuple(term for term in model.terms if _acts_on(term) is ActsOn.REFERENCE_TIME),
-        needs_scene=not all(direct),
+        curves=curves,
+        grown=tuple(curve for curve in model.empirical if curve.kind is Kind.MAGNITUDE),
+        needs_scene=not all(direct) or not all(curve.is_recorded for curve in curves),
+        needs_attitude=not all(direct) or any(curve.driver in _BY_ATTITUDE for curve in curves),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from magcal_service.model import BIAS, D_ALL
+from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.apply.physics_model import (
     MOST_EFFECTS,
     VERSION,
@@ -24,12 +25,14 @@ from magcal_service.physics.apply.physics_model import (
     PhysicsModel,
 )
 from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.drivers.computed import driver_unit
 from magcal_service.typed_toml import Table, open_toml, parse_toml
 from magcal_service.typed_toml.record import read_record
 
 __all__ = [
     "MOST_EFFECTS",
     "VERSION",
+    "Empirical",
     "ModelError",
     "ModelSpin",
     "ModelTerm",
@@ -91,10 +94,21 @@ def text_of(model: PhysicsModel) -> str:
         lines += _table("effect.sigma", term.sigma, {})
         lines += _table("effect.nonlinear", term.nonlinear, units[term.effect])
         lines += _table("effect.constants", term.constants, {})
+    for curve in model.empirical:
+        lines += ["", "[[empirical]]", *_curve(curve)]
     for note in model.notes:
         lines += ["", "[[note]]", f"effect = {_text(note.effect)}", f"says = {_text(note.says)}"]
         lines += _table("note.values", note.values, units.get(note.effect, {}))
     return "\n".join(lines) + "\n"
+
+
+def _curve(curve: Empirical) -> list[str]:
+    lines = [f"driver = {_text(curve.driver)}", f"kind = {_text(curve.kind)}"]
+    lines += [f"quantity = {_text(curve.quantity)}", f"column = {curve.column}"] if curve.quantity else []
+    unit = _comment(driver_unit(curve.driver, curve.quantity))
+    lines += [f"knots = {_numbers(curve.knots)}{unit}", f"values = {_numbers(curve.values)}{_comment(curve.kind.unit)}"]
+    lines += [f"sigma = {_numbers(curve.sigma)}", f"range = {_numbers(np.array(curve.span))}"]
+    return [*lines, "interpolating_only = true"]
 
 
 def _table(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:

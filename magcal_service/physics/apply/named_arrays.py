@@ -11,7 +11,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.typed_toml import Table, nearest
 
-_MOST_NUMBERS: Final = 64
+MOST_NUMBERS: Final = 64
 """In one block; the largest of the catalogue has 5 x 3."""
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
@@ -35,27 +35,23 @@ def named_arrays(table: Table, key: str, known: Mapping[str, str] | None) -> dic
     for name in inner.keys():  # noqa: SIM118 - a Table is no mapping
         inner.has(name)
         value = inner.content[name]
-        array = _array(value)
+        array = array_of(value)
         if known is not None and name not in known:
             inner.refuse(name, value, f"unknown name; {nearest(name, known)}")
         elif known is None and not _NAME.fullmatch(name):
             inner.refuse(name, value, "a name of a-z 0-9 _ is accepted")
         elif array is None:
-            inner.refuse(name, value, f"a finite number or an array of at most {_MOST_NUMBERS} of them is accepted")
+            inner.refuse(name, value, f"a finite number or an array of at most {MOST_NUMBERS} of them is accepted")
         else:
             found[name] = array
     return found
 
 
-def _array(value: object) -> Array | None:
+def array_of(value: object) -> Array | None:
     """A finite number, a list of them, or a list of equally long lists; None for anything else."""
     rows = value if isinstance(value, list) else [value]
     flat = [number for row in rows for number in (row if isinstance(row, list) else [row])]
-    if (
-        not flat
-        or len(flat) > _MOST_NUMBERS
-        or any(isinstance(n, bool) or not isinstance(n, int | float) for n in flat)
-    ):
+    if not flat or len(flat) > MOST_NUMBERS or any(isinstance(n, bool) or not isinstance(n, int | float) for n in flat):
         return None
     if len({len(row) if isinstance(row, list) else -1 for row in rows}) > 1:
         return None

@@ -16,6 +16,7 @@ import numpy as np
 
 from magcal_service.errors import InputRefusedError
 from magcal_service.model import Array, d_matrix
+from magcal_service.physics.apply.empirical import MOST_CURVES, Empirical
 from magcal_service.physics.apply.named_arrays import named_arrays, named_numbers
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.typed_toml import nearest
@@ -148,6 +149,7 @@ class PhysicsModel:
     x, sigma: the nine errors (9,) and their 1 sigma, fitted together with the effects.
     noise_nt: white noise, 1 sigma per axis [nT].
     doubts: what speaks against acting on it, as the diagnosis names its reasons; empty where nothing does.
+    empirical: curves without a name, beside the effects.
     """
 
     recording: str
@@ -160,6 +162,7 @@ class PhysicsModel:
     notes: tuple[Note, ...] = ()
     spin: ModelSpin | None = None
     doubts: str = ""
+    empirical: tuple[Empirical, ...] = ()
 
 
 def _origin(reading: Reading, key: str) -> int:
@@ -209,6 +212,13 @@ def _terms(reading: Reading, key: str) -> tuple[ModelTerm, ...]:
     return tuple(read_record(table, ModelTerm) for table in tables[:MOST_EFFECTS])
 
 
+def _curves(reading: Reading, key: str) -> tuple[Empirical, ...]:
+    tables = reading.table.tables(key)
+    if len(tables) > MOST_CURVES:
+        reading.table.refuse(key, len(tables), f"at most {MOST_CURVES} tables [[empirical]] are accepted")
+    return tuple(read_record(table, Empirical) for table in tables[:MOST_CURVES])
+
+
 @dataclass(frozen=True, slots=True)
 class ModelSections:
     """The sections of a file as they stand in it."""
@@ -216,6 +226,7 @@ class ModelSections:
     recording: RecordingSection = section(RecordingSection)
     errors: ErrorsSection = section(ErrorsSection)
     terms: tuple[ModelTerm, ...] = special(_terms, (), name="effect")
+    empirical: tuple[Empirical, ...] = special(_curves, ())
     notes: tuple[Note, ...] = sections(Note, name="note")
     spin: ModelSpin | None = section(ModelSpin, None)
 
@@ -233,4 +244,5 @@ class ModelSections:
             notes=self.notes,
             spin=self.spin,
             doubts=self.recording.doubts,
+            empirical=self.empirical,
         )
