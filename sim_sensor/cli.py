@@ -47,7 +47,7 @@ class Attended(Protocol):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse, call, print; returns the exit code: 0 done, 2 refused."""
+    """Parse, call, print; returns the exit code: 0 done, 2 refused, 130 interrupted."""
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = options.command
     try:
@@ -55,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MagcalError as error:
         print(error, file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted: what was asked for is not done", file=sys.stderr)
+        return 130
     except BrokenPipeError:  # whoever read our output has seen enough, such as head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0

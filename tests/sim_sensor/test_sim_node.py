@@ -229,3 +229,15 @@ def test_sigterm_ends_a_run_cleanly() -> None:
     assert process.returncode == 0
     assert "of 18000 s" in error
     assert "Traceback" not in error
+
+
+def test_an_interrupted_record_says_so_and_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim_sensor.cli.record_simulation", stopped)
+    assert cli.main(["record", "--scenario", "paper", "--duration", "60", "--out", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err == "interrupted: what was asked for is not done\n"
+    assert not (tmp_path / "out").exists()
