@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.disk import sync_folder
+from magcal_service.disk import beside, sync_folder
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.mcap import MAGIC, RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
@@ -151,20 +151,19 @@ def rewrite(readers: Iterable[McapReader], out: Path) -> int:
     ``out`` appears at once when it is whole; without a message it does not appear.  Raises ``RecordingError`` where a
     file is no recording of this service, and ``OSError``.
     """
-    partial = out.with_name(out.name + _UNFINISHED)
-    try:
-        with partial.open("wb", buffering=0) as file:
+    with suppress(_EmptyError), beside(out, mark=_UNFINISHED) as part:
+        with part.open("wb", buffering=0) as file:
             writer = McapWriter(file, LIBRARY)
             for reader in readers:
                 _copy(reader, writer)
             writer.finish()
-            os.fsync(file.fileno())
-        if writer.messages:
-            partial.replace(out)
-    finally:
-        with suppress(FileNotFoundError):
-            partial.unlink()
+        if not writer.messages:
+            raise _EmptyError
     return writer.messages
+
+
+class _EmptyError(Exception):
+    """Not one message was there to be written."""
 
 
 def _copy(reader: McapReader, writer: McapWriter) -> None:

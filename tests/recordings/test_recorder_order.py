@@ -80,7 +80,9 @@ def test_the_name_of_a_new_file_survives_a_power_cut(tmp_path: Path, synced: lis
     assert synced == ["folder"]
 
 
-def test_a_recovered_file_is_on_the_disk_before_the_names_change(tmp_path: Path, synced: list[str]) -> None:
+def test_a_recovered_file_is_on_the_disk_with_its_name_before_the_other_one_goes(
+    tmp_path: Path, synced: list[str]
+) -> None:
     path, file = SessionFolder(tmp_path).create(0)
     session = SessionFile(path, file, {}, {})
     session.add(1, SAMPLES[0])
@@ -88,7 +90,7 @@ def test_a_recovered_file_is_on_the_disk_before_the_names_change(tmp_path: Path,
     file.close()
     synced.clear()
     assert recover_in_place(path).messages == 1
-    assert synced == ["file", "folder"]
+    assert synced == ["file", "folder", "folder"]
 
 
 def test_what_a_broken_recovery_left_is_deleted(tmp_path: Path) -> None:
