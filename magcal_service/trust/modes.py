@@ -171,7 +171,7 @@ MODES: Final = {
         "nothing: it continues with what is received",
     ),
     Mode.ESTIMATOR_FAILED: Row(
-        "the estimator's arithmetic fails, or its result is not finite",
+        "the estimator's arithmetic fails, or its result is not finite or beyond what a message can carry",
         "each sample's, uncalibrated",
         "the prior's",
         Verdict.NOT_STARTED,

@@ -11,8 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magcal_service.config.settings import SpinConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.outbox import calibrated_vector, unsendable
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.estimators import methods
+from magcal_service.estimators.ekf import Ekf
 from magcal_service.estimators.interface import TickOutcome
 from magcal_service.ticks.assembler import Tick
 from magcal_service.ticks.time_window import EARLIEST_NS, LATEST_NS
@@ -156,3 +159,44 @@ def test_a_time_out_of_range_is_counted_by_kind_and_changes_nothing(time_ns: int
     assert among.ticks.counters["time_out_of_range"] == len(good)
     kinds = ("reference", "position", "telemetry")
     assert [among.counters[f"{kind}_time_out_of_range"] for kind in kinds] == [len(good)] * 3
+
+
+@pytest.mark.parametrize("method", [method.name for method in methods()])
+@pytest.mark.parametrize("reference", ["usual", "limit"])
+@pytest.mark.parametrize("field", ["small", "microtesla", "spikes", "limit"])
+def test_whatever_a_method_makes_of_extreme_fields_can_be_sent(method: str, field: str, reference: str) -> None:
+    """After half a minute of usual fields, or at once, by a sensor that is called almost free of noise."""
+    for usual_s in (0, 30):
+        rng = np.random.default_rng(1)
+        craft = CraftConfig("paper", SensorConfig(noise_nt=0.01), SpinConfig(), FilterConfig(method, start_s=10.0))
+        stream = rows(FIELDS["usual"](rng, usual_s), REFERENCES["usual"](rng, usual_s), 0)
+        extreme = rows(FIELDS[field](rng, 12), REFERENCES[reference](rng, 12), usual_s)
+        assert all_said(Pipeline(craft), [*stream, *extreme]) > 12
+
+
+def test_an_estimate_that_no_message_can_carry_is_no_estimate() -> None:
+    """The extended filter went to a bias of 10 mT and more, whose messages were held back."""
+    rng = np.random.default_rng(1)
+    pipeline = Pipeline(CraftConfig("paper", SensorConfig(noise_nt=0.01), filter=FilterConfig("ekf")))
+    said = all_said(pipeline, list(rows(FIELDS["small"](rng, 12), REFERENCES["limit"](rng, 12), 0)))
+    assert said == 12 + 12 + 1
+    assert pipeline.counters["estimator_failed"] > 0
+    causes = [event.cause for event in pipeline.take_events() if event.what == "estimator_failed"]
+    assert all(cause.startswith("the estimate cannot be sent: the nine errors") for cause in causes)
+    assert pipeline.trust.verdict is Verdict.NOT_STARTED
+
+
+def test_results_are_within_the_wire_up_to_the_limits_of_what_may_be_sent() -> None:
+    """The largest state that is no failure, with the longest sample that is calibrated: its messages pass the wire."""
+    sample = MagnetometerSample(craft="a", source="m", sequence=0, time_ns=0, field_body_nt=(1e6, 1e6, 1e6))
+    stretch = (1e7 - 1e6 * np.sqrt(3.0)) / (1e6 * np.sqrt(3.0)) - 1e-9
+    x = np.zeros(9)
+    x[3:6] = stretch / np.sqrt(3.0)
+    sigma = np.full(9, 1e8)
+    state = Ekf(CraftConfig("a", SensorConfig(noise_nt=1e5))).estimate()
+    state = replace(state, x=x, covariance=np.outer(sigma, sigma), noise_nt=1e7)
+    assert unsendable(state) == ""
+    vector = calibrated_vector(sample, state, state.covariance, Verdict.DOUBTFUL)
+    assert decode(encode(vector)) == vector
+    for part, more in (("x", 1.0 + 1e-6), ("covariance", 1.0 + 1e-6), ("covariance", -1e-300), ("noise_nt", 1.1)):
+        assert unsendable(replace(state, **{part: getattr(state, part) * more}))
