@@ -25,7 +25,7 @@ from typing import Final
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis.stateful import run_state_machine_as_test
 
-from tests.fuzz.rules.crafts import METHODS
+from tests.fuzz.rules.crafts import LONG_S, METHODS
 from tests.fuzz.rules.machine import Rules, rules_of
 
 STEPS: Final = 100
@@ -79,7 +79,7 @@ def main() -> int:
     done = {name: Counter[str]() for name in options.method or METHODS}
     began_s = time.monotonic()
     for number, name in zip(itertools.count(options.seed * 1_000_000), itertools.cycle(done), strict=False):
-        machine = rules_of(name)
+        machine = rules_of(name, LONG_S)
         error = drive(machine, number, _WORLDS)
         done[name].update(machine.total)
         done[name]["escapes"] += bool(error)

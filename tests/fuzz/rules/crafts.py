@@ -39,8 +39,11 @@ WILD, OTHER, CALM = "wild", "other", "calm"
 
 SECOND_NS: Final = 1_000_000_000
 START_NS: Final = 1_750_000_000 * SECOND_NS
-FLOWN_S: Final = 400
-"""Seconds that a craft has flown where it does not begin at rest: its filter runs, its watch has a window."""
+SHORT_S: Final = (0, 100, 400)
+"""How long a craft has flown when it is first driven [s]: at rest, collecting or just started, running."""
+
+LONG_S: Final = (0, 400, 1750)
+"""The same for a long run: the watch over the model has evidence to weigh."""
 
 _PAPER: Final = SpinConfig(rate_rpm=7.5)
 _GREATEST: Final = CraftConfig(
@@ -141,9 +144,9 @@ def flight(craft: str, first_ns: int, second: int, count: int) -> Iterator[Messa
 
 
 @cache
-def flown(craft: CraftConfig) -> dict[str, Any]:
-    """State of a craft after ``FLOWN_S`` of sound flight."""
+def flown(craft: CraftConfig, seconds: int) -> dict[str, Any]:
+    """State of a craft after so many seconds of sound flight."""
     pipeline = Pipeline(craft)
-    for message in flight(craft.name, START_NS, 0, FLOWN_S):
+    for message in flight(craft.name, START_NS, 0, seconds):
         pipeline.handle(message)
     return pipeline.export_state()

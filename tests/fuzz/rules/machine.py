@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any, ClassVar, Final
 
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from magcal_service.wire.messages import (
     Clock,
@@ -26,7 +26,7 @@ from magcal_service.wire.messages import (
 )
 from tests.fuzz import inputs
 from tests.fuzz.rules import drawn
-from tests.fuzz.rules.crafts import CALM, FLOWN_S, OTHER, SECOND_NS, START_NS, WILD, crafts, flight
+from tests.fuzz.rules.crafts import CALM, OTHER, SECOND_NS, SHORT_S, START_NS, WILD, crafts, flight
 from tests.fuzz.rules.world import World
 
 _driven: Final = st.sampled_from([WILD, WILD, WILD, OTHER])
@@ -48,22 +48,27 @@ class Rules(RuleBasedStateMachine):
     total: ClassVar[Counter[str]] = Counter()
     """What was done in all worlds of the class."""
 
+    flights_s: ClassVar[tuple[int, int, int]] = SHORT_S
+    """How long the craft has flown when a world begins [s], one of them."""
+
     world: World
 
-    @initialize(number=st.integers(0, 5), begins_flown=st.booleans(), writes=st.integers(0, 9))
-    def begin(self, number: int, begins_flown: bool, writes: int) -> None:
-        """Open a world with one of the method's configurations."""
+    @initialize(number=st.integers(0, 5), flown_s=st.integers(0, 2), writes=st.integers(0, 9))
+    def begin(self, number: int, flown_s: int, writes: int) -> None:
+        """Open a world with one of the method's configurations, at rest or after a flight."""
         choices = crafts(self.method)
-        self.world = World(choices[number % len(choices)], begins_flown=begins_flown, writes=writes == 9)
-        first_ns = START_NS + (FLOWN_S * SECOND_NS if begins_flown else 0)
-        self.now_ns = {WILD: first_ns, OTHER: START_NS, CALM: START_NS}
-        self.seconds = {WILD: FLOWN_S, OTHER: 0, CALM: 0}
+        seconds = self.flights_s[flown_s]
+        self.world = World(choices[number % len(choices)], flown_s=seconds, writes=writes == 9)
+        self.now_ns = {WILD: START_NS + seconds * SECOND_NS, OTHER: START_NS, CALM: START_NS}
+        self.seconds = {WILD: seconds, OTHER: 0, CALM: 0}
+        self.steps_since_start = 0
 
     @invariant()
     def counted(self) -> None:
         """A step is done; what has to hold after it was asserted in it."""
         if hasattr(self, "world"):
             self.world.done["steps"] += 1
+            self.steps_since_start += 1
 
     def _common(self, craft: str, time_ns: int, sequence: int, clock: Clock, source: str) -> dict[str, Any]:
         return {"craft": craft, "source": source, "sequence": sequence, "time_ns": time_ns, "clock": clock}
@@ -164,9 +169,11 @@ class Rules(RuleBasedStateMachine):
         else:
             self.world.status()
 
+    @precondition(lambda self: self.steps_since_start >= 10)
     @rule(craft=_driven, how=st.sampled_from(["stop", "kill", "save", "cut", "flip"]), at=st.integers(0, 1 << 20))
     def restart(self, craft: str, how: str, at: int) -> None:
         """The daemon is stopped, killed, or killed right after a checkpoint, which a failing disk may have changed."""
+        self.steps_since_start = 0
         if how == "stop":
             self.world.stop()
             return
@@ -211,6 +218,7 @@ def _spoilt(raw: bytes, at: int, *, cut: bool) -> bytes:
     return raw[:place] if cut else raw[:place] + bytes([raw[place] ^ 1 << at % 8]) + raw[place + 1 :]
 
 
-def rules_of(method: str) -> type[Rules]:
+def rules_of(method: str, flights_s: tuple[int, int, int] = SHORT_S) -> type[Rules]:
     """The machine of one method."""
-    return type(f"Rules_{method.replace('-', '_')}", (Rules,), {"method": method, "total": Counter()})
+    own = {"method": method, "total": Counter(), "flights_s": flights_s}
+    return type(f"Rules_{method.replace('-', '_')}", (Rules,), own)

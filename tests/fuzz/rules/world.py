@@ -42,11 +42,11 @@ class World:
     Parameters
     ----------
     craft: configuration of the craft that is driven.
-    begins_flown: whether it begins as after a flight.
+    flown_s: how long it has flown when the world begins [s].
     writes: whether rows and a recording are written too.
     """
 
-    def __init__(self, craft: CraftConfig, *, begins_flown: bool, writes: bool) -> None:
+    def __init__(self, craft: CraftConfig, *, flown_s: int, writes: bool) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="world-", dir=folder()))
         self.name = f"loop:rules-{next(_numbers)}?queue=100000"
         other = replace(crafts("ukf")[2], name=OTHER)
@@ -62,8 +62,8 @@ class World:
         self._expected: list[Message] = []
         self.node = open_link(self.name, Role.NODE)
         self.begin()
-        if begins_flown:
-            self.service.pipelines[WILD].restore_state(flown(craft))
+        if flown_s:
+            self.service.pipelines[WILD].restore_state(flown(craft, flown_s))
             self._answered = self._accepted()
 
     def begin(self) -> None:
