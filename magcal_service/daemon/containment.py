@@ -27,7 +27,7 @@ def told(error: Exception) -> str:
 
 @contextmanager
 def contained(pipeline: Pipeline, doing: str, message: Message | None = None) -> Iterator[None]:
-    """Within, whatever is raised is logged with its traceback, and the craft begins anew.
+    """Within, whatever is raised is logged, with its traceback where it is new, and the craft begins anew.
 
     Parameters
     ----------
@@ -38,5 +38,6 @@ def contained(pipeline: Pipeline, doing: str, message: Message | None = None) ->
     try:
         yield
     except Exception as error:  # whatever it is, it is this craft's alone
-        log.exception("%s: failed while %s; it begins anew", pipeline.config.name, doing)
-        pipeline.begin_anew(f"{told(error)}, while {doing}", message)
+        cause = f"{told(error)}, while {doing}"
+        log.error("%s: failed: %s; it begins anew", pipeline.config.name, cause, exc_info=cause != pipeline.failure)
+        pipeline.begin_anew(cause, message)

@@ -15,6 +15,7 @@ import pytest
 
 from magcal_service.config.settings import Config, StateConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.containment import contained
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
@@ -108,6 +109,17 @@ def test_what_it_failed_at_is_left_out_where_it_comes_again_after_a_restart_too(
     events = [one.text for one in published if isinstance(one, Status)]
     told = "last event: left_out (a magnetometer message has come again at which it failed"
     assert sum(told in event for event in events) == 1
+
+
+def test_a_failure_that_goes_on_is_logged_with_its_traceback_once(caplog: pytest.LogCaptureFixture) -> None:
+    pipeline = Pipeline(CRAFTS[0])
+    with caplog.at_level(logging.ERROR, "magcal"):
+        for error in (KeyError("a"), KeyError("a"), ValueError("b\x1b[31m\n" + 300 * "c")):
+            with contained(pipeline, "trying"):
+                raise error
+    assert [record.exc_info is not None for record in caplog.records if record.exc_info is not False] == [True, True]
+    assert pipeline.counters["failed"] == 3
+    assert pipeline.failure == f"ValueError: b[31m {142 * 'c'}, while trying"
 
 
 def test_of_what_is_left_out_the_newest_are_known(tmp_path: Path) -> None:

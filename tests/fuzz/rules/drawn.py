@@ -73,6 +73,7 @@ def vectors(limit: float, usual: float) -> st.SearchStrategy[Vector]:
 
 
 fields_nt = vectors(MAX_SAMPLE_FIELD_NT, 4e4)
+turns = st.tuples(*[numbers(MAX_TELEMETRY)] * 3)
 positions_km = vectors(MAX_POSITION_KM, 7e3)
 frames = st.sampled_from(list(Frame))
 magnitudes_nt = st.one_of(st.floats(2e4, 6e4), numbers(MAX_SAMPLE_FIELD_NT).map(abs))

@@ -108,13 +108,25 @@ class Rules(RuleBasedStateMachine):
     @rule(craft=_driven, field=drawn.fields_nt, magnitude_nt=drawn.magnitudes_nt, count=st.integers(1, 8))
     def strange_seconds(self, craft: str, field: Vector, magnitude_nt: float, count: int) -> None:
         """Sound times with vectors and references that no sensor gives."""
+        x, y, z = field
         sent: list[Message] = []
         for number, message in enumerate(self._fly(craft, count)):
             if isinstance(message, MagnetometerSample):
-                x, y, z = field
                 message = replace(message, field_body_nt=(x * (1.0 - 1e-6 * number), y, z) if number % 3 else (y, z, x))
             if isinstance(message, ReferenceSample):
                 message = replace(message, field_nt=None, frame=None, magnitude_nt=magnitude_nt)
+            sent.append(message)
+        self.world.send(sent)
+
+    @rule(craft=_driven, turn=drawn.turns, place=drawn.positions_km, count=st.integers(1, 8))
+    def strange_surroundings(self, craft: str, turn: Vector, place: Vector, count: int) -> None:
+        """Sound times, vectors and references with channels and places that no craft has."""
+        sent: list[Message] = []
+        for message in self._fly(craft, count):
+            if isinstance(message, TelemetrySample):
+                message = replace(message, values=turn[: len(message.values)])
+            if isinstance(message, PositionSample):
+                message = replace(message, position_km=place)
             sent.append(message)
         self.world.send(sent)
 
