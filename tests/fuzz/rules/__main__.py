@@ -2,10 +2,10 @@
 
     python -m tests.fuzz.rules --steps 1000000 --seed 1
     python -m tests.fuzz.rules --method ekf --steps 20000
-    python -m tests.fuzz.rules --steps 1000000 --minutes 60 --write docs/fuzz.md
+    python -m tests.fuzz.rules --steps 1000000 --write docs/fuzz.md
 
 Prints a table; exit code 1 where a promise was broken, with the shortest steps to it.  ``--write`` puts the table into
-a page, between its marks.
+a page, between its marks, each time that more is done.
 """
 
 from __future__ import annotations
@@ -85,19 +85,22 @@ def main() -> int:
         done[name]["escapes"] += bool(error)
         if error:
             print(f"{name}, seed {number}:\n{error}", flush=True)
-        steps = sum(one["steps"] for one in done.values())
-        print(f"{steps} steps, {time.monotonic() - began_s:.0f} s", file=sys.stderr, flush=True)
-        if steps >= options.steps or time.monotonic() - began_s > 60.0 * options.minutes:
+        steps, seconds = sum(one["steps"] for one in done.values()), time.monotonic() - began_s
+        print(f"{steps} steps, {seconds:.0f} s", file=sys.stderr, flush=True)
+        if options.write is not None:
+            _write(options.write, options.steps, options.seed, done)
+        if steps >= options.steps or seconds > 60.0 * options.minutes:
             break
     print(table(done))
-    if options.write is not None:
-        command = f"`python -m tests.fuzz.rules --steps {options.steps} --seed {options.seed}`"
-        if options.minutes < 1e9:
-            command = f"{command[:-1]} --minutes {options.minutes:g}`"
-        text = f"{command}, ended on {datetime.datetime.now(datetime.UTC):%Y-%m-%d}:\n\n{table(done)}"
-        page = options.write.read_text()
-        options.write.write_text(_BLOCK.sub(lambda block: f"{block[1]}{text}{block[3]}", page))
     return 1 if any(one["escapes"] for one in done.values()) else 0
+
+
+def _write(page: Path, steps: int, seed_number: int, done: dict[str, Counter[str]]) -> None:
+    """Put the table so far into a page."""
+    command = f"`python -m tests.fuzz.rules --steps {steps} --seed {seed_number}`"
+    until = f"as far as it had come on {datetime.datetime.now(datetime.UTC):%Y-%m-%d}"
+    text = f"{command}, {until}:\n\n{table(done)}"
+    page.write_text(_BLOCK.sub(lambda block: f"{block[1]}{text}{block[3]}", page.read_text()))
 
 
 if __name__ == "__main__":
