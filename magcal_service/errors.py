@@ -90,6 +90,10 @@ class RecordingError(InputRefusedError):
 
 def unwritable(path: Path, error: OSError) -> InputRefusedError:
     """The refusal of an output file."""
+    if isinstance(error, FileNotFoundError):
+        return InputRefusedError(
+            [Fault(str(path), f"no folder {path.parent}", "give a file in a folder that is there")]
+        )
     return InputRefusedError([Fault(str(path), error.strerror or str(error), "give a file that can be written")])
 
 

@@ -13,6 +13,20 @@ from magcal_service.model import BIAS, D_ALL, measure
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, at_origin, bind, described, followed
 from magcal_service.physics.apply.model_file import PhysicsModel
+from magcal_service.physics.effects import (
+    bias_step,
+    current_loop,
+    external_field,
+    position_offset,
+    reference_epoch,
+    response_lag,
+    scale_step,
+    sun_disturbance,
+    thermal_bias,
+    thermal_scale,
+    time_offset,
+    torquer,
+)
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.units import CHANNEL_UNITS
 from sim_sensor.scenario import UNITS, Channel, Scenario
@@ -35,18 +49,18 @@ def own_effects(scenario: Scenario) -> dict[str, str]:
     panels = any(any(panel.field_nt_per_a) for panel in effects.panels)
     placed = (field.reference_along_track_km, field.reference_radial_km)
     found = {
-        "thermal_bias": ("thermal.bias_nt_per_k", thermal is not None and any(thermal.bias_nt_per_k)),
-        "thermal_scale": ("thermal.scale_per_k", thermal is not None and any(thermal.scale_per_k)),
-        "current_loop": ("[[panel]] field_nt_per_a", panels),
-        "sun_disturbance": ("[[panel]] field_nt_per_a", panels),
-        "torquer": ("[torquer]", effects.torquer is not None),
-        "bias_step": ("[[step]] bias_nt", any(any(step.bias_nt) for step in steps)),
-        "scale_step": ("[[step]] D", any(any(step.D) for step in steps)),
-        "response_lag": ("magnetometer.lag_s", sensor.lag_s > 0.0),
-        "external_field": ("field.ring_current_nt", field.ring_current_nt != 0.0),
-        "time_offset": ("field.reference_time_offset_s", field.reference_time_offset_s != 0.0),
-        "position_offset": ("field.reference_along_track_km and reference_radial_km", any(placed)),
-        "reference_epoch": ("field.reference_epoch", field.reference_epoch_ns is not None),
+        thermal_bias.EFFECT.name: ("thermal.bias_nt_per_k", thermal is not None and any(thermal.bias_nt_per_k)),
+        thermal_scale.EFFECT.name: ("thermal.scale_per_k", thermal is not None and any(thermal.scale_per_k)),
+        current_loop.EFFECT.name: ("[[panel]] field_nt_per_a", panels),
+        sun_disturbance.EFFECT.name: ("[[panel]] field_nt_per_a", panels),
+        torquer.EFFECT.name: ("[torquer]", effects.torquer is not None),
+        bias_step.EFFECT.name: ("[[step]] bias_nt", any(any(step.bias_nt) for step in steps)),
+        scale_step.EFFECT.name: ("[[step]] D", any(any(step.D) for step in steps)),
+        response_lag.EFFECT.name: ("magnetometer.lag_s", sensor.lag_s > 0.0),
+        external_field.EFFECT.name: ("field.ring_current_nt", field.ring_current_nt != 0.0),
+        time_offset.EFFECT.name: ("field.reference_time_offset_s", field.reference_time_offset_s != 0.0),
+        position_offset.EFFECT.name: ("field.reference_along_track_km and reference_radial_km", any(placed)),
+        reference_epoch.EFFECT.name: ("field.reference_epoch", field.reference_epoch_ns is not None),
     }
     return {effect: keys for effect, (keys, acts) in found.items() if acts}
 

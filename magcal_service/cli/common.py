@@ -65,14 +65,14 @@ def refuse_executor(options: argparse.Namespace, accepted: str) -> None:
 
 def refuse_unwritable(path: Path | None) -> None:
     """Refuse before the work is done an output file that plainly cannot be written after it."""
-    from magcal_service.errors import InputRefusedError
+    from magcal_service.errors import InputRefusedError, unwritable
 
     if path is None:
         return
     if path.is_dir():
         raise InputRefusedError([Fault(str(path), "a folder", "give a file that can be written")])
     if not path.parent.is_dir():
-        raise InputRefusedError([Fault(str(path), f"no folder {path.parent}", "give a file in a folder that is there")])
+        raise unwritable(path, FileNotFoundError())
 
 
 def tell(asked: Asked) -> int:

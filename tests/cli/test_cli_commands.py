@@ -166,7 +166,7 @@ def test_an_output_that_cannot_be_written_is_refused_by_name(
     done = run(command, short, option, path)
     assert (done.code, done.err.splitlines()) == (
         2,
-        [f"{path}: 'No such file or directory' is refused; give a file that can be written"],
+        [f"{path}: 'no folder {path.parent}' is refused; give a file in a folder that is there"],
     )
 
 
