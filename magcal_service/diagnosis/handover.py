@@ -14,7 +14,7 @@ from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.interface import Hypothesis, by_name
 from magcal_service.wire.messages import Clock
 
 
@@ -70,7 +70,7 @@ def model_term(hypothesis: Hypothesis, theta: Array, amplitudes: Array) -> Model
     for block in hypothesis.blocks:
         parts[block.name] = np.array(amplitudes[used : used + block.size]).reshape(block.shape)
         used += block.size
-    numbers = {number.name: float(value) for number, value in zip(hypothesis.nonlinear, theta, strict=True)}
+    numbers = by_name(hypothesis.nonlinear, theta)
     return ModelTerm(
         hypothesis.effect, hypothesis.driver, hypothesis.variant, parts, {}, numbers, dict(hypothesis.constants)
     )

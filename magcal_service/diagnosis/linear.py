@@ -95,7 +95,8 @@ class Workspace:
         ends = np.append(first_rows[1:], len(columns))
         sums = np.stack([parts[i:j].T @ scaled[i:j] for i, j in zip(first_rows.tolist(), ends.tolist(), strict=True)])
         width, size = self._basis.shape[1], scaled.shape[1]
-        return Segments(sums[:, width : width + size], sums[:, :width], sums[:, width + size])
+        normal, inside, right = sums[:, width : width + size], sums[:, :width], sums[:, width + size]
+        return Segments(normal, inside, right, self.squares, self.count)
 
     def gated(self, columns: Array, first_rows: NDArray[np.intp], sigma_nt: float) -> list[Gain]:
         """Gains of columns (m, k) that are zero before each of the rows (g,), rising; at the cost of about one."""

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, free_numbers
-from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, value_of
+from magcal_service.model import Array
+from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, by_name, value_of
 
 
 def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
@@ -23,31 +24,41 @@ def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
         values = term.amplitudes[used : used + block.size].reshape(block.shape)
         found[block.name] = Value(values, sigma[part].reshape(block.shape), block.unit, block.labels, _most(block))
         used += block.size
+    numbers = term.hypothesis.nonlinear
     free = fit.linear_size + sum(len(free_numbers(t)) for t in fit.terms[:index])
-    moving = free_numbers(term)
-    for number, nonlinear in enumerate(term.hypothesis.nonlinear):
-        if number in moving:
-            error = float(sigma[free + moving.index(number)])
-        elif nonlinear.role == "instant":
-            error = _instant_sigma(fit, term)
-        else:
-            error = math.nan
-        value = value_of(float(term.theta[number]), error, nonlinear.unit)
-        found[nonlinear.name] = replace(value, bounds=_searched(nonlinear))
+    errors = by_name(numbers, [_number_sigma(fit, term, number, sigma[free:]) for number in range(len(numbers))])
+    of = {number.name: number for number in numbers}
+    for name, value in by_name(numbers, term.theta).items():
+        each = value_of(value, errors[name], of[name].unit)
+        names = () if np.ndim(value) == 0 else (tuple(f"instant {i + 1}" for i in range(np.size(value))),)
+        found[name] = replace(each, labels=names, bounds=_searched(of[name]))
     for name, constant in term.hypothesis.constants.items():
         found.setdefault(name, value_of(constant, math.nan, effect.units.get(name, "1")))
     return {**found, **effect.derived(found)}
 
 
-def _instant_sigma(fit: Fit, term: Term) -> float:
+def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
+    """1 sigma of a nonlinear number of a term, from those of the numbers (m,) that its refit moves; NaN: none."""
+    moving = free_numbers(term)
+    if number in moving:
+        return float(sigma[moving.index(number)])
+    return _instant_sigma(fit, term, number) if term.hypothesis.nonlinear[number].role == "instant" else math.nan
+
+
+def _instant_sigma(fit: Fit, term: Term, number: int) -> float:
     """1 sigma of a change time [s]: how far it may move, to either side, before that costs two noise variances.
 
     A change that shows in few directions cannot be told in time while the field points elsewhere.
     """
-    rows = fit.problem.rows(term.hypothesis.columns(np.array([-np.inf])), fit.unit)
-    assert rows is not None
-    times, at_s = fit.problem.row_time_s, float(term.theta[0])
-    spent = np.cumsum((rows @ term.amplitudes) ** 2)
+    changed = []
+    for instant in (-np.inf, np.inf):
+        theta = np.array(term.theta)
+        theta[number] = instant
+        rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
+        assert rows is not None
+        changed.append(rows @ term.amplitudes)
+    times, at_s = fit.problem.row_time_s, float(term.theta[number])
+    spent = np.cumsum((changed[0] - changed[1]) ** 2)
     row = int(np.searchsorted(times, at_s))
     before = float(spent[row - 1]) if row else 0.0
     allowed = 2.0 * fit.rms_nt**2
@@ -58,7 +69,9 @@ def _instant_sigma(fit: Fit, term: Term) -> float:
 
 def _most(block: Block) -> tuple[float, float] | None:
     """What its physics allows each number of a block; None where no limit is known."""
-    return (-block.most, block.most) if math.isfinite(block.most) else None
+    if not math.isfinite(block.most):
+        return None
+    return max(-block.most, block.least), block.most
 
 
 def _searched(number: Nonlinear) -> tuple[float, float] | None:

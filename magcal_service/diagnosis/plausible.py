@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
 
 WHOLE: Final = 0.25
 """A shift that is the whole of its field has the amplitude 1; a fit may be so far off, a first look twice as far."""
@@ -33,5 +35,12 @@ def within_physics(fit: Fit, index: int) -> bool:
     squares = float((field_nt**2).sum()) + float(np.sum(np.square(growth_nt)))
     if float(np.sqrt(squares / len(field_nt))) > _CANCELLING * largest:
         return False
-    most = np.repeat([block.most for block in term.hypothesis.blocks], [block.size for block in term.hypothesis.blocks])
-    return bool((np.abs(term.amplitudes) <= most).all())
+    sizes = [block.size for block in term.hypothesis.blocks]
+    most = np.repeat([block.most for block in term.hypothesis.blocks], sizes)
+    return bool((np.abs(term.amplitudes) <= most).all()) and above_least(term.hypothesis, term.amplitudes)
+
+
+def above_least(hypothesis: Hypothesis, amplitudes: Array) -> bool:
+    """Whether amplitudes (k,) are no less than what the physics of their blocks has at least."""
+    least = np.repeat([block.least for block in hypothesis.blocks], [block.size for block in hypothesis.blocks])
+    return bool((amplitudes >= least).all())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
-from magcal_service.diagnosis.plausible import WHOLE
+from magcal_service.diagnosis.plausible import WHOLE, above_least
 from magcal_service.diagnosis.problem import Fit, Problem, free_numbers
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
@@ -186,7 +186,7 @@ class Screen:
         if any(len(grid) == 0 for grid in grids) or LEAST_LEFT * hypothesis.least_nt > fit.rms_nt:
             return None
         cost += sum(search_cost(number, self.problem) for number in hypothesis.nonlinear)
-        if grids and hypothesis.nonlinear[0].role == "instant":
+        if grids and hypothesis.nonlinear[0].role == "instant" and hypothesis.proposals is None:
             found = self._instant(hypothesis, space, fit, sigma_nt)
             return None if found is None else Candidate(hypothesis, *found, found[1].nats - cost)
         best: tuple[Array, Gain] | None = None
@@ -194,6 +194,8 @@ class Screen:
             trial = self._gain(hypothesis, values, space, fit, sigma_nt)
             if trial is not None and (best is None or trial.nats > best[1].nats):
                 best = values, trial
+        if best is not None and afresh and hypothesis.nonlinear and hypothesis.nonlinear[0].role == "instant":
+            self._keep(hypothesis, best[0])
         return None if best is None else Candidate(hypothesis, *best, best[1].nats - cost)
 
     def _trials(
@@ -209,7 +211,12 @@ class Screen:
                 return known
         if hypothesis.proposals is None:
             return _product(grids)
-        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), rows))
+        each = self.problem.rows_per_sample
+        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), each * rows))
+
+    def _keep(self, hypothesis: Hypothesis, theta: Array) -> None:
+        """Remember numbers that a hypothesis was at its best with, for when it is a rival."""
+        self._known[hypothesis.label] = [*self._known.get(hypothesis.label, [])[1 - _MOST_KNOWN :], theta]
 
     def _gain(self, hypothesis: Hypothesis, theta: Array, space: Workspace, fit: Fit, sigma_nt: float) -> Gain | None:
         rows = self.rows_of(hypothesis, theta, fit)
@@ -229,7 +236,6 @@ class Screen:
         if not hypothesis.nonlinear or hypothesis.nonlinear[0].role == "instant":
             return candidate
         grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
-        before = self._known.get(hypothesis.label, [])
         theta, gain = refined_numbers(
             hypothesis,
             lambda trial: self._gain(hypothesis, trial, space, fit, sigma_nt),
@@ -237,9 +243,9 @@ class Screen:
             candidate.gain,
             grids,
             self.problem,
-            near=not afresh and len(before) > 0,
+            near=not afresh and hypothesis.label in self._known,
         )
-        self._known[hypothesis.label] = [*before[1 - _MOST_KNOWN :], theta]
+        self._keep(hypothesis, theta)
         return Candidate(hypothesis, theta, gain, candidate.nats - candidate.gain.nats + gain.nats)
 
     def _instant(
@@ -269,6 +275,8 @@ class Screen:
         if candidate.nats < 0.5 * ACCEPTED_NATS:
             return True
         if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
+            return False
+        if not above_least(candidate.hypothesis, candidate.gain.amplitudes):
             return False
         rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
         assert rows is not None

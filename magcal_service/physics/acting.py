@@ -102,8 +102,8 @@ class Term(Protocol):
         """By name of the block."""
 
     @property
-    def nonlinear(self) -> Mapping[str, float]:
-        """By name."""
+    def nonlinear(self) -> Mapping[str, float | Array]:
+        """By name; several of one name as an array."""
 
     @property
     def constants(self) -> Mapping[str, float]:

@@ -93,6 +93,7 @@ class Block:
     Parameters
     ----------
     most: absolute value that one of them has at most by its physics, in the unit; what goes beyond is no such effect.
+    least: value that each of them has at least by its physics.
     labels: names along each dimension, where they are not the axes.
     """
 
@@ -100,6 +101,7 @@ class Block:
     unit: str
     shape: tuple[int, ...] = (3,)
     most: float = math.inf
+    least: float = -math.inf
     labels: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -110,7 +112,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nonlinear:
-    """A number the columns depend on.
+    """A number the columns depend on; several of one name are one list, in the order of the columns' numbers.
 
     Parameters
     ----------
@@ -125,6 +127,14 @@ class Nonlinear:
     role: str = ""
 
 
+def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> dict[str, float | Array]:
+    """Values (m,) of nonlinear numbers by their names: those of one name, such as instants, as an array."""
+    found: dict[str, list[float]] = {}
+    for number, value in zip(numbers, values, strict=True):
+        found.setdefault(number.name, []).append(float(value))
+    return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
     """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
@@ -134,11 +144,14 @@ class Segments:
     normal: (g, k, k) products of the columns with one another, each column of unit rms over the recording.
     inside: (g, p, k) products of what is fitted anyway (orthonormal over the recording) with the columns.
     right: (g, k) products of the columns with the residual [nT].
+    squares, count: sum of squares [nT^2] and number of rows of the residual whole.
     """
 
     normal: Array
     inside: Array
     right: Array
+    squares: float = 0.0
+    count: int = 0
 
     @property
     def running(self) -> Segments:
@@ -147,7 +160,8 @@ class Segments:
         def summed(part: Array) -> Array:
             return np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)])
 
-        return Segments(summed(self.normal), summed(self.inside), summed(self.right))
+        normal, inside, right = summed(self.normal), summed(self.inside), summed(self.right)
+        return Segments(normal, inside, right, self.squares, self.count)
 
     def folded(self, cuts: NDArray[np.intp]) -> Segments:
         """From ``running`` sums those over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
@@ -170,11 +184,13 @@ class Segments:
     @property
     def pairs(self) -> Segments:
         """Each stretch with the next one (g - 1, ...)."""
-        return Segments(*(part[:-1] + part[1:] for part in (self.normal, self.inside, self.right)))
+        normal, inside, right = (part[:-1] + part[1:] for part in (self.normal, self.inside, self.right))
+        return Segments(normal, inside, right)
 
     def drop(self, chosen: Array) -> Array:
         """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
-        return Segments(*(self._sum(chosen, part) for part in (self.normal, self.inside, self.right))).drops
+        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
+        return Segments(normal, inside, right).drops
 
     @property
     def drops(self) -> Array:

@@ -68,6 +68,14 @@ class Said:
         return self.signed.removeprefix("-")
 
     @property
+    def each(self) -> str:
+        """All numbers of a list and the unit: ``"1204.5, 3410.5 and 5002.5 s"``."""
+        factor, unit = _natural(self.unit, 1.0)
+        pairs = zip(np.ravel(self.value).tolist(), np.ravel(self.sigma).tolist(), strict=True)
+        *most, last = (digits(v * factor, s * factor) for v, s in pairs)
+        return f"{' and '.join(filter(None, (', '.join(most), last)))} {unit}".rstrip()
+
+    @property
     def percent(self) -> str:
         """A share as a percentage, without the sign."""
         at = self._largest

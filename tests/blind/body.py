@@ -27,6 +27,61 @@ def bias_step(world: World, _recorded: bool) -> Cause:
     )
 
 
+def switched(world: World, _recorded: bool) -> Cause:
+    """A magnet near the sensor, or the current that makes one, comes on and goes again at instants of its own."""
+    rng = world.streams.rng("switched")
+    count = int(rng.integers(2, 7))
+    at_s = _spread(rng, world, count)
+    step = random_direction(rng)
+    on = (np.searchsorted(at_s, world.time_s, side="right") % 2)[:, None]
+    return Cause(
+        name="bias_step",
+        world=world,
+        spoil=lambda scale: Spoiling(disturbance=lambda _tags, _body: scale * step * on),
+        parameters=lambda scale: {"switched_nt": plain(scale * step), "at_s": plain(at_s)},
+        scale=200.0,
+    )
+
+
+def duty(world: World, _recorded: bool) -> Cause:
+    """A heater's or a payload's current during two or three equally long intervals, one as far from the next."""
+    rng = world.streams.rng("duty")
+    intervals = int(rng.integers(2, 4))
+    every_s = rng.uniform(0.8, 1.0) / (intervals + 0.5) * world.duration_s
+    begin = rng.uniform(0.1, 0.4) * every_s + every_s * np.arange(intervals)
+    at_s = np.sort(np.concatenate([begin, begin + rng.uniform(0.2, 0.5) * every_s]))
+    step = random_direction(rng)
+    on = (np.searchsorted(at_s, world.time_s, side="right") % 2)[:, None]
+    return Cause(
+        name="bias_step",
+        world=world,
+        spoil=lambda scale: Spoiling(disturbance=lambda _tags, _body: scale * step * on),
+        parameters=lambda scale: {"switched_nt": plain(scale * step), "at_s": plain(at_s)},
+        scale=200.0,
+    )
+
+
+def steps(world: World, _recorded: bool) -> Cause:
+    """Something becomes magnetic, another way, at each of several instants."""
+    rng = world.streams.rng("steps")
+    at_s = _spread(rng, world, int(rng.integers(2, 6)))
+    amounts = np.array([random_direction(rng) * rng.uniform(0.6, 1.6) for _ in at_s])
+    after = np.asarray(world.time_s[:, None] >= at_s, dtype=np.float64)
+    return Cause(
+        name="bias_step",
+        world=world,
+        spoil=lambda scale: Spoiling(disturbance=lambda _tags, _body: scale * after @ amounts),
+        parameters=lambda scale: {"steps_nt": plain(scale * amounts), "at_s": plain(at_s)},
+        scale=200.0,
+    )
+
+
+def _spread(rng: np.random.Generator, world: World, count: int) -> Floats:
+    """Instants (count,), a twentieth of the recording from one another and from its ends at least."""
+    free = np.sort(rng.uniform(0.0, 1.0, count))
+    return (0.05 * (np.arange(count) + 1.0) + (1.0 - 0.05 * (count + 1)) * free) * world.duration_s
+
+
 def scale_step(world: World, _recorded: bool) -> Cause:
     """The gain of one axis, or of all, changes at one instant: a range switch, a reset, an upset."""
     rng = world.streams.rng("scale_step")

@@ -58,12 +58,17 @@ DRIVEN_OUTSIDE: Mapping[str, Builder] = MappingProxyType(
 )
 """Those that follow a recorded channel; drawn by name only, as ``"outside:hopkinson"``."""
 
+SEVERAL: Mapping[str, Builder] = MappingProxyType(
+    {"switched": body.switched, "duty": body.duty, "steps": body.steps, "moving_average": motion.moving_average},
+)
+"""Effects of the catalogue, by kinds of their own: as they are where they happen more than once, or to samples."""
+
 ABSORBED: Mapping[str, Builder] = MappingProxyType(
     {"steady_lag": motion.steady_lag, "steady_skew": motion.steady_skew},
 )
 """Effects of the catalogue as they are where nothing of them shows: to be answered ``none``."""
 
-BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **DRIVEN_OUTSIDE, **ABSORBED})
+BUILDERS: Mapping[str, Builder] = MappingProxyType({**EFFECTS, **OUTSIDE, **DRIVEN_OUTSIDE, **ABSORBED, **SEVERAL})
 
 DRIVEN = frozenset({"thermal_bias", "thermal_scale", "current_loop", "torquer", "sun_disturbance"})
 """Effects whose driver can be recorded or not."""
@@ -87,5 +92,5 @@ PAIRS: tuple[tuple[str, str], ...] = tuple(
 )
 """Pairs of effects that can be found together."""
 
-KINDS: tuple[str, ...] = (*EFFECTS, "pair", "none", "absorbed", "outside")
+KINDS: tuple[str, ...] = (*EFFECTS, *SEVERAL, "pair", "none", "absorbed", "outside")
 """What ``draw_case`` takes; also a pair by name, ``"tone+bias_step"``, and ``"outside:walk"``."""

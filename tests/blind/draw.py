@@ -12,7 +12,7 @@ import numpy as np
 from magcal_service import geomagnetic
 from tests.blind.attitude import RPM
 from tests.blind.case import Answer, Case, EffectTruth, Verdict
-from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, DRIVEN_OUTSIDE, EFFECTS, OUTSIDE, PAIRS
+from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, DRIVEN_OUTSIDE, EFFECTS, OUTSIDE, PAIRS, SEVERAL
 from tests.blind.cause import Cause, Telemetry
 from tests.blind.decoys import draw_decoys
 from tests.blind.field import times_ns
@@ -42,8 +42,9 @@ def draw_case(
     Parameters
     ----------
     seed: 0 or more.
-    kind: an effect of the catalogue, ``"pair"`` or ``"tone+bias_step"``, ``"none"``, ``"absorbed"`` (an effect that
-        the calibration takes up whole, detectability below 2), ``"outside"`` or ``"outside:walk"``; see ``KINDS``.
+    kind: an effect of the catalogue, or one that happens more than once (``SEVERAL``), ``"pair"`` or
+        ``"tone+bias_step"``, ``"none"``, ``"absorbed"`` (an effect that the calibration takes up whole, detectability
+        below 2), ``"outside"`` or ``"outside:walk"``; see ``KINDS``.
     driver_recorded: whether the channels that drive an effect are in the recording.
     detectability: range of every effect's detectability; in a pair it is taken beside the other effect.
     strengths: range of every effect's rms [sigma], wherever it has one to choose.
@@ -79,7 +80,7 @@ def _names(seed: int, kind: str) -> tuple[tuple[str, ...], Verdict]:
     if outer == "outside" and name in {*OUTSIDE, *DRIVEN_OUTSIDE}:
         return (name,), "unknown"
     names = tuple(kind.split("+"))
-    if 1 <= len(names) <= 2 and all(name in EFFECTS for name in names):
+    if 1 <= len(names) <= 2 and all(name in EFFECTS or name in SEVERAL for name in names):
         return names, "named"
     raise ValueError(f"{kind!r}: an effect, two joined by '+', 'pair', 'none', 'absorbed', 'outside' or 'outside:NAME'")
 

@@ -144,6 +144,32 @@ def response_lag(world: World, _recorded: bool) -> Cause:
     return _lag(despun(world, world.streams.rng("response_lag")))
 
 
+def moving_average(world: World, _recorded: bool) -> Cause:
+    """A driver that keeps y_k = a x_k + (1 - a) y_(k-1) of what it reads, noise and all, in a craft that slows down.
+
+    ``scale`` is (1 - a) / a, the mean age of what it tells in samples.
+    """
+    world = despun(world, world.streams.rng("moving_average"))
+
+    def averaged(scale: float, read: Floats) -> Floats:
+        share, kept, told = 1.0 / (1.0 + scale), read[0], []
+        for sample in read:
+            kept = share * sample + (1.0 - share) * kept
+            told.append(kept)
+        return np.array(told)
+
+    return Cause(
+        name="response_lag",
+        world=world,
+        spoil=lambda scale: Spoiling(output=lambda _tags, read: averaged(scale, read)),
+        parameters=lambda scale: {"new_share": 1.0 / (1.0 + scale)},
+        scale=0.2,
+        largest_scale=min(3.0, 0.7 / abs(world.motion.rate.start_rad_s) / world.period_s),
+        measure=Measure.SCALAR,
+        also=("spin_rate", "coloured_noise"),
+    )
+
+
 def axis_skew(world: World, _recorded: bool) -> Cause:
     """The axes are digitised one after another, in some order, in a craft whose spin slows down."""
     rng = world.streams.rng("axis_skew")

@@ -47,7 +47,7 @@ def test_nothing_is_outdone_where_nothing_was_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "free"), [("hysteresis", True), ("torquer", True), ("bias_step", False), ("thermal_bias", False)]
+    ("effect", "free"), [("hysteresis", True), ("torquer", True), ("scale_step", False), ("thermal_bias", False)]
 )
 def test_forms_without_a_driver_that_bend_as_they_like_are_free(effect: str, free: bool) -> None:
     (entry,) = [one for one in catalogue() if one.name == effect]

@@ -190,7 +190,7 @@ def test_an_instant_may_move_until_that_costs_two_variances() -> None:
         fit = Fit(
             Problem(scene(), NOISE_NT), X, (term,), residual, np.zeros((COUNT, 0)), scene().unit, FIELD, np.zeros(0)
         )
-        return _instant_sigma(fit, term)
+        return _instant_sigma(fit, term, 0)
 
     assert sigma(2000.0, 1000.0) == pytest.approx(0.34 * PERIOD_S, abs=PERIOD_S)
     assert sigma(4030.0, 1000.0) == pytest.approx(70.0, abs=2 * PERIOD_S)

@@ -11,7 +11,7 @@ import pytest
 
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.model import Array
-from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, effects_on
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind, effects_on
 from magcal_service.physics.apply.model_file import (
     ModelError,
     ModelSpin,
@@ -123,6 +123,37 @@ def test_a_step_stays_at_its_instant() -> None:
     term = ModelTerm("bias_step", "none", "", {"step_nt": np.array([1.0, 2.0, 3.0])}, nonlinear={"at_s": 100.0})
     body, _ = effects_on(cut(flight(), 250, 300), model(term))
     assert body == pytest.approx(np.tile([1.0, 2.0, 3.0], (50, 1)))
+
+
+SWITCHED = ModelTerm(
+    "bias_step",
+    "none",
+    "switched at 3 instants",
+    {"switched_nt": np.array([1.0, 2.0, 3.0])},
+    nonlinear={"at_s": np.array([10.0, 1.0 / 3.0 + 20.0, 40.0])},
+)
+
+
+def test_a_list_of_instants_comes_back_and_acts() -> None:
+    """On from the first to the second and from the third on; every number to the last bit."""
+    (again,) = parse_model(text_of(model(SWITCHED)).encode()).terms
+    assert np.array_equal(again.nonlinear["at_s"], SWITCHED.nonlinear["at_s"])
+    scene = flight()
+    body, _ = effects_on(scene, model(again))
+    on = ((scene.time_s >= 10.0) & (scene.time_s < 20.0 + 1.0 / 3.0)) | (scene.time_s >= 40.0)
+    assert body == pytest.approx(np.outer(on, [1.0, 2.0, 3.0]))
+
+
+def test_a_list_of_another_length_does_not_fit_its_form() -> None:
+    for given in (20.0, np.array([10.0, 20.0])):
+        with pytest.raises(MisfitError, match=r"at_s has . numbers; 3 are accepted for this form"):
+            bind(replace(SWITCHED, nonlinear={"at_s": given}), flight())
+
+
+def test_a_list_of_lists_is_refused() -> None:
+    text = text_of(model(SWITCHED)).replace("at_s = [", "at_s = [[1.0], [2.0]]  # [")
+    with pytest.raises(ModelError, match="one number or a list of them is accepted"):
+        parse_model(text.encode())
 
 
 def test_a_file_keeps_every_bit() -> None:

@@ -17,6 +17,11 @@ def said(value: object, sigma: object, unit: str, *labels: tuple[str, ...]) -> S
     return Said(np.asarray(value, dtype=float), np.asarray(sigma, dtype=float), unit, labels)
 
 
+def test_every_number_of_a_list_is_said() -> None:
+    assert said([1204.52, 3410.48, 5002.5], [0.5, 0.5, 0.5], "s").each == "1204.52, 3410.48 and 5002.50 s"
+    assert said([10.0, 20.0], [math.nan, math.nan], "s").each == "10 and 20 s"
+
+
 @pytest.mark.parametrize(
     ("value", "sigma", "unit", "words"),
     [

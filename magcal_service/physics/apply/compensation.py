@@ -305,7 +305,7 @@ class Compensation(Stateful, CompensationMemory):
         """Whether an inferred temperature is known: from the model's start on, or once its start has decayed."""
         if self._is_at_start(self._begun_ns):
             return True
-        settled_s = _WARM * sum(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
+        settled_s = _WARM * sum(float(np.max(term.nonlinear.get(name, 0.0))) for name in ("time_constant_s", "skin_s"))
         return (time_ns - self._begun_ns) * 1e-9 > settled_s
 
     def _scene(self, rows: list[Row], clock: Clock) -> Scene:

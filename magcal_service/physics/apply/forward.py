@@ -67,8 +67,13 @@ def described(term: ModelTerm) -> str:
 
 def _theta(term: ModelTerm, hypothesis: Hypothesis) -> Array:
     names = [number.name for number in hypothesis.nonlinear]
-    _check_names(term, "nonlinear", names, term.nonlinear)
-    return np.array([term.nonlinear[name] for name in names])
+    counts = {name: names.count(name) for name in names}
+    _check_names(term, "nonlinear", counts, term.nonlinear)
+    for name, count in counts.items():
+        if np.size(term.nonlinear[name]) != count:
+            given = np.size(term.nonlinear[name])
+            raise MisfitError(f"{term.effect}: {name} has {given} numbers; {count} are accepted for this form")
+    return np.concatenate([np.zeros(0), *(np.ravel(term.nonlinear[name]) for name in counts)])
 
 
 def _amplitudes(term: ModelTerm, hypothesis: Hypothesis) -> Array:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from magcal_service.physics.acting import ActsOn, Direct
 from magcal_service.physics.apply.empirical import Empirical, Kind
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
@@ -69,7 +71,7 @@ def _groups_of(terms: Sequence[ModelTerm]) -> dict[int, int]:
     found = {}
     for index, term in enumerate(terms):
         if term.driver == WARMTH:
-            constants = tuple(term.nonlinear.get(name, 0.0) for name in ("time_constant_s", "skin_s"))
+            constants = tuple(float(np.max(term.nonlinear.get(name, 0.0))) for name in ("time_constant_s", "skin_s"))
             found[index] = numbers.setdefault(constants, len(numbers))
     return found
 

@@ -82,8 +82,13 @@ def _sigma(reading: Reading, key: str) -> dict[str, Array]:
     return named_arrays(reading.table, key, dict.fromkeys(reading.values["amplitudes"], ""))
 
 
-def _nonlinear(reading: Reading, key: str) -> dict[str, float]:
-    return named_numbers(reading.table, key, _blocks(reading))
+def _nonlinear(reading: Reading, key: str) -> dict[str, float | Array]:
+    found: dict[str, float | Array] = {}
+    for name, value in named_arrays(reading.table, key, _blocks(reading)).items():
+        if value.ndim > 1:
+            reading.table.refuse(f"{key}.{name}", value.tolist(), "one number or a list of them is accepted")
+        found[name] = value if value.ndim else float(value)
+    return found
 
 
 def _constants(reading: Reading, key: str) -> dict[str, float]:
@@ -102,7 +107,7 @@ class ModelTerm:
     ----------
     effect, driver, variant: which hypothesis of the catalogue.
     amplitudes, sigma: by name of the block, in the hypothesis' order; sigma may leave some out.
-    nonlinear: by name, in the hypothesis' order.
+    nonlinear: by name, in the hypothesis' order; several of one name, such as instants, as a list.
     constants: what the hypothesis was fitted with, such as the temperature that counts as zero.
     """
 
@@ -111,7 +116,7 @@ class ModelTerm:
     variant: str = text("", file_only=True)
     amplitudes: Mapping[str, Array] = special(_amplitudes)
     sigma: Mapping[str, Array] = special(_sigma, {})
-    nonlinear: Mapping[str, float] = special(_nonlinear, {})
+    nonlinear: Mapping[str, float | Array] = special(_nonlinear, {})
     constants: Mapping[str, float] = special(_constants, {})
 
 

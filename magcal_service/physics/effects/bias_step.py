@@ -1,23 +1,37 @@
-"""The bias changes at one instant: a relay, a deployment, a magnetised part."""
+"""The bias changes at an instant, or at several: a relay, a deployment, a magnetised part, a load on and off."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import Block, Effect, along_axes
+from magcal_service.physics.drivers.instants import several
+from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield step(scene, "bias_step", along_axes, Block("step_nt", "nT"))
+    yield from several(scene, "bias_step", along_axes, Block("switched_nt", "nT"), Block("steps_nt", "nT"))
+
 
 EFFECT = Effect(
     name="bias_step",
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_STEP, ""),),
-    title="the bias changes at one instant",
-    equation="d = step (t >= at)",
-    units={"step_nt": "nT", "at_s": "s"},
+    title="the bias changes at an instant, or at several",
+    equation="d = step (t >= at); sum_j step_j (t >= at_j); switched: on from at_1 to at_2, at_3 to ...",
+    units={"step_nt": "nT", "switched_nt": "nT", "steps_nt": "nT", "at_s": "s"},
     prior=(10.0, 5000.0),
-    valid="one instant; the change is over within a sample",
+    valid="up to six instants; each change is over within a sample",
     confused_with=("scale_step", "torquer", "bias_drift"),
     separated_by="the log of relays, deployments and torquer commands at that time",
     source="magnetisation by launch, deployment or torquers: 10-5000 nT (Springmann & Cutler 2012)",
-    says=("The bias of {step_nt.place} jumps by {step_nt.signed} at {at_s.size}, the most of the three.",),
-    hypotheses=lambda scene: (step(scene, "bias_step", along_axes, Block("step_nt", "nT")),),
+    says=(
+        "The bias of {step_nt.place} jumps by {step_nt.signed} at {at_s.size}, the most of the three.",
+        "Something is switched at {at_s.each}: while it is, {switched_nt.place} has {switched_nt.signed} more.",
+        "The bias jumps at {at_s.each}, the most by {steps_nt.signed} ({steps_nt.place}).",
+    ),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
