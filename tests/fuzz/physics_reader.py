@@ -16,6 +16,7 @@ from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Frame, Message, PositionSample, TelemetrySample
 from tests.fuzz.inputs import ROOT, file_of, flight
 from tests.physics import given_scene
+from tests.physics.test_empirical import BIAS, GAIN, GROWTH
 from tests.physics.test_model_file import drawn, forms, model
 
 
@@ -49,6 +50,10 @@ def driven() -> tuple[Message, ...]:
 
 
 def models() -> list[bytes]:
-    """The documentation's, and one for each form of each effect."""
+    """The documentation's, one with curves, and one for each form of each effect."""
     page = (ROOT / "docs/physics-file.md").read_text().split("```toml\n")[1]
-    return [page.split("```")[0].encode(), *(text_of(model(drawn(form)[0])).encode() for form in forms())]
+    return [
+        page.split("```")[0].encode(),
+        text_of(model(empirical=(BIAS, GAIN, GROWTH))).encode(),
+        *(text_of(model(drawn(form)[0])).encode() for form in forms()),
+    ]
