@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.belief import FEWEST_SAMPLES, STANDS_OUT
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import FOLDS, fold_solutions
-from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, amplitude_tie, is_collapsed
+from magcal_service.diagnosis.problem import Fit, Problem, Term, amplitude_columns, amplitude_tie, is_collapsed
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
@@ -48,6 +48,9 @@ _TRIED: Final = 5
 
 _FITTED: Final = 3
 """Of them, those that are fitted jointly, one after another until one stands; choice: each is a whole fit."""
+
+_WORTH_FITTING: Final = 2.0
+"""Standard errors of the gain, to first order, from which on a joint fit is tried: one that stands at 3 has as much."""
 
 _EDGE: Final = 0.005
 """Share of the samples at each end of a driver's values that lie beyond the range: single values hold no curve."""
@@ -180,8 +183,13 @@ class Modelled:
 class _Trial:
     form: Form
     hypothesis: Hypothesis
-    left: float
-    """Sum of white squares on held-out blocks [nT^2]."""
+    residual: Array
+    """(m,) white, on held-out blocks, to first order [nT]."""
+
+    @property
+    def left(self) -> float:
+        """Sum of its squares [nT^2]."""
+        return float(self.residual @ self.residual)
 
 
 def modelled(search: Search, fit: Fit, floor_nt: float, with_sun: bool) -> Modelled | None:
@@ -296,13 +304,14 @@ def _larger(
 ) -> tuple[Modelled, Form] | None:
     """One curve more than ``before`` has, ``forms``; None where no gain stands out."""
     trials = _trials(search, before, drivers, largest_nt, floor_nt)
-    for best in trials[:_FITTED]:
+    worth = [one for one in trials if _gain(before.held_out_white, one.residual, before.problem)[0] > _WORTH_FITTING]
+    for best in worth[:_FITTED]:
         trial = _fitted(search, before, [*forms, best.form], best, largest_nt)
         both = [*forms, best.form]
         if not _stands(before, trial, both):
             continue
         curves, alike = _curves(trial, both), _alike(before, trials, best)
-        return Modelled(fit, trial, curves, *_gain(fit, trial), _forward_nt(fit, trial, both), alike), best.form
+        return Modelled(fit, trial, curves, *_gain_of(fit, trial), _forward_nt(fit, trial, both), alike), best.form
     return None
 
 
@@ -311,7 +320,7 @@ def _stands(before: Fit, trial: Fit, forms: Sequence[Form]) -> bool:
 
     Of what is to be used elsewhere also in a fit that has arrived, and forward in time.
     """
-    gain = _gain(before, trial)[0]
+    gain = _gain_of(before, trial)[0]
     if is_collapsed(trial.x) or gain < STANDS_OUT or not trial.held_out_rms_nt < before.held_out_rms_nt:
         return False
     if forms[-1].driver == ELAPSED:
@@ -349,7 +358,7 @@ def _trials(
         for count in _KNOTS_OF_TIME if driver[0] == ELAPSED else _KNOTS:
             rows = _rows(fit, driver, kind, count, largest_nt)
             if rows is not None:
-                tried.append(_Trial(rows[0], rows[2], _left(fit, rows[1], rows[2])))
+                tried.append(_Trial(rows[0], rows[2], _held_out(fit, rows[1], rows[2])))
         found.append(min(tried, key=lambda one: one.left))
     return sorted(found, key=lambda one: one.left)
 
@@ -371,8 +380,8 @@ def _rows(
     return form, rows, hypothesis
 
 
-def _left(fit: Fit, rows: Array, hypothesis: Hypothesis) -> float:
-    """Sum of white squares [nT^2] on held-out blocks, with rows (m, k) beside what is fitted, to first order."""
+def _held_out(fit: Fit, rows: Array, hypothesis: Hypothesis) -> Array:
+    """White residual (m,) on held-out blocks [nT], with rows (m, k) beside what is fitted, to first order."""
     problem = fit.problem
     term = Term(hypothesis, np.zeros(0), np.zeros(hypothesis.size))
     columns = np.concatenate([fit.white_columns, problem.white(rows)], axis=1)
@@ -382,7 +391,7 @@ def _left(fit: Fit, rows: Array, hypothesis: Hypothesis) -> float:
     for number in range(FOLDS):
         inside = problem.fold == number
         left[inside] -= columns[inside] @ solutions[number]
-    return float(left @ left)
+    return left
 
 
 def _fitted(search: Search, before: Fit, forms: Sequence[Form], best: _Trial, largest_nt: float) -> Fit:
@@ -424,14 +433,19 @@ def _curves(fit: Fit, forms: Sequence[Form]) -> tuple[Empirical, ...]:
     return tuple(found)
 
 
-def _gain(before: Fit, after: Fit) -> tuple[float, int, int]:
+def _gain_of(before: Fit, after: Fit) -> tuple[float, int, int]:
+    """``_gain`` of a fit over the one before."""
+    return _gain(before.held_out_white, after.held_out_white, after.problem)
+
+
+def _gain(before: Array, after: Array, problem: Problem) -> tuple[float, int, int]:
     """By how many of its errors over blocks the held-out gain stands out; in how many blocks it is one, of how many.
 
     A block gains q = 1/2 ln(mean before^2 / mean after^2), in nats a sample, as in ``trust.harm``: a few blocks in
     which much is wrong do not count for all.
     """
-    number = after.problem.blocks(after.white_residual)
-    gained = 0.5 * np.log(np.bincount(number, before.held_out_white**2) / np.bincount(number, after.held_out_white**2))
+    number = problem.blocks(after)
+    gained = 0.5 * np.log(np.bincount(number, before**2) / np.bincount(number, after**2))
     error = float(np.std(gained, ddof=1)) / math.sqrt(len(gained))
     return float(np.mean(gained)) / max(error, 1e-300), int(np.count_nonzero(gained > 0.0)), len(gained)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from magcal_service.physics.apply.model_file import parse_model, text_of
@@ -56,3 +57,11 @@ def test_the_report_draws_the_curve(ran: tuple[Path, Done]) -> None:
     assert "<h2>Without a name, but modelled</h2>" in page
     assert "The gain over the recorded temperature, straight between its knots, with 1 sigma." in page
     assert "It says nothing of a cause." in page
+
+
+def test_the_drawn_curve_is_told_in_words_too(ran: tuple[Path, Done]) -> None:
+    page = (ran[0] / "report.html").read_text()
+    curve = json.loads((ran[0] / "diagnosis.json").read_text())["empirical"]["curves"][0]
+    values, (low, high) = np.array(curve["values"]), curve["range"]
+    sized = f"from {values.min():.3g} to {values.max():.3g}, over {low:.4g} to {high:.4g}."
+    assert f'alt="gain against the recorded temperature [degC]: {sized}"' in page

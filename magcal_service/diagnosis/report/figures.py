@@ -184,8 +184,8 @@ def curve_picture(curve: Empirical) -> Picture:
         axes.set(xlabel=readable(x_label), ylabel=readable(y_label))
         legend(axes)
 
-    alt = f"{curve.kind} against {x_label}: from {values.min():.3g} to {values.max():.3g} {curve.kind.unit}, over "
-    alt += f"{curve.span[0]:.4g} to {curve.span[1]:.4g}"
+    sized = f"from {values.min():.3g} to {values.max():.3g}" + ("" if curve.kind.unit == "1" else f" {curve.kind.unit}")
+    alt = f"{curve.kind} against {x_label}: {sized}, over {curve.span[0]:.4g} to {curve.span[1]:.4g}"
     return picture(draw, f"{alt}.", f"The {curve.kind} over {driver}, straight between its knots, with 1 sigma.")
 
 
