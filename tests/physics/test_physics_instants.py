@@ -99,6 +99,15 @@ def test_one_step_is_no_series() -> None:
     assert proposed(SIZE_NT * after(1300)) == []
 
 
+@pytest.mark.parametrize(
+    ("apart", "widths"), [(4, [4]), (8, [8]), (9, [8, 9]), (30, [8, 16, 30]), (64, [8, 16, 32, 64])]
+)
+def test_ramps_reach_from_a_few_samples_to_the_nearer_neighbour(apart: int, widths: list[int]) -> None:
+    ramps = instants._ramps(np.array([1000, 1000 + apart]), 0, COUNT)
+    assert [round(8 / 7 * float(np.ptp(edge))) for edge in ramps] == pytest.approx(widths, abs=1.5)
+    assert [float(edge.mean()) for edge in ramps] == pytest.approx([1000.0] * len(widths), abs=0.6)
+
+
 def test_too_few_samples_are_not_searched() -> None:
     family = instants._Family(flown(TIME_S[:383]), lambda signal: Columns(axes=signal[None, :, None] * np.ones(3)))
     assert family.best(lambda *_: pytest.fail("looked for")) is None

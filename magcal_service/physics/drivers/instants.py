@@ -348,7 +348,7 @@ def _ramps(rows: Rows, index: int, count: int) -> list[Rows]:
     """Edges (treads,) of ramps around an instant, from a few samples to the nearer neighbour's distance, rising."""
     bounds = np.concatenate([[0], rows, [count]])
     widest = int(min(bounds[index + 1] - bounds[index], bounds[index + 2] - bounds[index + 1]))
-    widths = [min(_SUDDEN << power, widest) for power in range(32) if _SUDDEN << power < 2 * widest]
+    widths = [min(_SUDDEN << power, widest) for power in range(32) if power == 0 or _SUDDEN << power < 2 * widest]
     shares = (np.arange(_TREADS) + 0.5) / _TREADS - 0.5
     return [np.unique(rows[index] + np.rint(width * shares).astype(np.intp)) for width in widths]
 
