@@ -54,14 +54,16 @@ def test_the_mounting_is_found_within_its_sigma(seed: int, noise_rad: float) -> 
     assert np.abs((found.fit.x[:3] - BIAS_NT) / sigma).max() < 3.5
 
 
-def test_a_lag_is_seen_by_vectors_where_magnitudes_see_none_of_it() -> None:
-    """In a steady field a sensor that answers late turns the vectors, and leaves their length."""
+def test_a_lag_is_seen_by_vectors_and_by_what_it_takes_off_their_length() -> None:
+    """In a steady field a sensor that answers late turns the vectors; by magnitudes alone its square shows."""
     lagging = Bench(6, with_attitude=True, steady=True, lag_s=0.5, noise_nt=30.0)
     found = diagnose(lagging.recording())
     assert [term.hypothesis.effect for term in found.fit.terms] == ["response_lag"]
     assert found.fit.held_out_rms_nt < 1.1 * 30.0
     lagging.with_attitude = False
-    assert diagnose(lagging.recording()).fit.terms == ()
+    (term,) = diagnose(lagging.recording()).fit.terms
+    assert (term.hypothesis.effect, term.hypothesis.variant) == ("response_lag", "average of samples")
+    assert float(np.sqrt(term.amplitudes[0])) * term.hypothesis.constants["period_s"] == pytest.approx(0.5, rel=0.15)
 
 
 def test_an_attitude_that_errs_slowly_is_not_believed() -> None:
