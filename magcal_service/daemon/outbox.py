@@ -89,16 +89,18 @@ def calibrated_vector(
 
 
 def unsendable(state: StateEstimate) -> str:
-    """Why results of a finite estimate might be beyond the limits of the wire, for some sample; empty if none can."""
+    """Why results of an estimate might be beyond the limits of the wire, for some sample; empty where none can be."""
     bx, by, bz, d11, d22, d33, d12, d13, d23 = state.x.tolist()
     stretch = math.sqrt(d11 * d11 + d22 * d22 + d33 * d33 + 2.0 * (d12 * d12 + d13 * d13 + d23 * d23))
-    longest_nt = (1.0 + stretch) * _LONGEST_READ_NT + math.hypot(bx, by, bz)
-    covariance = state.covariance
+    longest_nt = (1.0 + stretch) * _LONGEST_READ_NT + math.sqrt(bx * bx + by * by + bz * bz)
+    largest = max(-float(state.covariance.min()), float(state.covariance.max()))  # not a number where one is none
+    if not math.isfinite(longest_nt + largest):
+        return "it is not finite"
     if longest_nt > MAX_RESULT_FIELD_NT:
         return f"the nine errors {shown(state.x.tolist())} make vectors of more than {MAX_RESULT_FIELD_NT:g} nT"
-    if max(-covariance.min(), covariance.max()) > _LARGEST_COVARIANCE:
+    if largest > _LARGEST_COVARIANCE:
         return f"its covariance has an element of more than {_LARGEST_COVARIANCE:g}"
-    if covariance.diagonal().min() < 0.0:
+    if min(state.covariance.diagonal().tolist()) < 0.0:
         return "it has a variance below 0"
     return "" if state.noise_nt <= MAX_RESULT_FIELD_NT else f"its noise is {state.noise_nt:g} nT"
 

@@ -198,5 +198,7 @@ def test_results_are_within_the_wire_up_to_the_limits_of_what_may_be_sent() -> N
     assert unsendable(state) == ""
     vector = calibrated_vector(sample, state, state.covariance, Verdict.DOUBTFUL)
     assert decode(encode(vector)) == vector
-    for part, more in (("x", 1.0 + 1e-6), ("covariance", 1.0 + 1e-6), ("covariance", -1e-300), ("noise_nt", 1.1)):
+    nan, beyond = float("nan"), 1.0 + 1e-6
+    wrong = [("x", nan), ("covariance", nan), ("x", 1e300), ("noise_nt", nan)]
+    for part, more in [*wrong, ("x", beyond), ("covariance", beyond), ("covariance", -1e-300), ("noise_nt", beyond)]:
         assert unsendable(replace(state, **{part: getattr(state, part) * more}))

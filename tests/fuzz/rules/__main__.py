@@ -31,7 +31,7 @@ from tests.fuzz.rules.machine import Rules, rules_of
 STEPS: Final = 100
 """Steps in one world, before another is opened."""
 
-_WORLDS: Final = 20
+_WORLDS: Final = 5
 """Worlds of one method before the next one's turn."""
 
 _COLUMNS: Final = ("worlds", "steps", "messages", "starts", "checkpoints", "contained", "escapes")
