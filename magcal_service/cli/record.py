@@ -30,7 +30,9 @@ def add_record(record: argparse.ArgumentParser) -> None:
     export.add_argument("--craft", metavar="NAME", help="whose; needed for samples where there are several")
     export.set_defaults(command=_export)
 
-    recover = commands.add_parser("recover", help="a sound file of one that a crash left half-written")
+    recover = commands.add_parser(
+        "recover", help="a sound file of all that can be read (exit code 3 if it was damaged)"
+    )
     recover.add_argument("file", type=Path, metavar="FILE.mcap")
     recover.add_argument("--out", type=Path, metavar="OUT.mcap", help="default: FILE.recovered.mcap")
     recover.set_defaults(command=_recover)
@@ -79,7 +81,7 @@ def _recover(options: argparse.Namespace) -> int:
     except OSError as error:
         raise _unusable(options.file, error) from None
     print(recovered)
-    return DONE if recovered.messages else NOT_TRUSTED
+    return DONE if recovered.messages and recovered.undamaged else NOT_TRUSTED
 
 
 def _join(options: argparse.Namespace) -> int:

@@ -1,12 +1,13 @@
-"""A reader of MCAP files that goes as far as a file is sound, and never further."""
+"""A reader of MCAP files: everything in a file that is sound, what stands behind damage included."""
 
 from __future__ import annotations
 
 import io
+import re
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final, NamedTuple
 
 from magcal_service.errors import ExtraMissingError, Fault, RecordingError
 from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic
@@ -14,15 +15,9 @@ from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic
 try:
     import zstandard
     from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import McapError
+    from mcap.exceptions import EndOfFile, McapError
     from mcap.opcode import Opcode
-    from mcap.records import (
-        Channel,
-        Chunk,
-        Header,
-        Metadata,
-        Schema,
-    )
+    from mcap.records import Channel, Chunk, Footer, Header, Metadata, Schema, Statistics
 except ImportError as error:
     raise ExtraMissingError("mcap", "record", "a recording in MCAP") from error
 
@@ -34,10 +29,48 @@ _SPOILT: Final = (McapError, zstandard.ZstdError, struct.error, ValueError, Over
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII4sQ")
+"""A chunk of the writer up to its packed records: times, size, checksum, kind of packing, their length."""
+
+_ZSTD: Final = b"zstd"
+_INDEX = struct.Struct("<HI")
+_INDEX_ENTRY_BYTES: Final = 16
+_FOOTER_BYTES: Final = 20
+_CHECKSUM_BYTES: Final = 4  # at the footer's end, not part of what it covers
+
+_UNFINISHED: Final = "it ends early"
+
+_MARKS: Final = re.compile(
+    rb"(?P<chunk>\x04\0\0\0zstd)|\x0c.{8}.{4}magcal\.|\x02\x14\0{7}|" + re.escape(MAGIC), re.DOTALL
+)
+"""Where reading may go on: within a chunk's head, at the begin of our metadata, of a footer, of another file."""
+
+_MARK_IN_CHUNK: Final = 37  # bytes of a chunk's record before its mark
+_MARK_BYTES: Final = 32  # longer than any mark
+_BLOCK_BYTES: Final = 1 << 20
+_SEARCH_AT_LEAST: Final = 1 << 26
+_SEARCH_TIMES: Final = 4
+"""All places tried together may have so many times the file's bytes and ``_SEARCH_AT_LEAST``: each is read whole."""
+
+
+class _Record(NamedTuple):
+    """A sound record: a chunk's content is unpacked; ``end`` is where the next one begins."""
+
+    opcode: int
+    content: bytes
+    end: int
+
+
+class _SpoiltError(Exception):
+    """What stands at a place is no sound record; ``end`` is where it says it ends, None where that says nothing."""
+
+    def __init__(self, why: str, end: int | None = None, *, chunk: bool = False) -> None:
+        super().__init__(why)
+        self.end, self.chunk = end, chunk
 
 
 class McapReader:
-    """Reads a file from front to back, as far as it is sound.
+    """Reads a file from front to back; behind damage it goes on with the next chunk that is sound.
 
     Parameters
     ----------
@@ -45,8 +78,9 @@ class McapReader:
     name: what faults call it.
 
     While ``messages`` is read, these fill: ``topics`` by channel number, ``metadata`` in the order of the file,
-    ``good_bytes`` (whole records so far), ``bad_chunks`` and ``bad_records`` (skipped, the rest is read), ``damage``
-    (why reading ended early, empty where it did not), ``sound`` (the file is finished and nothing was skipped).
+    ``good_bytes`` (of sound records so far), ``bad_chunks`` and ``bad_records`` (skipped, the rest is read),
+    ``damage`` (the first thing that is wrong but for those, empty where nothing is), ``sound`` (one finished file,
+    nothing was skipped, nothing follows its end).
 
     Raises ``RecordingError`` where the file is no MCAP file at all; nothing else, whatever its bytes.
     """
@@ -64,12 +98,32 @@ class McapReader:
         self.library = ""
         self.profile = ""
         self._schemas: dict[int, Schema] = {}
-        self._finished = False
+        self._finished = False  # the last thing read is a file's closing mark
+        self._summary: bytes | None = None  # the statistics of a summary that is not known to be sound yet
+        self._read = self._indexed = self._stated = 0  # messages: read, and what indices and sound summaries say
+        self._all_stated = True
+        self._to_search = _SEARCH_AT_LEAST + _SEARCH_TIMES * self.size
 
     @property
     def sound(self) -> bool:
-        """Whether the whole file could be read, to its closing mark."""
+        """Whether this is one file, and all of it could be read, to its closing mark."""
         return self._finished and not (self.bad_chunks or self.bad_records or self.damage)
+
+    @property
+    def undamaged(self) -> bool:
+        """Whether it is sound, or lacks its end and nothing else, as what a killed daemon leaves may."""
+        unfinished = self.damage == _UNFINISHED and self.good_bytes == self.size
+        return self.sound or (unfinished and not (self.bad_chunks or self.bad_records))
+
+    @property
+    def gone(self) -> int:
+        """Messages that were in the file and cannot be read, as far as what is sound of it still says so."""
+        return max(0, max(self._indexed, self._stated) - self._read)
+
+    @property
+    def all_gone_known(self) -> bool:
+        """Whether ``gone`` is all of them: the summary, which counts every message, is sound."""
+        return self._finished and self._all_stated
 
     def messages(self) -> Iterator[RawMessage]:
         """Every readable message in the order of the file, which is the order in which they were recorded."""
@@ -77,39 +131,173 @@ class McapReader:
             accepted = "an MCAP file, as the recorder writes it, is accepted"
             raise RecordingError([Fault(self.name, "not an MCAP file", accepted)])
         self.good_bytes = len(MAGIC)
-        for opcode, body in self._top_records():
-            if opcode == Opcode.CHUNK:
-                yield from self._unpacked(body)
-            else:
-                yield from self._taken(opcode, body)
+        chunked = (
+            False  # then a message outside a chunk, where it has no checksum, is another record with a flipped bit
+        )
+        for opcode, content in self._top_records():
+            chunked |= opcode in (Opcode.CHUNK, Opcode.DATA_END)
+            if chunked and opcode == Opcode.MESSAGE:
+                self.bad_records += 1
+                continue
+            for message in self._unpacked(content) if opcode == Opcode.CHUNK else self._taken(opcode, content):
+                self._read += 1
+                yield message
 
     def _top_records(self) -> Iterator[tuple[int, bytes]]:
-        while not self._finished:
-            head = self._file.read(_HEAD.size)
-            if len(head) < _HEAD.size:
-                self.damage = "it ends early"
-                return
-            opcode, length = _HEAD.unpack(head)
-            left = self.size - self.good_bytes - _HEAD.size
-            if length > min(left, _LARGEST_RECORD):
-                self.damage = "it ends within a record" if length <= _LARGEST_RECORD else "a record has no sane length"
-                return
-            yield opcode, self._file.read(length)
-            self.good_bytes += _HEAD.size + length
-            if opcode == Opcode.FOOTER:
-                self._finished = self._file.read(len(MAGIC)) == MAGIC
-                if not self._finished:
-                    self.damage = "its closing mark is missing"
-                    return
-                self.good_bytes += len(MAGIC)
+        at: int | None = len(MAGIC)
+        while at is not None and not (self._finished and at == self.size):
+            if self._at(at, len(MAGIC)) == MAGIC:
+                at = self._another_file(at)
+                continue
+            try:
+                record = self._record(at)
+            except _SpoiltError as error:
+                at = self._behind(at, error)
+                continue
+            self.good_bytes += record.end - at
+            self._finished = False
+            yield record.opcode, record.content
+            at = record.end
+            if record.opcode == Opcode.FOOTER:
+                at = self._ended(at, record.content)
 
-    def _unpacked(self, body: bytes) -> Iterator[RawMessage]:
-        """The messages of a chunk; one whose checksum is wrong is skipped as a whole."""
+    # What stands at a place
+
+    def _at(self, place: int, count: int) -> bytes:
+        self._file.seek(place)
+        return self._file.read(count)
+
+    def _record(self, place: int) -> _Record:
+        """The record at a place; ``_SpoiltError`` where it is not sound."""
+        head = self._at(place, _HEAD.size)
+        if len(head) < _HEAD.size:
+            raise _SpoiltError(_UNFINISHED)
+        opcode, length = _HEAD.unpack(head)
+        if opcode == Opcode.CHUNK:
+            return self._chunk(place, length)
+        self._refuse_length(place, length)
+        body, end = self._file.read(length), place + _HEAD.size + length
         try:
-            records = _unpack(Chunk.read(ReadDataStream(io.BytesIO(body))))
+            return _Record(opcode, _checked(opcode, body), end)
         except _SPOILT:
+            raise _SpoiltError("a record is spoilt", end) from None
+
+    def _chunk(self, place: int, length: int) -> _Record:
+        """The chunk at a place, whose length stands in it twice: the one that goes with its checksum is its length."""
+        head = self._at(place + _HEAD.size, _CHUNK.size)
+        own = _CHUNK.size + _CHUNK.unpack(head)[-1] if len(head) == _CHUNK.size else length
+        for one in dict.fromkeys((length, own)):
+            if one > self._most(place):
+                continue
+            body = self._at(place + _HEAD.size, one)
+            try:
+                records = _unpack(_chunk_of(body))
+            except _SPOILT:
+                continue
+            if own != length:
+                self._damaged("the length of a chunk is spoilt")
+            return _Record(Opcode.CHUNK, records, place + _HEAD.size + one)
+        self._refuse_length(place, length)
+        raise _SpoiltError("a chunk is spoilt", place + _HEAD.size + length, chunk=True)
+
+    def _refuse_length(self, place: int, length: int) -> None:
+        if length > self._most(place):
+            raise _SpoiltError(
+                "it ends within a record" if length <= _LARGEST_RECORD else "a record has no sane length"
+            )
+
+    def _most(self, place: int) -> int:
+        """The longest that a record at a place can be."""
+        return min(self.size - place - _HEAD.size, _LARGEST_RECORD)
+
+    def _ended(self, at: int, footer: bytes) -> int:
+        """The place behind the closing mark, which is the end of a sound file."""
+        whole = self._at(at, len(MAGIC)) == MAGIC
+        self._finished = whole
+        if not whole:
+            self._damaged("its closing mark is missing")
+            return at
+        self.good_bytes += len(MAGIC)
+        sound = self._summary_is_sound(at, footer)
+        if not sound:
+            self._damaged("its summary is spoilt")
+        if sound and self._summary is not None:
+            self._stated += Statistics.read(_strict(self._summary)).message_count
+        else:
+            self._all_stated = False
+        self._summary = None
+        return at + len(MAGIC)
+
+    def _summary_is_sound(self, at: int, footer: bytes) -> bool:
+        """Whether the summary that ends at ``at`` has the checksum that its footer says; 0 says none."""
+        content = Footer.read(_strict(footer))
+        if not content.summary_crc:
+            return True
+        begin = content.summary_start or at - len(footer) - _HEAD.size
+        if not len(MAGIC) <= begin <= at or at - begin > _LARGEST_RECORD:
+            return False
+        wanted: int = content.summary_crc
+        return zlib.crc32(self._at(begin, at - begin - _CHECKSUM_BYTES)) == wanted
+
+    def _another_file(self, at: int) -> int:
+        """Begin with a file that was put behind another's end, which has channels of its own."""
+        self._damaged("another file follows its end" if self._finished else "another file begins within it")
+        self._all_stated &= self._finished
+        self._finished = False
+        self.topics, self._schemas = {}, {}
+        self.good_bytes += len(MAGIC)
+        return at + len(MAGIC)
+
+    # Behind damage
+
+    def _behind(self, at: int, error: _SpoiltError) -> int | None:
+        """Where reading goes on behind what is spoilt at a place; None where nothing sound is left."""
+        if error.chunk:
             self.bad_chunks += 1
-            return
+        if self._finished:
+            self._damaged(f"{self.size - at} bytes follow its end")
+        if error.end is not None and self._sound_at(error.end):
+            if not error.chunk:
+                self.bad_records += 1
+            return error.end
+        if not error.chunk:
+            self._damaged(str(error))
+        self._finished = False
+        return self._next_sound(at + 1)
+
+    def _damaged(self, what: str) -> None:
+        self.damage = self.damage or what
+
+    def _next_sound(self, begin: int) -> int | None:
+        """The first place from ``begin`` on where a chunk, our metadata, a file or its end stand, and are sound."""
+        for block in range(begin, self.size, _BLOCK_BYTES):
+            content = self._at(block, _BLOCK_BYTES + _MARK_BYTES)
+            for mark in _MARKS.finditer(content):
+                place = block + mark.start() - (_MARK_IN_CHUNK if mark["chunk"] else 0)
+                if place >= begin and self._sound_at(place):
+                    return place
+                if self._to_search < 0:
+                    return None
+        return None
+
+    def _sound_at(self, place: int) -> bool:
+        """Whether a record is at a place that has more to show than its length, or a file begins there."""
+        if self._at(place, len(MAGIC)) == MAGIC:
+            return True
+        try:
+            record = self._record(place)
+        except _SpoiltError as error:
+            self._to_search -= 0 if error.end is None else error.end - place
+            return False
+        self._to_search -= record.end - place + len(record.content)
+        if record.opcode == Opcode.FOOTER:
+            return self._at(record.end, len(MAGIC)) == MAGIC
+        return record.opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.DATA_END)
+
+    # What a record says
+
+    def _unpacked(self, records: bytes) -> Iterator[RawMessage]:
+        """The messages of a chunk."""
         at, end = 0, len(records)
         while end - at >= _HEAD.size:
             opcode, length = _HEAD.unpack_from(records, at)
@@ -122,11 +310,15 @@ class McapReader:
             self.bad_records += 1
 
     def _taken(self, opcode: int, body: bytes) -> Iterator[RawMessage]:
-        """Remember a schema, channel or metadata; give a message."""
+        """Remember a schema, channel or metadata, count what an index has; give a message."""
         try:
             if opcode == Opcode.MESSAGE:
                 number, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(body)
                 yield RawMessage(self.topics[number], sequence, log_time_ns, publish_time_ns, body[_MESSAGE.size :])
+            elif opcode == Opcode.MESSAGE_INDEX:
+                self._indexed += (len(body) - _INDEX.size) // _INDEX_ENTRY_BYTES
+            elif opcode == Opcode.STATISTICS:
+                self._summary = body
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.HEADER):
                 self._remember(opcode, ReadDataStream(io.BytesIO(body)))
         except _SPOILT:
@@ -151,6 +343,65 @@ class McapReader:
             self.metadata.append((metadata.name, metadata.metadata))
 
 
+def _strict(body: bytes) -> _StrictStream:
+    return _StrictStream(io.BytesIO(body))
+
+
+class _StrictStream(ReadDataStream):
+    """Raises ``EndOfFile`` where a record is shorter than it says, which the package's own lets pass."""
+
+    def read(self, length: int) -> bytes:
+        """So many bytes."""
+        data: bytes = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+_FILLED: Final = {
+    Opcode.HEADER: Header,
+    Opcode.FOOTER: Footer,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+}
+"""Records that have to fill the length that they say: a damaged length shows."""
+
+_OTHERS: Final = frozenset(Opcode) - _FILLED.keys() - {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
+
+
+def _checked(opcode: int, body: bytes) -> bytes:
+    """The bytes of a record that is no chunk; raises one of ``_SPOILT`` where the format shows that they are spoilt."""
+    if opcode == Opcode.MESSAGE_INDEX:
+        length = _INDEX.unpack_from(body)[1]
+        if length != len(body) - _INDEX.size or length % _INDEX_ENTRY_BYTES:
+            raise ValueError("an index of another length")
+    elif opcode in _FILLED:
+        _filling(_FILLED[Opcode(opcode)], body)
+    elif opcode not in _OTHERS:
+        raise ValueError("a kind of record that there is not")
+    return body
+
+
+def _filling(kind: Any, body: bytes) -> Any:
+    """A record of a class of the package; ``ValueError`` where it is shorter than its bytes."""
+    stream = _strict(body)
+    record = kind.read(stream)
+    if stream.count != len(body):
+        raise ValueError("longer than what it holds")
+    return record
+
+
+def _chunk_of(body: bytes) -> Chunk:
+    """A chunk, whose packed records are all that follows its head, whatever length it says for them."""
+    if len(body) < _CHUNK.size or _CHUNK.unpack_from(body)[-3:-1] != (len(_ZSTD), _ZSTD):
+        chunk: Chunk = _filling(Chunk, body)
+        return chunk
+    first_ns, last_ns, size, checksum, *_ = _CHUNK.unpack_from(body)
+    return Chunk(_ZSTD.decode(), body[_CHUNK.size :], last_ns, first_ns, checksum, size)
+
+
 def _unpack(chunk: Chunk) -> bytes:
     """A chunk's records; ``ValueError`` where size or checksum is wrong."""
     if chunk.uncompressed_size > _LARGEST_RECORD:
@@ -159,7 +410,9 @@ def _unpack(chunk: Chunk) -> bytes:
         if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
             raise ValueError("unpacks to more than it says")
         unpacked = zstandard.ZstdDecompressor()
-        records: bytes = unpacked.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+        records: bytes = unpacked.decompress(
+            chunk.data, max_output_size=chunk.uncompressed_size, allow_extra_data=False
+        )
     elif chunk.compression == "":
         records = chunk.data
     else:

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final
 
 from magcal_service.disk import beside, sync_folder
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.mcap import MAGIC, RawMessage
+from magcal_service.recordings.mcap import DROPPED, MAGIC, RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.version import __version__
@@ -104,15 +104,24 @@ class Recovered:
     result: the sound file with its messages; None where it had none.
     messages: how many there were.
     lost_bytes: what could not be read.
+    gone: messages that were in it and could not be read.
+    all_known: whether those are all; else the file does not say how many more there were.
+    undamaged: whether the file lacked its end at most.
     """
 
     source: Path
     result: Path | None
     messages: int
     lost_bytes: int
+    gone: int = 0
+    all_known: bool = False
+    undamaged: bool = False
 
     def __str__(self) -> str:
-        text = f"{self.messages} records of {self.source.name} recovered, {self.lost_bytes} bytes given up"
+        gone = f"{self.gone} gone"
+        if not (self.all_known or self.undamaged):
+            gone = f"at least {gone}" if self.gone else "an unknown number gone"
+        text = f"{self.messages} records of {self.source.name} recovered, {gone}, {self.lost_bytes} bytes given up"
         return text if self.result is None else f"{text}: {self.result.name}"
 
 
@@ -142,7 +151,8 @@ def recover(path: Path, out: Path) -> Recovered:
         reader = McapReader(file, str(path))
         messages = rewrite([reader], out)
         lost = reader.size - reader.good_bytes
-    return Recovered(path, out if messages else None, messages, lost)
+    result = out if messages else None
+    return Recovered(path, result, messages, lost, reader.gone, reader.all_gone_known, reader.undamaged)
 
 
 def rewrite(readers: Iterable[McapReader], out: Path) -> int:
@@ -174,6 +184,8 @@ def _copy(reader: McapReader, writer: McapWriter) -> None:
             copied = _copy_metadata(reader, writer, copied)
         writer.add(message)
     _copy_metadata(reader, writer, copied)
+    if reader.gone:
+        writer.add_metadata(DROPPED, {"messages": str(reader.gone)})
 
 
 def _copy_metadata(reader: McapReader, writer: McapWriter, copied: int) -> int:

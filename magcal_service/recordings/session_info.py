@@ -41,7 +41,8 @@ class SessionInfo:
     sound: whether it is finished and all of it can be read.
     damage: why not, empty where it is.
     bad_chunks, bad_records: what had to be skipped.
-    dropped: messages that the recorder had to leave out.
+    gone: messages that were in the file and cannot be read, as far as it still says so.
+    dropped: messages that the recorder had to leave out, or that were gone when a file was recovered.
     library: what wrote it.
     about: the session's own account: identity, part, versions, digest of the configuration.
     first_ns, last_ns: wall clock [ns] at the first and the last record.
@@ -55,6 +56,7 @@ class SessionInfo:
     damage: str = ""
     bad_chunks: int = 0
     bad_records: int = 0
+    gone: int = 0
     dropped: int = 0
     library: str = ""
     about: dict[str, str] = field(default_factory=dict)
@@ -71,7 +73,7 @@ class SessionInfo:
         state = "sound" if self.sound else f"NOT SOUND: {self.damage or 'some of it is spoilt'}"
         lines = [f"{self.file}: {self.size_bytes} bytes, {state}"]
         if not self.sound:
-            skipped = f"{self.bad_chunks} chunks and {self.bad_records} records skipped"
+            skipped = f"{self.bad_chunks} chunks and {self.bad_records} records skipped, {self.gone} messages gone"
             lines.append(
                 f"readable: {self.good_bytes} bytes; {skipped}; magcal record recover makes a sound file of it"
             )
@@ -83,7 +85,7 @@ class SessionInfo:
         else:
             lines.append("no records")
         if self.dropped:
-            lines.append(f"{self.dropped} messages are missing: the recorder could not take them")
+            lines.append(f"{self.dropped} messages are missing: the recorder could not take them, or they were spoilt")
         for one in self.kinds:
             span = f"{ns_to_iso8601(one.first_ns)} to {ns_to_iso8601(one.last_ns)}"
             lines.append(f"  {one.craft:<16} {one.kind:<14} {one.count:>9}  {one.schema:<26} {span}")
@@ -114,6 +116,7 @@ def _info(reader: McapReader) -> SessionInfo:
     info.kinds = list(kinds.values())
     info.good_bytes, info.sound, info.damage = reader.good_bytes, reader.sound, reader.damage
     info.bad_chunks, info.bad_records, info.library = reader.bad_chunks, reader.bad_records, reader.library
+    info.gone = reader.gone
     for name, content in reader.metadata:
         if name == SESSION:
             info.about |= content

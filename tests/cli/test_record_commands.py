@@ -88,7 +88,7 @@ def test_recover_makes_a_sound_file_beside(cut: Path, say: Say) -> None:
     code, told, _ = say("recover", cut)
     out = cut.with_suffix(".recovered.mcap")
     info = session_info(out)
-    assert code == 0
+    assert code == 3  # the cut went through a chunk
     assert info.sound
     assert f"{sum(kind.count for kind in info.kinds)} records of cut.mcap recovered" in told
     assert cut.exists()

@@ -159,10 +159,15 @@ def test_a_folder_is_made_with_those_above_it(tmp_path: Path) -> None:
 
 def test_a_recovery_is_reported_with_the_file_that_came_of_it(tmp_path: Path) -> None:
     source, result = tmp_path / "one.mcap", tmp_path / "one.recovered.mcap"
-    assert str(Recovered(source, None, 0, 7)) == "0 records of one.mcap recovered, 7 bytes given up"
-    assert str(Recovered(source, result, 3, 7)) == (
-        "3 records of one.mcap recovered, 7 bytes given up: one.recovered.mcap"
+    assert (
+        str(Recovered(source, None, 0, 7))
+        == "0 records of one.mcap recovered, an unknown number gone, 7 bytes given up"
     )
+    assert str(Recovered(source, result, 3, 7, gone=2)) == (
+        "3 records of one.mcap recovered, at least 2 gone, 7 bytes given up: one.recovered.mcap"
+    )
+    assert "3 records of one.mcap recovered, 2 gone, " in str(Recovered(source, result, 3, 7, gone=2, all_known=True))
+    assert "3 records of one.mcap recovered, 0 gone, 0 b" in str(Recovered(source, result, 3, 0, undamaged=True))
 
 
 def test_the_footer_says_where_the_summary_is_and_has_its_checksum(tmp_path: Path) -> None:
