@@ -18,6 +18,7 @@ import re
 import sys
 import time
 import traceback
+import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Final
@@ -76,6 +77,7 @@ def main() -> int:
     parser.add_argument("--write", type=Path, help="a page with the marks <!-- rules --> and <!-- end of rules -->")
     options = parser.parse_args()
     logging.getLogger("magcal").setLevel(logging.CRITICAL + 1)  # each planted defect is logged with its traceback
+    warnings.simplefilter("error")  # as the suite does: an overflow is no answer
     done = {name: Counter[str]() for name in options.method or METHODS}
     began_s = time.monotonic()
     for number, name in zip(itertools.count(options.seed * 1_000_000), itertools.cycle(done), strict=False):
