@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from typing import Final
 
+from magcal_service.config.private_files import check_input
 from magcal_service.config.reader import physics_of
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
@@ -68,7 +69,9 @@ class Commander:
                 f"arguments {given!r}: nothing, or name = a file ending in .toml beside {configured.path}, is accepted"
             )
         try:
-            loaded = physics_of(configured.path.with_name(name))
+            path = configured.path.with_name(name)
+            check_input(path)
+            loaded = physics_of(path)
         except InputRefusedError as error:
             return str(error)
         pipeline.load_physics(loaded.text)

@@ -12,9 +12,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.config.private_files import check_state_directory
+from magcal_service.config.private_files import check_input, check_state_directory, check_way
 from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
+from magcal_service.daemon.checkpoints.schedule import Schedule
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.containment import contained
@@ -28,7 +29,7 @@ from magcal_service.links import Link, Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import kind_of
-from magcal_service.wire.messages import Command, Estimate, Message, Status
+from magcal_service.wire.messages import Command, Estimate, Message, Status, Verdict
 
 if TYPE_CHECKING:
     from magcal_service.recordings.recorder import Recorder
@@ -39,6 +40,9 @@ log.addHandler(logging.NullHandler())  # without a handler for logs, the command
 WAIT_S: Final = 0.5
 """Longest wait for a message: how late a status, the watchdog and a request to stop may be."""
 
+
+_WORTH_KEEPING: Final = ("restored", "started")
+"""Events after which a checkpoint does not wait for its period; so it is where a craft has become trusted."""
 
 WATCHDOG_S: Final = 10.0
 """How often ``systemctl status`` gets a new line where no watchdog requires more."""
@@ -97,6 +101,7 @@ class Service:
         self._left_out: set[str] = set()  # craft of which it was told that messages are left out
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
+        self._schedule = Schedule(math.inf if config.state is None else config.state.period_s)
 
     def shut_down(self) -> None:
         """End ``run`` before it waits for another message."""
@@ -124,6 +129,8 @@ class Service:
         for event in events:
             self.counters["events"] += 1
             self._last_events[event.craft] = event
+            if event.what in _WORTH_KEEPING:
+                self._schedule.ask()
             log.info("%s: %s", event.craft, event, extra={"fields": {"event": asdict(event)}})
             self._publish_status(self.pipelines[event.craft])
 
@@ -132,8 +139,6 @@ class Service:
 
         The last checkpoint is written before that: what the open ticks wait for may still come to the next daemon.
         """
-        state = self.config.state
-        checkpoint = Timer(state.period_s if state is not None else math.inf)
         summary = Timer(self.config.health.summary_s)
         status = Timer(self.config.output.status_period_s)
         watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
@@ -150,8 +155,8 @@ class Service:
                 self.log_health()
             if watchdog.due():
                 self.feed_watchdog()
-            if checkpoint.due():
-                self.save()
+            if self._schedule.due():
+                self._schedule.done(self.save())
         self.save()
         for pipeline in self.pipelines.values():
             with contained(pipeline, "closing its ticks"):
@@ -172,10 +177,9 @@ class Service:
             self.counters["untold"] += 1
             log.exception("%s could not be told", what)
 
-    def save(self) -> None:
-        """Write a checkpoint of every craft that has taken samples since its last one."""
-        if self.checkpoints is not None:
-            self.checkpoints.save(self.pipelines.values())
+    def save(self) -> bool:
+        """Write a checkpoint of every craft that has taken samples since its last one; whether any was written."""
+        return self.checkpoints is not None and self.checkpoints.save(self.pipelines.values())
 
     def handle(self, message: Message) -> None:
         """Pass one message to its craft and publish the outputs."""
@@ -229,6 +233,8 @@ class Service:
         state = " ".join((estimate.verdict, *estimate.reasons))
         if self._verdicts.get(estimate.craft) != state:
             self._verdicts[estimate.craft] = state
+            if estimate.verdict is Verdict.TRUSTED:
+                self._schedule.ask()
             log.info("%s: %s at tick %d; %s", estimate.craft, state, estimate.tick, estimate.remedy or "nothing to do")
 
     def publish_status(self) -> None:
@@ -309,10 +315,17 @@ def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
 
 
 def _check_directories(config: Config) -> None:
-    """Reject folders that everybody could write before anything is read from them."""
-    for part in (config.state, config.record):
-        if part is not None and part.directory.exists():
-            check_state_directory(part.directory)
+    """Reject folders, and files on the way to them, that anybody could replace before anything is read from them."""
+    if config.record is not None and config.record.directory.exists():
+        check_state_directory(config.record.directory)
+    if config.state is not None:
+        for folder in (config.state.directory, *(config.state.directory / craft.name for craft in config.crafts)):
+            check_way(folder)
+            if folder.exists():
+                check_state_directory(folder)
+    for craft in config.crafts:
+        if craft.physics is not None:
+            check_input(craft.physics.path)
 
 
 def _check_history(config: Config, link: Link) -> None:
@@ -330,8 +343,10 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
     crafts = [craft.name for craft in config.crafts]
     _check_directories(config)
     with ExitStack() as stack:
+        checkpoints = None
+        if config.state is not None:  # first of all: another daemon's files are not to be touched
+            checkpoints = stack.enter_context(Checkpoints(config.state, config.crafts))
         csv, recorder = _csv(config, stack), _recorder(config, stack)
-        checkpoints = None if config.state is None else Checkpoints(config.state, config.crafts)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
         _check_history(config, link)
         metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))

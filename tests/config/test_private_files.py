@@ -9,9 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.config.private_files import check_secret, check_state_directory, check_unaltered, read_key
+from magcal_service.config.private_files import (
+    check_input,
+    check_secret,
+    check_state_directory,
+    check_unaltered,
+    check_way,
+    read_key,
+)
 from magcal_service.errors import ConfigError
 from magcal_service.links import Role, open_link
+from tests.config.test_config_physics import EXAMPLE
 
 KEY = "00112233445566778899aabbccddeeff"
 NOBODY = 65534
@@ -149,3 +157,88 @@ def test_a_zenoh_configuration_that_everybody_can_write_is_refused(tmp_path: Pat
     config.chmod(0o666)
     with pytest.raises(ConfigError, match=r"zenoh.json5: 'mode 0666'"):
         open_link(f"zenoh:tcp/127.0.0.1:0?listen=yes&config={config}", Role.SERVICE)
+
+
+def test_a_folder_above_that_everybody_can_write_is_refused(tmp_path: Path) -> None:
+    """Whoever can rename the folder above puts another in its place; what is not there yet is nobody's."""
+    open_one = tmp_path / "open"
+    inner = open_one / "inner" / "state"
+    inner.mkdir(parents=True)
+    check_way(inner)
+    open_one.chmod(0o777)
+    with pytest.raises(ConfigError, match=f"{open_one}: 'mode 0777' is refused; above {inner}, .*chmod o-w {open_one}"):
+        check_way(inner)
+    check_way(open_one)  # what stands in it is looked after by ``check_state_directory``
+    open_one.chmod(0o1777)
+    check_way(inner)
+    check_way(open_one / "absent" / "state")
+
+
+@as_root
+def test_what_somebody_else_owns_in_a_folder_as_tmp_is_refused(tmp_path: Path) -> None:
+    open_one = tmp_path / "open"
+    inner = open_one / "inner"
+    (inner / "state").mkdir(parents=True)
+    open_one.chmod(0o1777)
+    os.chown(inner, NOBODY, NOBODY)
+    with pytest.raises(ConfigError, match=f"{inner}: 'owner {NOBODY}' is refused"):
+        check_way(inner / "state")
+
+
+def test_a_link_is_followed_to_folders_that_everybody_can_write(tmp_path: Path) -> None:
+    """Absolute and relative ones, with steps up, and a circle."""
+    real = tmp_path / "open" / "real"
+    real.mkdir(parents=True)
+    real.parent.chmod(0o777)
+    holder = tmp_path / "holder"
+    holder.mkdir()
+    (holder / "absolute").symlink_to(real)
+    (holder / "relative").symlink_to("../open/real")
+    (holder / "round").symlink_to("round")
+    for name in ("absolute", "relative"):
+        with pytest.raises(ConfigError, match=f"{real.parent}: 'mode 0777'"):
+            check_way(holder / name / "state")
+    with pytest.raises(ConfigError, match="links in a circle"):
+        check_way(holder / "round")
+    real.parent.chmod(0o755)
+    check_way(holder / "relative" / "state")
+    holder.chmod(0o777)
+    with pytest.raises(ConfigError, match=f"{holder}: 'mode 0777'"):
+        check_way(holder / "relative" / "state")
+
+
+def test_a_physics_file_is_a_file_that_not_everybody_can_write(tmp_path: Path) -> None:
+    path = secret(tmp_path, 0o644)
+    check_input(path)
+    path.chmod(0o646)
+    with pytest.raises(ConfigError, match="mode 0646"):
+        check_input(path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="pipe: 'not a file' is refused"):
+        check_input(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="absent: 'No such file"):
+        check_input(tmp_path / "absent")
+
+
+def test_a_daemon_takes_up_nothing_from_a_craft_folder_that_everybody_can_write(tmp_path: Path) -> None:
+    (tmp_path / "kept" / "demo").mkdir(parents=True)
+    (tmp_path / "kept" / "demo").chmod(0o777)
+    assert "demo: 'mode 0777' is refused" in _refusal(tmp_path, "")
+
+
+def test_a_daemon_takes_no_physics_that_everybody_can_write(tmp_path: Path) -> None:
+    path = tmp_path / "physics.toml"
+    path.write_text(EXAMPLE)
+    path.chmod(0o666)
+    assert f"{path}: 'mode 0666' is refused" in _refusal(tmp_path, f'physics = "{path}"\n')
+
+
+def _refusal(folder: Path, craft: str) -> str:
+    """What ``magcal run`` says as it ends with 2."""
+    config = folder / "magcal.toml"
+    state = f'[state]\ndirectory = "{folder / "kept"}"\n'
+    config.write_text(f'version = 1\nlink = "loop:x"\n{state}[[craft]]\nname = "demo"\n{craft}')
+    command = [sys.executable, "-m", "magcal_service.cli", "run", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    return done.stderr

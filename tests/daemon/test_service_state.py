@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -24,9 +26,9 @@ from tests.daemon.service_processes import CRAFT, PATIENCE_S, Node, daemon, free
 SECONDS = 900
 
 
-def write_config(folder: Path, link: str) -> Path:
-    """A configuration with checkpoints every 10 s, the shortest period there is."""
-    state = f"[state]\ndirectory = {json.dumps(str(folder / 'state'))}\nperiod_s = 10.0\n"
+def write_config(folder: Path, link: str, period_s: float = 10.0) -> Path:
+    """A configuration with checkpoints, by default with the shortest period there is."""
+    state = f"[state]\ndirectory = {json.dumps(str(folder / 'state'))}\nperiod_s = {period_s}\n"
     path = folder / "magcal.toml"
     text = f"version = 1\nlink = {json.dumps(link)}\n{CRAFT.format(name='paper')}{state}"
     path.write_text(f"{text}[output]\nstatus_period_s = 1.0\n")
@@ -76,6 +78,38 @@ def test_after_kill_9_the_estimate_is_that_of_a_daemon_that_was_never_killed(tmp
     restored, whole = node.estimates[-1], uninterrupted(config, flight)
     assert (restored.tick, restored.bias_nt, restored.D) == (whole.tick, whole.bias_nt, whole.D)
     assert restored.covariance == whole.covariance
+
+
+def test_a_daemon_that_is_killed_before_every_period_is_over_keeps_all_samples(tmp_path: Path) -> None:
+    """SIGKILL after each 120 s of samples, more than a node sends again, and long before the period is over."""
+    flight = stream(seconds=480)
+    address = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    config = write_config(tmp_path, address, period_s=3600.0)
+    with Node(address) as node:
+        for part in range(4):
+            with daemon(config, part) as process:
+                node.until_heard()
+                node.send(flight[240 * part : 240 * (part + 1)])
+                node.settle()
+                node.until("no checkpoint", lambda part=part: newest_samples(tmp_path) == 120 * (part + 1))
+                kill(process)
+    assert newest_samples(tmp_path) == 480
+
+
+def test_a_second_daemon_on_the_same_folder_ends_and_touches_nothing(tmp_path: Path) -> None:
+    """Its link is another, so nothing else would tell; rows and checkpoints stay the first one's."""
+    config = write_config(tmp_path, f"zenoh:tcp/127.0.0.1:{free_port()}")
+    rows = tmp_path / "rows.csv"
+    second = tmp_path / "second.toml"
+    text = config.read_text().replace("status_period_s", f"csv = {json.dumps(str(rows))}\nstatus_period_s")
+    second.write_text(text.replace(load_config(config).link, f"zenoh:tcp/127.0.0.1:{free_port()}"))
+    rows.write_text("torn")
+    with daemon(config):
+        command = [sys.executable, "-m", "magcal_service.cli", "run", "--config", str(second)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert f"state.directory: '{tmp_path / 'state' / 'paper'}' is refused; a folder in which no other" in done.stderr
+    assert rows.read_text() == "torn"
 
 
 class Desk:

@@ -10,11 +10,16 @@ data as ``snapshot`` has them.  It is restored only where craft, version and dig
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import hashlib
 import json
+import os
 import re
+import stat
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -135,11 +140,43 @@ class StateStore:
         self.writes = self.written_bytes = 0
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            for left in self.folder.glob(f"*{_UNFINISHED}"):  # what a crash left half written
-                left.unlink()
+            with suppress(_HeldError), self._locked():  # another's half-written file is no leftover
+                self._sweep()
         except OSError as error:
             fault = Fault(str(self.folder), error.strerror or str(error), "a folder that can be written is accepted")
             raise InputRefusedError([fault]) from None
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Within, no other daemon keeps its state in this folder; InputRefusedError where one does already."""
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(self._locked())
+            except _HeldError:
+                accepted = (
+                    "a folder in which no other daemon keeps this craft is accepted; stop that one, or give another"
+                )
+                raise InputRefusedError([Fault("state.directory", str(self.folder), accepted)]) from None
+            yield
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        opened = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            try:
+                fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise _HeldError from None
+            except OSError:  # some file systems know no locks
+                pass
+            yield
+        finally:
+            os.close(opened)
+
+    def _sweep(self) -> None:
+        """Remove what a crash left half written."""
+        for left in self.folder.glob(f"*{_UNFINISHED}"):
+            _remove(left)
 
     def numbered(self) -> list[Path]:
         """The checkpoints of the rotation, newest first."""
@@ -147,7 +184,7 @@ class StateStore:
 
     def named(self) -> list[str]:
         """Names of the named checkpoints."""
-        return sorted(path.stem for path in self.folder.glob("*.named"))
+        return sorted(path.stem for path in self.folder.glob("*.named") if _is_file(path))
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Write the newest of the rotation and remove what is older than the ``keep`` newest; OSError is the disk's."""
@@ -155,7 +192,7 @@ class StateStore:
         number = int(last[0].stem) + 1 if last else 1
         self._replace(self.folder / f"{number:010d}.state", checkpoint)
         for old in self.numbered()[self._keep :]:
-            old.unlink()
+            _remove(old)
 
     def write_named(self, name: str, checkpoint: Checkpoint) -> None:
         """Write a checkpoint under a name, in place of an earlier one of that name.
@@ -163,7 +200,7 @@ class StateStore:
         Raises StateError for a name that is not accepted or one too many; OSError is the disk's.
         """
         path = self._path_of(name)
-        if not path.exists() and len(self.named()) >= _MOST_NAMED:
+        if not _is_file(path) and len(self.named()) >= _MOST_NAMED:
             raise StateError(
                 f"{_MOST_NAMED} named checkpoints are there already: {', '.join(self.named())}; use one of them"
             )
@@ -172,7 +209,7 @@ class StateStore:
     def read_named(self, name: str) -> Checkpoint:
         """The checkpoint of a name; ``StateError`` where there is none that can be used."""
         path = self._path_of(name)
-        if not path.is_file():
+        if not _is_file(path):
             raise StateError(f"no checkpoint {name!r}; there are: {', '.join(self.named()) or 'none'}")
         return self._read(path)
 
@@ -196,10 +233,13 @@ class StateStore:
     @staticmethod
     def _read(path: Path) -> Checkpoint:
         try:
-            with path.open("rb") as file:
+            with open(path, "rb", opener=_opened_itself) as file:
+                _refuse_anybodys(os.fstat(file.fileno()))
                 raw = file.read(_LARGEST_BYTES + 1)
         except OSError as error:
-            raise StateError(error.strerror or str(error)) from None
+            raise StateError(
+                "a link, not a file" if error.errno == errno.ELOOP else error.strerror or str(error)
+            ) from None
         if len(raw) > _LARGEST_BYTES:
             raise StateError(f"larger than {_LARGEST_BYTES} bytes")
         return decode(raw)
@@ -209,6 +249,36 @@ class StateStore:
         write_whole(path, raw, mode=0o600, mark=_UNFINISHED)
         self.writes += 1
         self.written_bytes += len(raw)
+
+
+class _HeldError(Exception):
+    """Another daemon holds the folder."""
+
+
+def _opened_itself(path: str, flags: int) -> int:
+    """Open what is there itself, not what a link leads to, and without waiting for a pipe's other end."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file is there itself: no link, no pipe, no device."""
+    with suppress(OSError):
+        return stat.S_ISREG(path.lstat().st_mode)
+    return False
+
+
+def _remove(path: Path) -> None:
+    """Remove what is in the way, but for a folder, which nobody but people makes."""
+    with suppress(IsADirectoryError):
+        path.unlink()
+
+
+def _refuse_anybodys(status: os.stat_result) -> None:
+    """``StateError`` for what is no file, such as a pipe, and for a file that everybody could have written."""
+    if not stat.S_ISREG(status.st_mode):
+        raise StateError("not a file")
+    if status.st_mode & stat.S_IWOTH:
+        raise StateError(f"everybody can write it (mode {stat.S_IMODE(status.st_mode):04o})")
 
 
 def utc_s() -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Final
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Final, Self
 
 import numpy as np
 
@@ -37,7 +39,8 @@ class Checkpoints:
         and ``state.bytes``.
     trouble: why the last checkpoint could not be written; empty where it could.
 
-    Raises InputRefusedError where the folder cannot be made.
+    Raises InputRefusedError where the folder cannot be made.  Within ``with``, no other daemon keeps the same craft's
+    state in the same folder; InputRefusedError where one does already.
     """
 
     def __init__(self, config: StateConfig, crafts: Sequence[CraftConfig]) -> None:
@@ -45,6 +48,16 @@ class Checkpoints:
         self._saved: dict[str, int] = {}  # samples accepted at the last checkpoint
         self.counters: Counter[str] = Counter()
         self.trouble = ""
+
+    def __enter__(self) -> Self:
+        with ExitStack() as held:
+            for store in self._stores.values():
+                held.enter_context(store.held())
+            self._held = held.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self._held.close()
 
     def restore(self, pipeline: Pipeline) -> tuple[Pipeline, list[Event]]:
         """The pipeline of the newest checkpoint that is whole and this craft's, or the one given; and what was done.
@@ -86,14 +99,19 @@ class Checkpoints:
         pipeline.restore_state(checkpoint.state)
         return pipeline
 
-    def save(self, pipelines: Iterable[Pipeline]) -> None:
-        """Write a checkpoint of each craft that has taken samples since its last; what fails is counted and logged."""
+    def save(self, pipelines: Iterable[Pipeline]) -> bool:
+        """Write a checkpoint of each craft that has taken samples since its last; what fails is counted and logged.
+
+        Says whether any was written.
+        """
+        before = self.counters["state.writes"]
         for pipeline in pipelines:
             accepted = pipeline.ticks.counters["accepted"]
             if self._saved.get(pipeline.config.name) == accepted:
                 continue
             with contained(pipeline, "writing its checkpoint"):
                 self._save(pipeline, accepted)
+        return self.counters["state.writes"] > before
 
     def _save(self, pipeline: Pipeline, accepted: int) -> None:
         store = self._stores[pipeline.config.name]

@@ -1,0 +1,90 @@
+"""The folder of a craft's state is one daemon's own: locked, and nothing is taken up that is none of its files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, encode
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.errors import InputRefusedError
+
+ONE, OTHER = CraftConfig("one"), CraftConfig("other")
+
+
+def checkpoint(samples: int = 3) -> Checkpoint:
+    return Checkpoint("one", "v", "c", 0.0, 0, 1, samples, 1, 0, {"a": 1})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> StateStore:
+    return StateStore(StateConfig(tmp_path, keep=2), "one")
+
+
+def newest(store: StateStore) -> list[tuple[str, str]]:
+    """Each checkpoint's name, and why it is refused, empty where it is not."""
+    return [(name, str(found) if isinstance(found, StateError) else "") for name, found in store.newest()]
+
+
+def test_two_daemons_do_not_keep_the_same_craft_in_one_folder(tmp_path: Path) -> None:
+    config = StateConfig(tmp_path)
+    with Checkpoints(config, [ONE]):
+        with Checkpoints(config, [OTHER]), Checkpoints(StateConfig(tmp_path / "elsewhere"), [ONE]):
+            pass
+        with pytest.raises(InputRefusedError, match=f"state.directory: '{tmp_path}/one' is refused; .*no other daemon"):
+            Checkpoints(config, [OTHER, ONE]).__enter__()
+        with Checkpoints(config, [OTHER]):  # the one before has left nothing locked
+            pass
+    with Checkpoints(config, [ONE]):
+        pass
+
+
+def test_what_another_daemon_is_writing_is_not_swept_away(tmp_path: Path, store: StateStore) -> None:
+    half = store.folder / "0000000001.state.part"
+    half.write_bytes(b"half")
+    with store.held():
+        StateStore(StateConfig(tmp_path), "one")
+        assert half.exists()
+    StateStore(StateConfig(tmp_path), "one")
+    assert not half.exists()
+
+
+def test_a_pipe_a_link_and_a_folder_are_no_checkpoints(store: StateStore, tmp_path: Path) -> None:
+    """A pipe without a writer would hold the daemon for good; the one before them is taken up."""
+    store.write(checkpoint())
+    planted = tmp_path / "planted"
+    planted.write_bytes(encode(checkpoint(99)))
+    os.mkfifo(store.folder / "0000000002.state")
+    (store.folder / "0000000003.state").symlink_to(planted)
+    (store.folder / "0000000004.state").mkdir()
+    assert newest(store) == [
+        ("0000000004.state", "Is a directory"),
+        ("0000000003.state", "a link, not a file"),
+        ("0000000002.state", "not a file"),
+        ("0000000001.state", ""),
+    ]
+    store.write(checkpoint(4))
+    store.write(checkpoint(5))
+    store.write(checkpoint(6))  # and the folder is in nobody's way
+    assert [name for name, why in newest(store) if not why] == ["0000000007.state", "0000000006.state"]
+
+
+def test_a_checkpoint_that_everybody_could_have_written_is_dropped(store: StateStore) -> None:
+    store.write(checkpoint())
+    (store.folder / "0000000001.state").chmod(0o602)
+    assert newest(store) == [("0000000001.state", "everybody can write it (mode 0602)")]
+
+
+def test_a_pipe_and_a_link_are_no_named_checkpoints(store: StateStore, tmp_path: Path) -> None:
+    planted = tmp_path / "planted"
+    planted.write_bytes(encode(checkpoint(99)))
+    os.mkfifo(store.folder / "pipe.named")
+    (store.folder / "link.named").symlink_to(planted)
+    store.write_named("mine", checkpoint())
+    assert store.named() == ["mine"]
+    for name in ("pipe", "link"):
+        with pytest.raises(StateError, match=f"no checkpoint '{name}'; there are: mine"):
+            store.read_named(name)
