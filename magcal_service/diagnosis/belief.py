@@ -67,8 +67,9 @@ class Posterior:
 def posterior(explained: Explained, index: int) -> Posterior:
     """Of a term against its rivals, with evidence that the blocks' scatter has tempered, and causes in no catalogue.
 
-    What is left without a name beside a term may be the rest of a cause that made the term too: it has that probability
-    by its share of the two.
+    What is left without a name beside a term may be the rest of a cause that made the term too.  What lasts in no shape
+    of its own has that probability by its share of the two; what has one is rather another cause, unless it is as large
+    as the name, so by that share's square.
     """
     name = explained.fit.terms[index].hypothesis.effect
     ranked = explained.rivals[index]
@@ -76,7 +77,10 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
-    unlisted = min(explained.left_nats / (explained.left_nats + held), _MOST_UNLISTED) if explained.left_nats else 0.0
+    lasting, shaped = (
+        left / (left + held) if left > 0.0 else 0.0 for left in (explained.lasting_nats, explained.shaped_nats)
+    )
+    unlisted = min(max(lasting, shaped**2), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
     if unlisted:
         weights[UNLISTED] = unlisted * total
@@ -98,7 +102,7 @@ def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...
 
 
 def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt: float) -> Explained:
-    """The same with what is left without a name [nats]: by a family of shapes, or by what lasts between samples.
+    """The same with what is left without a name [nats], in a family of shapes and lasting between samples.
 
     Parameters
     ----------
@@ -107,10 +111,13 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
     rest: what lasts beside the names; None where the noise has a memory.
     floor_nt: least noise that evidence is counted in [nT].
     """
-    in_a_shape = left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2)
     share = 0.0 if rest is None else min(rest.share, _MOST_UNLISTED)
     held = sum(max(gain.nats, 0.0) for gain in explained.gains)  # through the noise's whitening, as shapes are
-    return replace(explained, left_nats=max(in_a_shape, share / (1.0 - share) * held))
+    return replace(
+        explained,
+        shaped_nats=left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2),
+        lasting_nats=share / (1.0 - share) * held,
+    )
 
 
 def reasons(
@@ -177,7 +184,7 @@ def has_coverage(covariance: Array) -> bool:
 
 def _hardly_more(explained: Explained) -> bool:
     """Whether one of the names holds hardly more than what is left without one: it may be a part of that instead."""
-    return any(gain.nats < _MORE_THAN_LEFT * explained.left_nats for gain in explained.gains)
+    return any(gain.nats < _MORE_THAN_LEFT * explained.shaped_nats for gain in explained.gains)
 
 
 def has_size(fit: Fit, index: int) -> bool:

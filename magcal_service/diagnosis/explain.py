@@ -59,7 +59,7 @@ class Explained:
     nats: for each term, evidence for it over its absence that survives the blocks' scatter.
     gains: for each term, what it gains over the blocks.
     drivers: for each term, its own effect by each driver, at its best, best first.
-    left_nats: what is seen beside all of them and has no name.
+    shaped_nats, lasting_nats: what is seen beside all of them and has no name: in a shape of its own, and lasting.
     """
 
     fit: Fit
@@ -67,7 +67,8 @@ class Explained:
     nats: tuple[float, ...] = ()
     gains: tuple[Gain, ...] = ()
     drivers: tuple[tuple[Candidate, ...], ...] = ()
-    left_nats: float = 0.0
+    shaped_nats: float = 0.0
+    lasting_nats: float = 0.0
 
 
 @dataclass(eq=False)

@@ -79,27 +79,37 @@ def test_a_name_needs_ninety_five_per_cent(behind: float, expected: tuple[str, .
     assert said(explained([("bias_drift", 100.0 - behind)])) == expected
 
 
-@pytest.mark.parametrize(("left", "own"), [(4.0, 0.9615), (25.0, 0.8)])
-def test_what_is_left_may_be_the_rest_of_a_cause_in_no_catalogue(left: float, own: float) -> None:
+@pytest.mark.parametrize(
+    ("left", "own"),
+    [
+        ({"lasting_nats": 4.0}, 0.9615),
+        ({"lasting_nats": 25.0}, 0.8),
+        ({"shaped_nats": 25.0}, 0.96),
+        ({"shaped_nats": 100.0}, 0.75),
+        ({"shaped_nats": 25.0, "lasting_nats": 4.0}, 0.96),
+    ],
+)
+def test_what_is_left_may_be_the_rest_of_a_cause_in_no_catalogue(left: dict[str, float], own: float) -> None:
     """A name that holds 100 nats, and the rest by its share of the two; the rivals' odds among themselves stay."""
-    alone = posterior(replace(explained([]), left_nats=left), 0)
+    alone = posterior(replace(explained([]), **left), 0)
     assert alone.own == pytest.approx(own, abs=1e-4)
     assert alone.rivals == (("unknown", pytest.approx(1.0 - own, abs=1e-4)),)
     assert alone.members == ("bias_step",)
-    beside = posterior(replace(explained([("bias_drift", 98.0)]), left_nats=left), 0)
+    beside = posterior(replace(explained([("bias_drift", 98.0)]), **left), 0)
     assert dict(beside.rivals)["unknown"] == pytest.approx(1.0 - own, abs=1e-4)
     assert dict(beside.rivals)["bias_drift"] / beside.own == pytest.approx(math.exp(-2.0))
     assert sum(p for _, p in beside.rivals) + beside.own == pytest.approx(1.0)
 
 
-def test_what_is_left_is_counted_once_by_its_share_or_its_squares() -> None:
+def test_what_is_left_is_counted_by_its_squares_or_its_share() -> None:
     """A family of shapes over twice the variance; what lasts by its share beside all names (100 nats)."""
     named, two = explained([]), 2.0 * fits()[1].white_rms_nt ** 2
-    for family, after, left in ((5e6, 300.0, 5e6 / two), (0.0, 300.0, 100.0 * 0.03 / 0.97), (0.0, 29.0, 0.0)):
-        rest = Rest(before=1e4, after=after, sigma=10.0)
-        assert with_left(named, family, rest, 1.0).left_nats == pytest.approx(left)
-    assert with_left(named, 0.0, None, 1.0).left_nats == 0.0
-    half = with_left(replace(named, fit=fits()[1]), 0.0, Rest(before=1e4, after=5000.0, sigma=10.0), 1.0)
+    for after, lasting in ((300.0, 100.0 * 0.03 / 0.97), (29.0, 0.0)):
+        left = with_left(named, 5e6, Rest(before=1e4, after=after, sigma=10.0), 1.0)
+        assert (left.shaped_nats, left.lasting_nats) == (pytest.approx(5e6 / two), pytest.approx(lasting))
+    none = with_left(named, 0.0, None, 1.0)
+    assert (none.shaped_nats, none.lasting_nats) == (0.0, 0.0)
+    half = with_left(named, 0.0, Rest(before=1e4, after=5000.0, sigma=10.0), 1.0)
     assert posterior(half, 0).own == pytest.approx(0.5)
 
 

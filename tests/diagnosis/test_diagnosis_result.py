@@ -281,7 +281,8 @@ def candidates(**nats: float) -> tuple[Candidate, ...]:
 def with_rivals(ranked: tuple[Candidate, ...]) -> Any:
     base = made().explained
     rivals = (base.rivals[0], ranked)
-    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains, left_nats=0.0)
+    left = {"shaped_nats": 0.0, "lasting_nats": 0.0}
+    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains, **left)
     return SimpleNamespace(**{**vars(made()), "explained": explained})
 
 
