@@ -81,11 +81,18 @@ class Rest:
         return min(self.beyond_noise_nt2 / self.before, 1.0) if self.before > 0.0 else 0.0
 
     @property
+    def unsafe_share(self) -> float:
+        """The share that names have to leave to what is not named: where one is free, what cannot be excluded."""
+        if not self.is_free:
+            return self.share
+        return min(max(self.after + _SAFE * self.sigma, 0.0) / self.before, 1.0) if self.before > 0.0 else 1.0
+
+    @property
     def is_much(self) -> bool:
         """Whether it is more than may be left of a true cause, or, where a name is free, could be a quarter."""
         if self.share > LITTLE_LASTS:
             return True
-        return self.is_free and self.after + _SAFE * self.sigma > _MOST_UNSEEN * self.before
+        return self.is_free and self.unsafe_share > _MOST_UNSEEN
 
 
 def _neighbours(fit: Fit) -> Array:

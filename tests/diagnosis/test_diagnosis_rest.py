@@ -82,7 +82,10 @@ def test_what_may_be_noise_is_not_too_much(after: float, much: bool) -> None:
 @pytest.mark.parametrize(("after", "much"), [(0.0, True), (-200.0, False)])
 def test_a_free_form_has_to_exclude_a_quarter(after: float, much: bool) -> None:
     """Within two sigma of 300: a quarter of 2000 is 500."""
-    assert Rest(2000.0, after, 300.0, is_free=True).is_much is much
+    found = Rest(2000.0, after, 300.0, is_free=True)
+    assert found.is_much is much
+    assert found.unsafe_share == pytest.approx((after + 600.0) / 2000.0)
+    assert Rest(2000.0, after, 300.0).unsafe_share == 0.0
     assert not Rest(2000.0, after, 300.0, is_free=False).is_much
 
 
