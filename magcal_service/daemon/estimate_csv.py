@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
+import fcntl
+import logging
 import os
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +18,8 @@ import numpy as np
 from magcal_service.errors import Fault, InputRefusedError, unwritable
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.wire.messages import Estimate
+
+_log = logging.getLogger("magcal")
 
 _VARIANCES: Final = np.flatnonzero(np.equal(*np.triu_indices(STATE_SIZE))).tolist()
 
@@ -34,8 +39,18 @@ COLUMNS: Final = (
 )
 
 
+_HEADER: Final = ",".join(COLUMNS).encode() + b"\n"
+
+
 def _cut_torn_row(path: Path) -> None:
+    """Cut off a last row that a crash cut short, of a file of ours; InputRefusedError for what is none."""
     with path.open("r+b") as file:
+        head = file.read(len(_HEADER))
+        if head != _HEADER[: len(head)]:
+            accepted = "a file of estimates with the same columns is continued; move this one away, or give another"
+            raise InputRefusedError(
+                [Fault(str(path), head.partition(b"\n")[0].decode(errors="replace")[:40], accepted)]
+            )
         begin = max(0, file.seek(0, os.SEEK_END) - _LONGEST_ROW)
         file.seek(begin)
         file.truncate(begin + file.read().rfind(b"\n") + 1)
@@ -48,22 +63,65 @@ class EstimateCsv:
     ----------
     path: the file.
     append: continue after the rows that a file already holds, as a restarted daemon does; a last row that a crash
-        cut short is removed.
+        cut short is removed.  No other process continues the same file, and one that is renamed, deleted or emptied
+        meanwhile is begun anew at the next ``flush``.
 
-    Every method raises ``InputRefusedError`` where the file cannot be written.
+    Every method raises ``InputRefusedError`` where the file cannot be written, holds something else, or is written by
+    another process.
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
         self.path = path
         if "\0" in str(path):
             raise InputRefusedError([Fault("output file", str(path), "give a file that can be written")])
+        self._append = append
+        self._open()
+
+    def _open(self) -> None:
         with self._refusing():
-            if append and path.is_file():
-                _cut_torn_row(path)
-            self._file = path.open("a" if append else "w", newline="", encoding="utf-8")
+            self._file = self.path.open("a" if self._append else "w", newline="", encoding="utf-8")
+            try:
+                if self._append:
+                    self._lock()
+                    if self.path.is_file():
+                        _cut_torn_row(self.path)
+            except BaseException:
+                self._file.close()
+                raise
+            self._size = os.fstat(self._file.fileno()).st_size
         self._writer = csv.writer(self._file, lineterminator="\n")
-        if not self._file.tell():
+        if not self._size:
             self._write(COLUMNS)
+
+    def _lock(self) -> None:
+        """Hold the file for as long as it is open."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            accepted = "a file that no other daemon writes is accepted; stop that one, or give another"
+            raise InputRefusedError([Fault(str(self.path), "written by another process", accepted)]) from None
+        except OSError:  # some file systems, and devices, know no locks
+            return
+
+    def _follow(self) -> None:
+        """Begin anew where the path leads to another file by now or to none, or the file was made shorter."""
+        held = os.fstat(self._file.fileno())
+        if not (self._append and stat.S_ISREG(held.st_mode)):
+            return
+        try:
+            there = self.path.stat()
+        except FileNotFoundError:
+            there = None
+        if there is not None and os.path.samestat(held, there) and held.st_size >= self._size:
+            self._size = held.st_size
+            return
+        what = (
+            "is gone" if there is None else "was made shorter" if os.path.samestat(held, there) else "is another file"
+        )
+        _log.warning("%s %s: rows go on at its end", self.path, what)
+        self._file.close()
+        self._open()
+        self._file.flush()
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
@@ -96,9 +154,10 @@ class EstimateCsv:
         )
 
     def flush(self) -> None:
-        """Hand what was written to the operating system."""
+        """Hand what was written to the operating system, and go on in a new file where this one was taken away."""
         with self._refusing():
             self._file.flush()
+            self._follow()
 
     def close(self) -> None:
         """Flush and close the file; may be called twice."""

@@ -70,6 +70,74 @@ def test_whole_rows_are_left_as_they_are(tmp_path: Path, estimates: list[Estimat
     assert [row[2] for row in rows(path)] == ["tick", "1", "2"]
 
 
+@pytest.mark.parametrize("content", ["a note\nwithout an end", "craft,time_ns\n1,2", "\n", "ab"])
+def test_a_file_that_holds_something_else_is_refused_and_left_as_it_is(content: str, tmp_path: Path) -> None:
+    """Its last line without an end is no torn row of ours, and the columns of another version are not continued."""
+    path = tmp_path / "notes.csv"
+    path.write_text(content)
+    with pytest.raises(
+        InputRefusedError, match=r"notes.csv: '.*' is refused; a file of estimates with the same columns"
+    ):
+        EstimateCsv(path, append=True)
+    assert path.read_text() == content
+
+
+def test_a_file_that_another_daemon_writes_is_refused_and_left_as_it_is(
+    tmp_path: Path, estimates: list[Estimate]
+) -> None:
+    path = tmp_path / "rows.csv"
+    with EstimateCsv(path, append=True) as first:
+        first.flush()
+        with path.open("a") as torn:
+            torn.write("half a row")
+        with pytest.raises(InputRefusedError, match="'written by another process' is refused"):
+            EstimateCsv(path, append=True)
+        assert path.read_text().endswith("half a row")
+    EstimateCsv(path, append=True).close()
+    assert rows(path) == [list(COLUMNS)]
+
+
+@pytest.mark.parametrize("how", ["renamed", "deleted", "emptied", "replaced"])
+def test_a_file_that_is_taken_away_is_begun_anew(
+    how: str, tmp_path: Path, estimates: list[Estimate], caplog: pytest.LogCaptureFixture
+) -> None:
+    """As logrotate does, with and without ``copytruncate``: each file has its header and whole rows."""
+    path, old = tmp_path / "rows.csv", tmp_path / "rows.csv.1"
+    with EstimateCsv(path, append=True) as out:
+        out.add(estimates[0])
+        out.flush()
+        if how == "emptied":
+            path.write_bytes(b"")
+        elif how == "deleted":
+            path.unlink()
+        else:
+            path.rename(old)
+        if how == "replaced":
+            path.write_bytes(old.read_bytes())
+        out.flush()
+        out.add(estimates[1])
+        out.flush()
+        out.flush()
+    before = ["1"] if how == "replaced" else []
+    assert [row[2] for row in rows(path)] == ["tick", *before, "2"]
+    if old.exists():
+        assert [row[2] for row in rows(old)] == ["tick", "1"]
+    told = {"emptied": "was made shorter", "replaced": "is another file"}.get(how, "is gone")
+    assert [record.message for record in caplog.records] == [f"{path} {told}: rows go on at its end"]
+
+
+def test_what_is_put_in_place_of_a_file_and_is_none_of_ours_is_left_as_it_is(
+    tmp_path: Path, estimates: list[Estimate]
+) -> None:
+    path = tmp_path / "rows.csv"
+    with EstimateCsv(path, append=True) as out:
+        path.unlink()
+        path.write_text("somebody's")
+        with pytest.raises(InputRefusedError, match="a file of estimates"):
+            out.flush()
+    assert path.read_text() == "somebody's"
+
+
 @needs_full_disk
 def test_a_full_disk_is_told_by_name(estimates: list[Estimate]) -> None:
     out = EstimateCsv(FULL)
