@@ -20,6 +20,7 @@ from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
+from magcal_service.links.silence import why_silent
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
@@ -38,6 +39,12 @@ _SETTLE_S = 0.5  # after the last sample, for the last answers
 _PROGRESS_S = 0.2  # between two progress lines: five a second look steady and cost nothing
 
 
+class UnansweredError(MagcalError):
+    """Everything was sent, and nobody has answered."""
+
+    exit_code = 3
+
+
 @runtime_checkable
 class Attended(Protocol):
     """A link that knows the peers at its other ends."""
@@ -47,7 +54,7 @@ class Attended(Protocol):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse, call, print; returns the exit code: 0 done, 2 refused, 130 interrupted."""
+    """Parse, call, print; returns the exit code: 0 done, 2 refused, 3 done and never answered, 130 interrupted."""
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = options.command
     try:
@@ -173,12 +180,24 @@ def _run(options: argparse.Namespace) -> None:
     crafts = [simulation.truth.craft]
     with _stopped_by_signals() as stop, open_link(options.link, Role.NODE, crafts=crafts) as link:
         if not _heard(link, options.wait, stop, view.result) and not options.quiet:
-            print(f"no daemon has answered on {options.link}; sending all the same", file=sys.stderr)
+            why = why_silent(link, crafts)
+            print(f"no daemon has answered on {options.link}: {why}; sending all the same", file=sys.stderr)
         report = _send(simulation, link, options.speed, stop, view)
         view.summary(report, link)
+        silence = "" if stop.is_set() else _silence(report, view, link, crafts)
     if options.record is not None:
         part = Simulation(_scenario(options), options.seed, _length_s(simulation, report, stop), simulation.model)
         _recorded(part, options.record, "--record")
+    if silence:
+        raise UnansweredError(silence)
+
+
+def _silence(report: NodeReport, view: Progress, link: Link, crafts: Sequence[str]) -> str:
+    """What is to be said where samples were sent and none was answered; empty where one was."""
+    sent = report.sent["MagnetometerSample"]
+    if not sent or view.received["CalibratedVector"]:
+        return ""
+    return f"none of {sent} samples was answered on {link.address}: {why_silent(link, crafts)}"
 
 
 @contextlib.contextmanager

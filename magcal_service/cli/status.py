@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 HEALTHY, NOT_REACHED, NOT_HEALTHY = 0, 2, 3  # done, refused and not trusted, of a daemon
 
 _ASK_AGAIN_S: Final = 1.0  # a command put before the daemon subscribes is lost, so it is repeated until answered
+_LOOK_S: Final = 2.0
+"""Between two looks at which craft are served at all [s]: nobody waits for one that no daemon there has."""
+
 _OTHERS_S: Final = 1.0
 """Where nobody said which craft there are, those count that are heard so long after the first [s]."""
 
@@ -52,14 +55,15 @@ def _seconds(text: str) -> float:
 
 def _status(options: argparse.Namespace) -> int:
     from magcal_service.links import Role, open_link
+    from magcal_service.links.silence import why_silent
 
     address, crafts = _whom(options)
     with open_link(address, Role.VIEWER, crafts=crafts) as link:
         found = ask(link, crafts, options.timeout)
-    missing = sorted(set(crafts) - set(found))
-    if not found or missing:
-        who = f"craft {', '.join(missing)}" if missing else "any craft"
-        raise NotReachedError(f"no status of {who} on {address} within {options.timeout:g} s; is the daemon running?")
+        missing = sorted(set(crafts) - set(found))
+        if not found or missing:
+            who = f"craft {', '.join(missing)}" if missing else "any craft"
+            raise NotReachedError(f"no status of {who} on {address}: {why_silent(link, missing)}")
     print(as_json(found.values()) if options.json else as_text(found.values()))
     return HEALTHY if all(is_healthy(status) for status in found.values()) else NOT_HEALTHY
 
@@ -95,13 +99,17 @@ def ask(link: Link, crafts: Iterable[str], timeout_s: float) -> dict[str, Status
     from magcal_service.wire.messages import Command, Status
 
     wanted, found, numbers = set(crafts), dict[str, Status](), itertools.count()
-    deadline_s, asked_s = time.monotonic() + timeout_s, 0.0
+    deadline_s, asked_s, look_s = time.monotonic() + timeout_s, 0.0, time.monotonic() + _LOOK_S
     while time.monotonic() < deadline_s and not (wanted and wanted <= set(found)):
         if time.monotonic() - asked_s > _ASK_AGAIN_S:
             asked_s = time.monotonic()
             for craft in wanted - set(found):
                 number, now_ns = next(numbers), time.time_ns()
                 link.send(Command(craft=craft, source="status", sequence=number, time_ns=now_ns, name="status"))
+        if wanted and time.monotonic() > look_s:
+            served, look_s = link.served(), time.monotonic() + _LOOK_S
+            if served and not wanted <= served and wanted & served <= set(found):
+                break  # daemons are there, and none of them serves the rest
         for message in link.receive(0.1):
             if isinstance(message, Status):
                 if not found and not wanted:

@@ -154,8 +154,14 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         return estimates
 
     def flush(self) -> list[Message]:
-        """Close every open tick: the end of the stream."""
-        estimates: list[Message] = [self._tick(tick) for tick in self.ticks.flush()]
+        """Close every open tick: the end of the stream.
+
+        A tick whose reference has not come yet says nothing about it: the estimate is published as it stands.
+        """
+        estimates: list[Message] = [
+            self._tick(tick) if tick.times_s.size else self._estimate(tick.time_ns, tick.clock)
+            for tick in self.ticks.flush()
+        ]
         self._advance_beside(flush=True)
         return estimates
 

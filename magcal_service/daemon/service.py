@@ -96,6 +96,7 @@ class Service:
         self.counters: Counter[str] = Counter()
         self._commander = Commander(checkpoints, self.shut_down)
         self._ending = False
+        self._alone = ""  # why nobody is at the other end, as it was told last
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
         self._left_out: set[str] = set()  # craft of which it was told that messages are left out
@@ -239,10 +240,20 @@ class Service:
 
     def publish_status(self) -> None:
         """Send each craft's status, and put the rows written so far on disk."""
+        self._tell_alone()
         for pipeline in self.pipelines.values():
             self._publish_status(pipeline)
         self._publish_metrics()
         self._to_disk(EstimateCsv.flush)
+
+    def _tell_alone(self) -> None:
+        """Log once that nobody is at the other end of the link, and that somebody is again."""
+        alone = self.link.alone
+        if alone and not self._alone:
+            log.warning("%s: %s; trying on", self.link.address, alone)
+        elif self._alone and not alone:
+            log.info("%s: somebody is there now", self.link.address)
+        self._alone = alone
 
     def _publish_metrics(self) -> None:
         if self.metrics is not None:
@@ -266,9 +277,15 @@ class Service:
             troubles.append(f"not recording: {self.recorder.trouble}")
         if self.checkpoints is not None and self.checkpoints.trouble:
             troubles.append(f"no checkpoints: {self.checkpoints.trouble}")
+        if self.link.alone:
+            troubles.append(self.link.alone)
         counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
         event = self._last_events.get(pipeline.config.name)
-        remarks = [*troubles, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
+        strangers = ", ".join(self.link.strangers)
+        unserved = (
+            [f"messages of craft {strangers} are refused; served: {', '.join(self.pipelines)}"] if strangers else []
+        )
+        remarks = [*troubles, *unserved, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
         status = pipeline.status(self.health.uptime_s, counters)
         return replace(status, text=fitting("; ".join((status.text, *remarks))))
 

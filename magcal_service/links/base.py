@@ -20,6 +20,8 @@ from magcal_service.wire.messages import Message
 
 _log = logging.getLogger("magcal.links")
 
+_MOST_STRANGERS = 4  # told by name: enough for a mistyped one, and no list that a peer could fill
+
 
 class Role(StrEnum):
     """Which end of a link this is: it decides what is received and what is sent.
@@ -62,6 +64,7 @@ class Link(abc.ABC):
         )
         # What a peer can make this end remember: beyond it, invented names are served but not remembered.
         self.most_sources = 1024 + 32 * len(self.crafts)
+        self._strangers: list[str] = []
         self._counting = threading.Lock()
         self._sequences = SequenceTracker(self.counters, self.most_sources)
         self._life = LinkLife(self._count)
@@ -89,6 +92,20 @@ class Link(abc.ABC):
         return self._life.state
 
     @property
+    def alone(self) -> str:
+        """Why nobody can be at the other end now; empty where somebody is, or may come by himself."""
+        return ""
+
+    @property
+    def strangers(self) -> tuple[str, ...]:
+        """Craft whose messages came and are not served, the first of them."""
+        return tuple(self._strangers)
+
+    def served(self) -> frozenset[str] | None:
+        """Craft that daemons at the other ends serve now; None where the link does not tell.  May take a second."""
+        return None
+
+    @property
     def exhausted(self) -> bool:
         """True when nothing more can ever arrive (a recording at its end)."""
         return False
@@ -112,7 +129,8 @@ class Link(abc.ABC):
 
     def _accepted(self, message: Message) -> bool:
         if self.crafts and message.craft not in self.crafts:
-            if not self.counters["refused.unknown_craft"]:
+            if message.craft not in self._strangers and len(self._strangers) < _MOST_STRANGERS:
+                self._strangers.append(message.craft)
                 served = ", ".join(sorted(self.crafts))
                 _log.warning("%s: messages of craft %r are refused; served: %s", self.address, message.craft, served)
             self.counters["refused.unknown_craft"] += 1

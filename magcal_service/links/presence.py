@@ -28,6 +28,12 @@ class Presence(NamedTuple):
         return f"{ROOT}/{self.craft}/alive/{self.role}-{self.name}"
 
 
+def presence_of(key: str) -> Presence | None:
+    """Whose token a key is; None for keys of other forms, which are not ours."""
+    match = _TOKEN.fullmatch(key)
+    return None if match is None else Presence(match[1], Role(match[2]), match[3])
+
+
 class PresenceBoard:
     """The ends that are present, kept up to date by ``change`` from any thread.
 
@@ -44,10 +50,9 @@ class PresenceBoard:
 
         Keys of other forms are not ours and are ignored.
         """
-        match = _TOKEN.fullmatch(key)
-        if match is None:
+        presence = presence_of(key)
+        if presence is None:
             return None
-        presence = Presence(match[1], Role(match[2]), match[3])
         with self._lock:
             known = presence in self._present
             if alive and not known and len(self._present) < MAX_PRESENT:

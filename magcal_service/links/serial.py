@@ -23,6 +23,7 @@ from magcal_service.config.address import LinkAddress
 from magcal_service.errors import DecodeError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.line_seal import open_coders
+from magcal_service.links.line_text import TextWatch
 from magcal_service.links.states import BackOff, LinkEvent
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.keys import group_of
@@ -127,6 +128,7 @@ class SerialLink(Link):
         self._encoder, self._decoder = open_coders(
             role, self._settings.key, self._settings.counter, self.counters, self._refuse_command
         )
+        self._text = TextWatch()
         self._port: serial.Serial | None = None
         self._back_off = BackOff()
         self._next_attempt_s = 0.0  # not before this on the monotonic clock [s]
@@ -134,6 +136,11 @@ class SerialLink(Link):
         self._backlog_bytes = 0
         self._written = 0  # bytes of the first frame that the line has taken
         self._ensure_open()
+
+    @property
+    def alone(self) -> str:
+        """Why nobody can be at the other end now: the line is not open."""
+        return "" if self._port is not None else f"{self._settings.device} cannot be opened"
 
     # Receiving
 
@@ -162,7 +169,11 @@ class SerialLink(Link):
             return []
         if not data:
             self._died(OSError("the device is gone"))
-        return [message for message in self._decoder.feed(data) if self._for_us(message)]
+        messages = [message for message in self._decoder.feed(data) if self._for_us(message)]
+        if self._text.feed(data, self.counters["frames"]):
+            _log.warning("%s: %s", self.address, self._text.told)
+        self.warnings = (self._text.told,) if self._text.told else ()
+        return messages
 
     def _wait(self, port: serial.Serial, wait_s: float) -> bool:
         """Sleep until bytes are there, or the line takes more of the backlog; say whether to read."""

@@ -21,7 +21,7 @@ from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.joining import Joining
-from magcal_service.links.presence import Presence, PresenceBoard
+from magcal_service.links.presence import Presence, PresenceBoard, presence_of
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.links.states import BackOff, LinkEvent, LinkLife, LinkState
 from magcal_service.links.zenoh_log import DENIALS, watch
@@ -36,6 +36,8 @@ _log = logging.getLogger("magcal.links.zenoh")
 _HEARTBEAT_S = 0.5  # an advanced publisher repeats its last number this long after a change, so the last one counts too
 _KEPT_RESULTS = ("estimate", "status")  # a late joiner gets the newest of these at once
 _FIRST_ATTEMPT_S = 1.0  # how long the constructor of a connecting link waits, so that most links are up when it returns
+
+_ASK_S = 1.0  # longest wait for the tokens of the daemons that are there
 
 _RECOVERY = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
 
@@ -94,6 +96,28 @@ class ZenohLink(Link):
     def connected(self) -> bool:
         """Whether at least one other end is connected now."""
         return bool(self._transports)
+
+    @property
+    def alone(self) -> str:
+        """Why nobody can be at the other end now: who listens may be found by others at any time."""
+        if self.connected or self._settings.listen:
+            return ""
+        return f"nobody is at {self._settings.endpoint}, or it refuses this end (certificate, password)"
+
+    def served(self) -> frozenset[str]:
+        """The craft of the daemons that show themselves, asked for now."""
+        session = self._session
+        if session is None or not self.connected:
+            return frozenset()
+        found = set[str]()
+        try:
+            for reply in session.liveliness().get(f"{ROOT}/*/alive/*", timeout=_ASK_S):
+                presence = None if reply.ok is None else presence_of(str(reply.ok.key_expr))
+                if presence is not None and presence.role is Role.SERVICE:
+                    found.add(presence.craft)
+        except zenoh.ZError as error:
+            self._failed(error)
+        return frozenset(found)
 
     def _poll(self, wait_s: float) -> list[Message]:
         arrived = self._inbox.drain(self._joining.wait_s(time.monotonic(), wait_s))
@@ -235,7 +259,7 @@ class ZenohLink(Link):
                 return
             except zenoh.ZError as error:
                 if self._life.happens(LinkEvent.FAILED).logged:
-                    _log.info("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
+                    _log.warning("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
             finally:
                 tried.set()
             self._closed.wait(back_off.next_s())

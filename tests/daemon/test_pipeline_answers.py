@@ -207,3 +207,17 @@ def test_a_craft_is_asked_once_and_gives_vector_estimates_events_in_that_order()
     rank = {CalibratedVector: 0, Estimate: 1, Event: 2}
     assert all([rank[kind] for kind in each] == sorted(rank[kind] for kind in each) for each in kinds)
     assert any(Event in each for each in kinds)
+
+
+@pytest.mark.parametrize("before", [0, 3])
+def test_the_end_of_a_stream_is_no_alarm_about_the_reference(before: int) -> None:
+    """Samples whose reference would have come next say nothing about it; one that was missing before stays missing."""
+    pipeline, messages = Pipeline(paper_craft()), list(paper(11, SECONDS).messages())
+    handle_all(pipeline, [message for message in messages if message.time_ns < messages[0].time_ns + 1500 * 10**9])
+    late = [one for one in messages if isinstance(one, MagnetometerSample)][1500 : 1502 + 5 * before]
+    handle_all(pipeline, late)
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+    last = [message for message in pipeline.flush() if isinstance(message, Estimate)]
+    assert last
+    assert {message.reasons for message in last} == {("no_reference",) if before else ()}
+    assert {message.verdict for message in last} == {Verdict.TRUSTED}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import time
 import urllib.request
 from pathlib import Path
 
 import pytest
 
 from magcal_service.cli.__main__ import main
-from tests.daemon.service_processes import CRAFT, Node, daemon, free_port, stream
+from sim_sensor.cli import main as sensor
+from tests.daemon.service_processes import CRAFT, Node, daemon, free_port, stream, wait_for
 
 
 def configured(folder: Path, port: int, metrics: int) -> Path:
@@ -49,7 +51,36 @@ def test_a_daemon_is_asked_and_found_healthy_once_its_estimate_is_sound(
 def test_nobody_there_is_2_and_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
     address = f"zenoh:tcp/127.0.0.1:{free_port()}"
     assert main(["status", "--link", address, "--timeout", "0.5"]) == 2
-    assert capsys.readouterr().err == (f"no status of any craft on {address} within 0.5 s; is the daemon running?\n")
+    told = capsys.readouterr().err
+    assert told.startswith(f"no status of any craft on {address}: nobody is at {address.removeprefix('zenoh:')}, ")
+    assert told.endswith("; is the daemon running?\n")
+
+
+def test_a_craft_that_nobody_serves_is_told_long_before_the_wait_is_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    address = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    with daemon(configured(tmp_path, int(address.rpartition(":")[2]), free_port())):
+        began_s = time.monotonic()
+        assert main(["status", "--link", address, "--craft", "wrong", "--craft", "paper", "--timeout", "300"]) == 2
+        assert time.monotonic() - began_s < 100.0
+    told = capsys.readouterr().err
+    assert told == f"no status of craft wrong on {address}: no daemon there serves craft wrong; served: paper\n"
+
+
+def test_a_node_whose_craft_nobody_serves_ends_with_three_and_says_what_is_served(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The daemon says it as well, in its log and in the status of those that it serves."""
+    address = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    arguments = ["--scenario", "paper", "--craft", "wrong", "--link", address, "--speed", "max", "--duration", "20"]
+    with daemon(configured(tmp_path, int(address.rpartition(":")[2]), free_port())) as process:
+        assert sensor(["run", *arguments, "--wait", "0.5", "--quiet"]) == 3
+        told = f"none of 20 samples was answered on {address}: no daemon there serves craft wrong; served: paper\n"
+        assert capsys.readouterr().err == told
+        wait_for("messages of craft 'wrong' are refused; served: paper", process.log)
+        assert main(["status", "--link", address, "--craft", "paper", "--timeout", "60"]) == 3
+    assert "messages of craft wrong are refused; served: paper" in capsys.readouterr().out
 
 
 def test_a_serial_daemon_is_asked_at_the_viewers_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
