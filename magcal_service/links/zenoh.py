@@ -259,7 +259,7 @@ class ZenohLink(Link):
                 return
             except zenoh.ZError as error:
                 if self._life.happens(LinkEvent.FAILED).logged:
-                    _log.warning("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
+                    _log.info("%s: not connected yet (%s)", self.address, str(error).partition(" at /")[0])
             finally:
                 tried.set()
             self._closed.wait(back_off.next_s())
