@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import zlib
 from typing import Any, Final
 
@@ -24,6 +23,6 @@ def state_from_text(text: str) -> dict[str, Any] | None:
     try:
         packed = unpacker.decompress(base64.b64decode(text, validate=True), _LARGEST_BYTES)
         state = msgpack.unpackb(packed, strict_map_key=False)
-    except (ValueError, binascii.Error, zlib.error, msgpack.UnpackException, RecursionError):
+    except (ValueError, TypeError, zlib.error, msgpack.UnpackException, RecursionError):  # TypeError: a list as a key
         return None
     return state if isinstance(state, dict) else None

@@ -109,7 +109,7 @@ def decode(raw: bytes) -> Checkpoint:
         raise StateError(f"damaged: the checksum of its {len(body)} bytes does not fit")
     try:
         content = msgpack.unpackb(body, strict_map_key=False)
-    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:  # TypeError: a key that is a list
         raise StateError(f"not msgpack: {error}") from None
     if not isinstance(content, dict) or set(content) != set(SCHEMA):
         raise StateError(f"a map of {', '.join(SCHEMA)} is accepted")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
+import zlib
 from pathlib import Path
 
 import pytest
 
 from magcal_service.config.settings import CraftConfig, StateConfig
-from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, encode
+from magcal_service.daemon.checkpoints.files import MAGIC, Checkpoint, StateError, StateStore, encode
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.errors import InputRefusedError
+from magcal_service.recordings.state_text import state_from_text
 
 ONE, OTHER = CraftConfig("one"), CraftConfig("other")
 
@@ -88,3 +92,11 @@ def test_a_pipe_and_a_link_are_no_named_checkpoints(store: StateStore, tmp_path:
     for name in ("pipe", "link"):
         with pytest.raises(StateError, match=f"no checkpoint '{name}'; there are: mine"):
             store.read_named(name)
+
+
+def test_a_map_whose_key_is_a_list_is_no_state(store: StateStore) -> None:
+    """msgpack can say it and Python cannot hold it: a checkpoint and a recorded state alike are dropped."""
+    body = b"\x81\x90\xc0"
+    (store.folder / "0000000001.state").write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    assert newest(store) == [("0000000001.state", "not msgpack: unhashable type: 'list'")]
+    assert state_from_text(base64.b64encode(zlib.compress(body)).decode()) is None
