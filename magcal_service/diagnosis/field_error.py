@@ -101,14 +101,12 @@ class FieldError:
     courses: U at the knots (q, k); its columns are orthonormal at the samples.
     variance: v (k,) [nT^2].
     noise_nt: 1 sigma of the white noise that comes on top [nT].
-    scale: how large the errors are beside the usual ones.
     """
 
     lines: Lines
     courses: Array
     variance: Array
     noise_nt: float
-    scale: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene, noise_nt: float) -> FieldError | None:
@@ -141,7 +139,7 @@ class FieldError:
 
     def scaled(self, scale: float) -> FieldError:
         """The same with errors ``scale`` times as large."""
-        return replace(self, variance=self.variance * scale**2, scale=self.scale * scale)
+        return replace(self, variance=self.variance * scale**2)
 
     def whitened(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) in which the noise is white again, of the white noise's own level."""

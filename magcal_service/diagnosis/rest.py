@@ -41,7 +41,8 @@ class Rest:
     Parameters
     ----------
     before: under the nine errors alone.
-    after: beside the names, errors of the field model aside, which last too.
+    after: beside the names.  Errors of the field model last too, and are not taken off: beside a mismatch that is not
+        far larger nobody can tell what a name leaves.
     sigma: 1 sigma of ``after``, were there nothing.
     is_free: whether nothing but its own shape speaks for one of the names.
     """
@@ -54,11 +55,9 @@ class Rest:
     @classmethod
     def of(cls, baseline: Fit, fit: Fit) -> Rest:
         """Of nine errors alone and of a fit with effects."""
-        error = fit.problem.field_error
-        usual_nt2 = 0.0 if error is None else (error.rms_nt / max(error.scale, 1.0)) ** 2
         after, sigma = _mean_and_sigma(_neighbours(fit))
         is_free = any(term.hypothesis.is_free for term in fit.terms)
-        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after - usual_nt2, sigma, is_free)
+        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after, sigma, is_free)
 
     @classmethod
     def of_all(cls, pairs: Sequence[tuple[Fit, Fit]]) -> Rest:
@@ -82,7 +81,7 @@ class Rest:
 
     @property
     def unsafe_share(self) -> float:
-        """The share that names have to leave to what is not named: where one is free, what cannot be excluded."""
+        """What cannot be excluded to last, where a name is free; else what does last."""
         if not self.is_free:
             return self.share
         return min(max(self.after + _SAFE * self.sigma, 0.0) / self.before, 1.0) if self.before > 0.0 else 1.0

@@ -1,7 +1,8 @@
 """Parameters in sentences: a number with its 1 sigma in the unit that the field uses, its sign as a verb, and where.
 
 A sentence of an effect has fields such as ``{per_k.falls}`` or ``{per_k.size}``: the name of a parameter and a property
-of ``Said``.  Of several numbers, the largest is said, and ``place`` says which it is.
+of ``Said``.  Of several numbers, the largest of those that stand out of their sigma is said, and ``place`` says which
+it is.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ _NATURAL: Final = {
     "1": (1.0, ""),
 }
 """Factor and unit in which a quantity is said; others are said in their own unit."""
+
+_STANDS_OUT: Final = 3.0
+"""Of its own sigma, what a number has to be to speak for the others."""
 
 _SMALL_PERCENT: Final = 0.01
 """Percentages below are said in millionths."""
@@ -94,7 +98,11 @@ class Said:
 
     @property
     def _largest(self) -> tuple[int, ...]:
-        return tuple(int(i) for i in np.unravel_index(int(np.argmax(np.abs(self.value))), self.value.shape))
+        """Of the numbers that are three of their own sigma, if any are: what may be nothing is not said for all."""
+        size = np.abs(self.value)
+        sure = size >= _STANDS_OUT * self.sigma
+        chosen = np.where(sure, size, -1.0) if np.any(sure) else size
+        return tuple(int(i) for i in np.unravel_index(int(np.argmax(chosen)), self.value.shape))
 
 
 def labels_of(shape: tuple[int, ...], given: tuple[tuple[str, ...], ...] = ()) -> tuple[tuple[str, ...], ...]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from magcal_service.model import Array
-from magcal_service.physics.scene.sunlight import first_order, hold_over_nan, sun_eci, sunlit
+from magcal_service.physics.scene.sunlight import carried, first_order, hold_over_nan, sun_eci, sunlit
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci
 from tests.physics.scenes import ORIGIN_NS, orbit_eci_km
 
@@ -99,6 +99,20 @@ def test_first_order_of_one_column_is_that_of_many() -> None:
     one, many = first_order(time_s, drive, 70.0), first_order(time_s, drive[:, None], 70.0)
     assert one == pytest.approx(many[:, 0], abs=1e-14)
     assert one[0] == drive[0]
+
+
+@pytest.mark.parametrize("tau_s", [0.1, 1.0, 3.0, 200.0, 1e6])
+def test_a_recursion_in_whole_columns_is_that_of_one_step_after_another(tau_s: float) -> None:
+    """Uneven steps with two long gaps, three columns; among them steps that keep nothing and steps that keep all."""
+    rng = np.random.default_rng(44)
+    steps = rng.uniform(0.2, 1.8, 700)
+    steps[[100, 500]] = 4000.0
+    kept, pushed = np.exp(-steps / tau_s), rng.normal(size=(700, 3))
+    kept[300:310], kept[600:620] = 0.0, 1.0
+    value, expected = np.array([5.0, -3.0, 1.0]), []
+    for share, more in zip(kept, pushed, strict=True):
+        expected.append(share * (expected[-1] if expected else value) + more)
+    assert carried(kept, pushed, value) == pytest.approx(np.array(expected), rel=1e-12, abs=1e-12)
 
 
 def test_gaps_of_telemetry_are_bridged() -> None:

@@ -8,7 +8,7 @@ import string
 import numpy as np
 import pytest
 
-from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import Effect, Value, value_of
 from magcal_service.physics.saying import Said, labels_of, measured
 
@@ -49,6 +49,30 @@ def test_of_several_numbers_the_largest_is_said_with_its_place_and_sign() -> Non
     panels = said([[1.0, 2.0, 3.0], [9.0, 0.0, 0.0]], np.ones((2, 3)), "nT", ("panel +x", "panel -x"), ("x", "y", "z"))
     assert (panels.place, panels.size) == ("panel -x, x", "9.0 ± 1.0 nT")
     assert said(0.0012, 0.0001, "1").percent == "0.120 ± 0.010 %"
+
+
+def test_what_may_be_nothing_does_not_speak_for_the_others() -> None:
+    """724 with a sigma of 789 is passed over for 40 with one of 5; where none stands out, the largest is said."""
+    per_face = said([724.0, -40.0, 14.0], [789.0, 5.0, 10.0], "nT")
+    assert (per_face.signed, per_face.place) == ("-40.0 ± 5.0 nT", "axis y")
+    assert said([724.0, -40.0, 14.0], [789.0, 50.0, 10.0], "nT").place == "axis x"
+    assert said([724.0, -40.0], [math.nan, math.nan], "nT").place == "1"
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        ("along_km", "along_km_per_h", "along_km_per_h2"),
+        ("radial_km", "along_km", "cross_km", "along_km_per_h"),
+        ("radial_km", "along_km", "cross_km"),
+        ("along_km", "along_km_per_h"),
+    ],
+)
+def test_no_part_of_a_place_is_left_out_of_its_sentence(blocks: tuple[str, ...]) -> None:
+    """Kilometres that grow with the square of time are most of an old element set's error."""
+    numbers = {name: value_of(11.0 + 10.0 * k, 0.1, "km") for k, name in enumerate(blocks)}
+    sentence = effect_named("position_offset").sentence(numbers, "none")
+    assert all(f"{11.0 + 10.0 * k:.2f}" in sentence for k in range(len(blocks)))
 
 
 def test_a_growing_correction_is_a_falling_gain() -> None:

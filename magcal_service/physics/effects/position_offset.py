@@ -108,6 +108,10 @@ EFFECT = Effect(
     source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
     says=(
         "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
+        "{along_km.signed} ahead, growing by {along_km_per_h.signed}, {cross_km.signed} to the left.",
+        "The reference was computed at the wrong place: after t hours the craft is {along_km.signed}, "
+        "{along_km_per_h.signed} times t and {along_km_per_h2.signed} times t squared ahead.",
+        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
         "{along_km.signed} ahead, {cross_km.signed} to the left.",
         "The reference was computed at the wrong place: the craft is {radial_km.signed} further out and "
         "{along_km.signed} ahead.",

@@ -14,9 +14,14 @@ from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferre
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.sunlight import carried
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 """L/R of the coil, 0: faster than a sample."""
+
+
+_MANY: Final = 2000
+"""Samples from which on the recursion is worked out in whole columns: no block of a live stream is so long."""
 
 
 def _decayed(scene: Scene, moment: Array, decay_s: float) -> Array:
@@ -26,8 +31,11 @@ def _decayed(scene: Scene, moment: Array, decay_s: float) -> Array:
     kept = np.exp(-np.diff(scene.time_s) / decay_s)
     answer = np.array(moment, dtype=np.float64)
     answer[0] = scene.begin("current", answer[0])
-    for row in range(1, len(moment)):
-        answer[row] = moment[row] + kept[row - 1] * (answer[row - 1] - moment[row])
+    if len(moment) > _MANY:
+        answer[1:] = carried(kept, (1.0 - kept)[:, None] * moment[1:], answer[0])
+    else:  # live, sample by sample, to the same bits however the samples come
+        for row in range(1, len(moment)):
+            answer[row] = moment[row] + kept[row - 1] * (answer[row - 1] - moment[row])
     scene.keep("current", answer)
     return answer
 

@@ -29,6 +29,9 @@ _PENUMBRA_RAD = 0.00465
 _STRETCH: Final = 20.0
 """Time constants over which growing exponentials are summed: e^20 costs nine of sixteen digits of what is forgotten."""
 
+_NOTHING: Final = 1e-20
+"""Of a value, what no double sees beside it."""
+
 _MANY: Final = 64
 """Steps from which on sums over stretches are faster than one step after another."""
 
@@ -102,6 +105,23 @@ def _recursion(aged: Array, pushed: Array, value: Array) -> Array:
         else:
             found[first:last] = np.exp(-since) * (value + np.cumsum(np.exp(since) * pushed[first:last], axis=0))
         value, before, first = found[last - 1], float(aged[last - 1]), last
+    return found
+
+
+def carried(kept: Array, pushed: Array, value: Array) -> Array:
+    """y_k = kept_k y_(k-1) + pushed_k (n, m) from ``value`` (m,), for kept (n,) of 0 to 1, in whole columns.
+
+    By doubling (Hillis & Steele 1986): after each pass y_k holds twice as many terms, until what is kept over them is
+    below the last bit.
+    """
+    found, share = np.array(pushed, dtype=np.float64), np.array(kept, dtype=np.float64)
+    found[0] += share[0] * value
+    share[0], reach = 0.0, 1
+    while reach < len(found) and float(share.max()) > _NOTHING:
+        found[reach:] += share[reach:, None] * found[:-reach]
+        share[reach:] *= share[:-reach].copy()
+        share[:reach] = 0.0
+        reach *= 2
     return found
 
 
