@@ -207,9 +207,10 @@ EFFECT = Effect(
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
         "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
-        "Currents add up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), {lag_s.signed} late.",
+        "A current or a moved magnet adds up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), "
+        "{lag_s.signed} late.",
         "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
-        "Currents add up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
+        "A current or a moved magnet adds up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents add up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
