@@ -13,6 +13,9 @@ class Fault(Enum):
     KILL_DAEMON = (
         "no sample is lost: the node keeps what is unanswered, the next daemon asks for it and goes on from its state"
     )
+    KILL_OFTEN = (
+        "no sample is lost where each daemon is killed before its period is over: checkpoints come soon after a start"
+    )
     STOP_DAEMON = "no sample is lost: the node keeps what was sent meanwhile"
     STOP_NODE = "no sample is lost: the node goes on where it stood"
     CUT_NETWORK = "no sample is lost: both ends find each other again, and what was sent meanwhile is asked for"

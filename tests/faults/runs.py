@@ -10,6 +10,7 @@ from tests.faults.faults import Fault, Outcome
 
 RUNS: Mapping[Fault, Callable[[Path, bool], Outcome]] = {
     Fault.KILL_DAEMON: runs_process.kill_daemon,
+    Fault.KILL_OFTEN: runs_process.kill_often,
     Fault.STOP_DAEMON: runs_process.stop_daemon,
     Fault.STOP_NODE: runs_process.stop_node,
     Fault.CUT_NETWORK: runs_link.cut_network,

@@ -23,9 +23,9 @@ RATE_HZ = 300.0  # messages a second: a sample and a reference for each second o
 SECOND_NS = 1_000_000_000
 
 
-def with_state(config: Path, folder: Path) -> Path:
-    """The configuration with checkpoints every 10 s of the wall clock, the shortest period there is."""
-    config.write_text(f"{config.read_text()}[state]\ndirectory = {json.dumps(str(folder))}\nperiod_s = 10.0\n")
+def with_state(config: Path, folder: Path, period_s: float = 10.0) -> Path:
+    """The configuration with checkpoints, by default every 10 s of the wall clock, the shortest period there is."""
+    config.write_text(f"{config.read_text()}[state]\ndirectory = {json.dumps(str(folder))}\nperiod_s = {period_s}\n")
     return config
 
 
@@ -88,6 +88,33 @@ def kill_daemon(folder: Path, quick: bool) -> Outcome:
     outcome.balance()
     outcome.notes.append(f"{kills + 1} kills, {restored} restarts went on from a checkpoint")
     outcome.expect(quick or restored == kills + 1, "a restart did not go on from its checkpoint")
+    same_as_uninterrupted(outcome, node, uninterrupted(config, messages))
+    return outcome
+
+
+def kill_often(folder: Path, quick: bool) -> Outcome:
+    """SIGKILL every 3 to 14 s, drawn anew each time, with the period of 60 s that is the default."""
+    outcome = Outcome(Fault.KILL_OFTEN, "zenoh")
+    kills, least_s, most_s, rate_hz = (3, 2.5, 4.0, 60.0) if quick else (50, 3.0, 14.0, 6.0)
+    messages = stream(seconds=600 if quick else 1350)
+    address = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    config = with_state(write_config(folder, f"{address}?history={HISTORY}"), folder / "state", 60.0)
+    chance = random.Random(8)
+    with Daemons(config) as daemons, Witness(address) as node:
+        node.until_heard()
+        with Feeder(node, messages, rate_hz) as feeder:
+            for _ in range(kills):
+                due_s = time.monotonic() + chance.uniform(least_s, most_s)
+                feeder.until(lambda due_s=due_s: time.monotonic() >= due_s, "time stands still")  # type: ignore[misc]
+                node.mark()
+                daemons.kill()
+                daemons.start()
+            feeder.close_books()
+        outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
+        outcome.used(node.counters())
+        outcome.recovered_s = max(node.recovered_s, default=None)
+    outcome.balance()
+    outcome.notes.append(f"{kills} kills, {least_s:g} to {most_s:g} s apart")
     same_as_uninterrupted(outcome, node, uninterrupted(config, messages))
     return outcome
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -257,6 +258,11 @@ def test_a_command_loads_another_model_from_beside_the_configured_one(tmp_path: 
 
     assert "beside" in ask(name="../second.toml")
     assert "No such file" in ask(name="third.toml")
+    os.mkfifo(tmp_path / "pipe.toml")
+    assert "not a file" in ask(name="pipe.toml")
+    (tmp_path / "second.toml").chmod(0o666)
+    assert "mode 0666" in ask(name="second.toml")
+    (tmp_path / "second.toml").chmod(0o644)
     assert ask(name="second.toml") == ""
     assert [event.what for event in pipeline.take_events()] == ["physics_loaded"]
     assert pipeline.compensation is not None
