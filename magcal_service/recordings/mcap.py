@@ -22,7 +22,10 @@ CRAFT: Final = "magcal.craft"
 STATE: Final = "magcal.state"
 DROPPED: Final = "magcal.dropped"
 
-_MOST_DIGITS: Final = 18  # of a hole's count: below 2^63, whatever a damaged or hostile file says
+MOST_MISSING: Final = 10**12
+"""Messages that a file may say are missing, whatever a damaged or hostile one says: more than any has had."""
+
+_MOST_DIGITS: Final = 18  # of a hole's count
 
 
 class Topic(NamedTuple):

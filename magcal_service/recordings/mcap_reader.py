@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from magcal_service.errors import ExtraMissingError, Fault, RecordingError
-from magcal_service.recordings.mcap import MAGIC, RawMessage, Topic
+from magcal_service.recordings.mcap import MAGIC, MOST_MISSING, RawMessage, Topic
 
 try:
     import zstandard
@@ -118,7 +118,7 @@ class McapReader:
     @property
     def gone(self) -> int:
         """Messages that were in the file and cannot be read, as far as what is sound of it still says so."""
-        return max(0, max(self._indexed, self._stated) - self._read)
+        return min(max(0, max(self._indexed, self._stated) - self._read), MOST_MISSING)
 
     @property
     def all_gone_known(self) -> bool:

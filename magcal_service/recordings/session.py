@@ -17,7 +17,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import craft_from_toml
 from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
 from magcal_service.recordings.json_form import from_json
-from magcal_service.recordings.mcap import CRAFT, DROPPED, PROFILE, STATE, dropped_messages
+from magcal_service.recordings.mcap import CRAFT, DROPPED, MOST_MISSING, PROFILE, STATE, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.state_text import state_from_text
 from magcal_service.typed_toml import nearest
@@ -39,7 +39,7 @@ class Session:
     configuration: as it was while the session was recorded; None where the file does not say.
     messages: everything that came in, in the order in which it did, but for commands that were refused.
     refused: records that are no acceptable message, by reason.
-    dropped: messages that the recorder had to leave out.
+    dropped: messages that the recorder had to leave out, and those that are gone where the file is damaged.
     damage: why the file could not be read to its end, empty where it could.
     state: what the craft began with, as ``Pipeline.export_state`` gives it; None where that was nothing.
     """
@@ -100,6 +100,7 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
         raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
     name = _chosen(path, list(found.messages), craft, prefer)
     configurations, dropped = _metadata(reader)
+    dropped = min(dropped + reader.gone, MOST_MISSING)
     damage = reader.damage
     if reader.bad_chunks or reader.bad_records:
         damage = ", ".join(

@@ -12,8 +12,11 @@ from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
 from magcal_service.cli.__main__ import main
-from magcal_service.recordings.mcap import DROPPED, RawMessage
+from magcal_service.recordings.mcap import DROPPED, MOST_MISSING, RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.mcap_writer import McapWriter
+from magcal_service.recordings.session import read_session
+from magcal_service.recordings.session_arrays import session_recording
 from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder, recover
 from magcal_service.recordings.session_info import session_info
@@ -171,3 +174,25 @@ def test_a_recorded_case_loses_what_the_damage_touches_alone(
     assert (recovered.messages, recovered.gone, recovered.all_known) == (kept, 4802 - kept, True)
     assert (recovered.lost_bytes, recovered.undamaged) == (lost_bytes, False)
     assert session_info(tmp_path / "out.mcap").sound
+
+
+def test_what_is_gone_is_said_by_a_replay_and_a_count_of_none_is_believed(whole: bytes, tmp_path: Path) -> None:
+    """As messages that were not recorded; a hostile summary cannot make it more than any file has."""
+    index, path = chunks(whole)[5], tmp_path / "hole.mcap"
+    path.write_bytes(zeroed(whole, index.chunk_start_offset + 30, index.chunk_start_offset + 60))
+    session = read_session(path)
+    assert (session.dropped, "1 chunks" in session.damage) == (IN_CHUNK, True)
+    lying = tmp_path / "lying.mcap"
+    with lying.open("wb", buffering=0) as file:
+        writer = McapWriter(file, "test")
+        for name, content in read(whole)[0].metadata:
+            writer.add_metadata(name, content)
+        for raw in read(whole)[1][:IN_CHUNK]:
+            writer.add(raw)
+        writer.end_chunk()
+        writer.messages = (1 << 64) - 1
+        for _ in range(20):
+            writer.add_metadata(DROPPED, {"messages": "9" * 18})
+        writer.finish()
+    assert read_session(lying).dropped == MOST_MISSING
+    assert session_recording(lying).report.entries
