@@ -34,8 +34,8 @@ _CHUNK = struct.Struct("<QQQII4sQ")
 
 _ZSTD: Final = b"zstd"
 _INDEX = struct.Struct("<HI")
-_INDEX_ENTRY_BYTES: Final = 16
-_FOOTER_BYTES: Final = 20
+_INDEX_ENTRY_BYTES: Final = 16  # two numbers of 8 bytes: time, offset
+_FOOTER_BYTES: Final = 20  # two places of 8 bytes and a checksum
 _CHECKSUM_BYTES: Final = 4  # at the footer's end, not part of what it covers
 
 _UNFINISHED: Final = "it ends early"
@@ -47,8 +47,8 @@ _MARKS: Final = re.compile(
 
 _MARK_IN_CHUNK: Final = 37  # bytes of a chunk's record before its mark
 _MARK_BYTES: Final = 32  # longer than any mark
-_BLOCK_BYTES: Final = 1 << 20
-_SEARCH_AT_LEAST: Final = 1 << 26
+_BLOCK_BYTES: Final = 1 << 20  # read at once; choice: a few of the writer's chunks
+_SEARCH_AT_LEAST: Final = 1 << 26  # 64 MiB; choice: a second of reading, whatever a small file holds
 _SEARCH_TIMES: Final = 4
 """All places tried together may have so many times the file's bytes and ``_SEARCH_AT_LEAST``: each is read whole."""
 
