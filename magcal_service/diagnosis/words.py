@@ -157,7 +157,9 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
 
 
 def explained_share(unexplained: float) -> str:
-    """How much of the mismatch the names explain."""
+    """How much of the mismatch the names explain; where nothing is seen beside them, no share is claimed."""
+    if unexplained == 0.0:
+        return "what is left of the mismatch is not seen in the noise"
     return f"{percent(1.0 - unexplained)} of the mismatch is explained"
 
 
@@ -198,7 +200,9 @@ def belief(entry: Entry) -> str:
     if entry.probability < SURE and entry.rivals:
         rival, probability = max(entry.rivals, key=lambda pair: pair[1])
         return f"{something}, but its name is open: {chance(entry.probability)} this, {chance(probability)} {rival}"
-    return f"{something}, {chance(entry.probability)} that it is this" + (" and no rival" if entry.rivals else "")
+    return f"{something}, {chance(entry.probability)} that it is this" + (
+        " rather than a rival" if entry.rivals else ""
+    )
 
 
 def next_step(entry: Entry) -> str:
