@@ -226,13 +226,13 @@ def _in_form(recording: Recording, effects: tuple[Effect, ...]) -> tuple[Prepare
     """
     prepared, search, explained = _searched(prepare(recording, effects), effects)
     left_nt = _left_nt(explained.fit)
-    if prepared.form is not Form.AIMED or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
+    if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
         return prepared, search, explained, ()
     others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects)
     scalar = others[2].fit
     if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
         return prepared, search, explained, ()
-    return (*others, (Form.AIMED,))
+    return (*others, (prepared.form,))
 
 
 def _left_nt(fit: Fit) -> float:

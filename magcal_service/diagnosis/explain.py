@@ -364,10 +364,8 @@ def is_recorded(hypothesis: Hypothesis) -> bool:
 def clean_vectors(fit: Fit) -> tuple[Array, Array]:
     """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
     scene = fit.problem.scene
-    if fit.problem.room_from_body is not None:
-        return scene.calibrated_nt, scene.clean_field_nt
     body, magnitude = disturbances(fit.terms, scene)
-    if fit.problem.aimed is not None:
+    if fit.problem.is_vector:
         clean = fit.problem.target(fit.x)
         return clean, measure(fit.x[:STATE_SIZE], clean + body)
     clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]

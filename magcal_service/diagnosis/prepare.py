@@ -129,7 +129,7 @@ def prepare(
     else:
         error = FieldError.of(scene, max(level, _white(scene, x)))
         baseline = solve(Problem(scene, level, None, largest_nt, error), x)
-    if aimed is not None:
+    if baseline.problem.is_vector:
         baseline = _quiet(baseline)
     problem, scene = baseline.problem, baseline.problem.scene
     form = Form.AIMED if aimed is not None else Form.SCALAR if room is None else Form.ROOM
@@ -158,7 +158,7 @@ def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float],
 
 
 def _quiet(fit: Fit) -> Fit:
-    """The same fit on a scene whose vectors are the reference's, as the fit turns it: columns hold no noise then."""
+    """The same fit on a scene whose vectors are the reference's or the room's, as the fit turns them, free of noise."""
     clean = fit.problem.target(fit.x)
     scene = fit.problem.scene.recalibrated(clean, measure(fit.x[:STATE_SIZE], clean))
     return solve(replace(fit.problem, scene=scene), fit.x)

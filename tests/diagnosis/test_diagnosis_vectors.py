@@ -66,6 +66,17 @@ def test_a_lag_is_seen_by_vectors_and_by_what_it_takes_off_their_length() -> Non
     assert float(np.sqrt(term.amplitudes[0])) * term.hypothesis.constants["period_s"] == pytest.approx(0.5, rel=0.15)
 
 
+def test_in_a_room_too_an_attitude_that_errs_is_not_believed() -> None:
+    """Angles that jitter by half a degree are 400 nT in each vector and nothing in its length."""
+    bench = Bench(9, with_attitude=True, steady=True, in_a_room=True, attitude_noise_rad=0.009)
+    found = diagnose(bench.recording())
+    assert (found.prepared.form, found.refused) == (Form.SCALAR, (Form.ROOM,))
+    assert found.verdict is Verdict.NONE
+    bench.attitude_noise_rad = 0.0
+    sound = diagnose(bench.recording())
+    assert (sound.prepared.form, sound.refused, sound.verdict) == (Form.ROOM, (), Verdict.NONE)
+
+
 def test_an_attitude_that_errs_slowly_is_not_believed() -> None:
     """Half a minute late, it disagrees with the field: magnitudes are compared, and it is said."""
     late = Bench(8, with_attitude=True).recording()

@@ -65,7 +65,8 @@ class Bench:
     added_nt: (n, 3) field beside the reference's, sensor axes [nT].
     sensor_from_body: (3, 3) mounting.
     lag_s: time constant of the sensor's answer [s].
-    attitude_noise_rad: 1 sigma of the recorded attitude about each axis [rad]; steady: whether the reference is.
+    attitude_noise_rad: 1 sigma of the recorded attitude about each axis [rad]; steady: whether the reference is;
+        in_a_room: whether its magnitude alone was recorded.
     channels: name -> (values, unit).
     """
 
@@ -78,6 +79,7 @@ class Bench:
     attitude_noise_rad: float = 0.0
     with_attitude: bool = False
     steady: bool = False
+    in_a_room: bool = False
     channels: dict[str, tuple[Array, str]] = field(default_factory=dict)
 
     @property
@@ -112,7 +114,7 @@ class Bench:
         made = Recording.from_arrays(
             time=self.time_s,
             B=measured,
-            H=reference,
+            H=np.linalg.norm(reference, axis=1) if self.in_a_room else reference,
             noise_nt=self.noise_nt,
             channels=self.channels,
             attitude=noisy if self.with_attitude else None,
