@@ -77,9 +77,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
-    lasting, shaped = (
-        left / (left + held) if left > 0.0 else 0.0 for left in (explained.lasting_nats, explained.shaped_nats)
-    )
+    lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
     unlisted = min(max(lasting, shaped**2), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
     if unlisted:
@@ -87,6 +85,11 @@ def posterior(explained: Explained, index: int) -> Posterior:
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
+
+
+def _part(left: float, held: float) -> float:
+    """Share of what is left in what is left and held together; 0 where nothing is left."""
+    return left / (left + held) if left > 0.0 else 0.0
 
 
 def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...]:

@@ -27,12 +27,8 @@ def bias_step(world: World, _recorded: bool) -> Cause:
     )
 
 
-def switched(world: World, _recorded: bool) -> Cause:
-    """A magnet near the sensor, or the current that makes one, comes on and goes again at instants of its own."""
-    rng = world.streams.rng("switched")
-    count = int(rng.integers(2, 7))
-    at_s = _spread(rng, world, count)
-    step = random_direction(rng)
+def _on_and_off(world: World, at_s: Floats, step: Floats) -> Cause:
+    """A field along ``step`` (3,) that comes at the first of the instants, goes at the second, and so on."""
     on = (np.searchsorted(at_s, world.time_s, side="right") % 2)[:, None]
     return Cause(
         name="bias_step",
@@ -41,6 +37,14 @@ def switched(world: World, _recorded: bool) -> Cause:
         parameters=lambda scale: {"switched_nt": plain(scale * step), "at_s": plain(at_s)},
         scale=200.0,
     )
+
+
+def switched(world: World, _recorded: bool) -> Cause:
+    """A magnet near the sensor, or the current that makes one, comes on and goes again at instants of its own."""
+    rng = world.streams.rng("switched")
+    count = int(rng.integers(2, 7))
+    at_s = _spread(rng, world, count)
+    return _on_and_off(world, at_s, random_direction(rng))
 
 
 def duty(world: World, _recorded: bool) -> Cause:
@@ -50,15 +54,7 @@ def duty(world: World, _recorded: bool) -> Cause:
     every_s = rng.uniform(0.8, 1.0) / (intervals + 0.5) * world.duration_s
     begin = rng.uniform(0.1, 0.4) * every_s + every_s * np.arange(intervals)
     at_s = np.sort(np.concatenate([begin, begin + rng.uniform(0.2, 0.5) * every_s]))
-    step = random_direction(rng)
-    on = (np.searchsorted(at_s, world.time_s, side="right") % 2)[:, None]
-    return Cause(
-        name="bias_step",
-        world=world,
-        spoil=lambda scale: Spoiling(disturbance=lambda _tags, _body: scale * step * on),
-        parameters=lambda scale: {"switched_nt": plain(scale * step), "at_s": plain(at_s)},
-        scale=200.0,
-    )
+    return _on_and_off(world, at_s, random_direction(rng))
 
 
 def steps(world: World, _recorded: bool) -> Cause:
