@@ -21,7 +21,7 @@ from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.containment import contained
 from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.events import Event
-from magcal_service.daemon.health.metrics import MetricsServer
+from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import ConfigError, Fault, InputRefusedError

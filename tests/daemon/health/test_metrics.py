@@ -16,7 +16,8 @@ import pytest
 
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.health.figures import BOUNDS_S, TickLateness
-from magcal_service.daemon.health.metrics import Metrics, MetricsServer
+from magcal_service.daemon.health.metrics import Metrics
+from magcal_service.daemon.health.metrics_server import MOST_CONNECTIONS, PATIENCE_S, MetricsServer
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import InputRefusedError
@@ -99,13 +100,31 @@ def test_anything_else_is_not_found(server: MetricsServer) -> None:
         fetch(server, "/etc/passwd")
 
 
-def test_who_says_nothing_keeps_nobody_waiting_for_long(server: MetricsServer) -> None:
-    """Five mute connections, a second each at most, then the answer; and garbage harms nobody."""
-    server.publish("x 1\n")
-    mute = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(5)]
-    with socket.create_connection(("127.0.0.1", server.port)) as rude:
+def test_mute_and_rude_connections_hold_up_no_scrape(server: MetricsServer) -> None:
+    """30 mute connections, one that reads nothing of a long answer, and garbage: the scrape does not wait for them."""
+    server.publish("x 1\n" * 1_000_000)
+    mute = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(30)]
+    with (
+        socket.create_connection(("127.0.0.1", server.port)) as deaf,
+        socket.create_connection(("127.0.0.1", server.port)) as rude,
+    ):
+        deaf.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
         rude.sendall(b"\x00\xff" * 5000)
-        assert fetch(server).startswith("x 1\n")
+        begun_s = time.monotonic()
+        assert len(fetch(server)) > 4_000_000
+        assert time.monotonic() - begun_s < 0.9 * PATIENCE_S
+    for connection in mute:
+        connection.settimeout(3.0)
+        assert connection.recv(1) == b""  # its second is over
+        connection.close()
+
+
+def test_more_connections_than_are_held_end_the_oldest_mute_one(server: MetricsServer) -> None:
+    server.publish("x 1\n")
+    mute = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(MOST_CONNECTIONS + 1)]
+    mute[0].settimeout(0.5 * PATIENCE_S)
+    assert mute[0].recv(1) == b""
+    assert fetch(server).startswith("x 1\n")
     for connection in mute:
         connection.close()
 
