@@ -28,6 +28,7 @@ from magcal_service.wire.messages import (
     ReferenceSample,
     TelemetrySample,
 )
+from sim_sensor.beside import OWN_SOURCE
 from sim_sensor.scenario import UNITS, Channel, ReferenceForm
 from sim_sensor.simulation import Simulation
 from sim_sensor.truth import write_truth
@@ -109,7 +110,7 @@ def _collect(simulation: Simulation) -> tuple[Series, Series, Series, dict[Chann
     samples, reference, position = Series(), Series(), Series()
     channels = {channel: Series() for channel in simulation.truth.telemetry.channels}
     for message in simulation.messages():
-        if isinstance(message, MagnetometerSample):
+        if isinstance(message, MagnetometerSample) and message.source == OWN_SOURCE:
             samples.add(message.time_ns, message.field_body_nt)
         elif isinstance(message, ReferenceSample):
             magnitude = (message.magnitude_nt or 0.0,)

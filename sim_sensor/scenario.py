@@ -12,11 +12,22 @@ from enum import StrEnum
 import numpy as np
 
 from magcal_service.typed_toml import Table, nearest
-from magcal_service.typed_toml.keys import choice, defaulted_section, flag, inline, number, special, text, whole
+from magcal_service.typed_toml.keys import (
+    choice,
+    defaulted_section,
+    flag,
+    inline,
+    number,
+    sections,
+    special,
+    text,
+    whole,
+)
 from magcal_service.typed_toml.record import Reading, read_record
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 from sim_sensor.attitude import Spin
+from sim_sensor.beside import Beside
 from sim_sensor.declarations import LONGEST_S, Z_AXIS, instant
 from sim_sensor.faults import LinkFault, fault_sections
 from sim_sensor.field import FieldModel
@@ -158,6 +169,7 @@ class Scenario:
     telemetry: TelemetryPlan = defaulted_section(TelemetryPlan)
     effects: Effects = inline(Effects)
     chance: Chance = defaulted_section(Chance, name="random")
+    beside: tuple[Beside, ...] = sections(Beside)
     faults: tuple[LinkFault, ...] = special(fault_sections, (), name="fault")
 
 

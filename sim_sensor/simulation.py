@@ -24,10 +24,12 @@ from magcal_service.wire.messages import (
     TelemetrySample,
 )
 from sim_sensor import faults, physics, sensor, streams
+from sim_sensor.beside import OWN_SOURCE, Beside
 from sim_sensor.environment import Environment, rotate
 from sim_sensor.faults import Emission
 from sim_sensor.physics import AddedPhysics
 from sim_sensor.scenario import UNITS, Channel, ReferenceForm, Scenario, resolve
+from sim_sensor.sensor import Effects
 from sim_sensor.streams import Stream
 
 Floats = npt.NDArray[np.float64]
@@ -149,9 +151,7 @@ class Simulation:
         true_eci = self._true_eci_nt(times_ns)
         attitude = scenario.spin.body_from_eci(elapsed_s)
         ambient = rotate(attitude, true_eci)
-        response = ambient
-        if scenario.sensor.lag_s > 0.0:
-            response = sensor.lagged(self._delayed_field(times_ns, true_eci), elapsed_s, scenario.sensor.lag_s)
+        response = self._response(times_ns, ambient, true_eci, scenario.sensor.lag_s)
         field_nt: Floats | float = 0.0
         if added is not None:
             field_nt, growth = self._added(added, times_ns)
@@ -161,6 +161,26 @@ class Simulation:
         )
         bias, D = sensor.errors_at(scenario.sensor, scenario.effects.steps, elapsed_s)
         return Block(times_ns, measured, ambient, true_eci, attitude, bias, D)
+
+    def _response(self, times_ns: Times, ambient: Floats, true_eci: Floats, lag_s: float) -> Floats:
+        """Body field (n, 3) [nT] after a sensor's lag."""
+        if lag_s == 0.0:
+            return ambient
+        return sensor.lagged(self._delayed_field(times_ns, true_eci), self.elapsed_s(times_ns), lag_s)
+
+    def beside(self, one: Beside) -> Iterator[tuple[Times, Floats]]:
+        """Times (n,) [ns] and measured vectors (n, 3) [nT] of a further magnetometer, in blocks."""
+        seed = streams.child(self.seed, Stream.BESIDE).spawn(len(self.truth.beside))[self.truth.beside.index(one)]
+        rng = np.random.default_rng(seed)
+        times = self.times_ns(one.sensor.rate_hz, one.offset_s)
+        for first in range(0, len(times), _BLOCK):
+            part = times[first : first + _BLOCK]
+            noise = rng.standard_normal((len(part), 3)) * np.array(one.sensor.noise_nt)
+            elapsed_s, true_eci = self.elapsed_s(part), self.truth.field.true_eci_nt(self.truth.orbit, part)
+            ambient = rotate(self.truth.spin.body_from_eci(elapsed_s), true_eci)
+            response = one.own_axes(self._response(part, ambient, true_eci, one.sensor.lag_s))
+            magnets = one.magnets_nt(elapsed_s)
+            yield part, sensor.measured_nt(one.sensor, Effects(), self.environment, elapsed_s, response, noise, magnets)
 
     def _delayed_field(self, times_ns: Times, true_eci: Floats) -> sensor.FieldAt:
         """The body field at times near those of a block: the attitude exactly, H along its tangent (0.1 nT in 10 s)."""
@@ -185,16 +205,18 @@ class Simulation:
 
     def clean_emissions(self) -> Iterator[Emission]:
         """The stream before link faults: in order of source time, references before the samples they belong to."""
-        sources = [self._references(), self._positions(), *self._telemetry(), self._magnetometer()]
+        own = ((block.times_ns, block.measured_nt) for block in self.blocks())
+        others = (self._magnetometer(one.source, self.beside(one)) for one in self.truth.beside)
+        magnetometers = [self._magnetometer(OWN_SOURCE, own), *others]
+        sources = [self._references(), self._positions(), *self._telemetry(), *magnetometers]
         return heapq.merge(*sources, key=lambda emission: emission.emit_s)
 
-    def _magnetometer(self) -> Iterator[Emission]:
+    def _magnetometer(self, source: str, blocks: Iterator[tuple[Times, Floats]]) -> Iterator[Emission]:
         craft, sequence = self.truth.craft, 0
-        for block in self.blocks():
-            rows = zip(block.times_ns.tolist(), block.measured_nt.tolist(), strict=True)
-            for time_ns, (x, y, z) in rows:
+        for times_ns, measured_nt in blocks:
+            for time_ns, (x, y, z) in zip(times_ns.tolist(), measured_nt.tolist(), strict=True):
                 sample = MagnetometerSample(
-                    craft=craft, source="mag", sequence=sequence, time_ns=time_ns, field_body_nt=(x, y, z)
+                    craft=craft, source=source, sequence=sequence, time_ns=time_ns, field_body_nt=(x, y, z)
                 )
                 yield Emission(self._emit_s(time_ns), sample)
                 sequence += 1

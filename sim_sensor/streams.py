@@ -24,6 +24,7 @@ class Stream(IntEnum):
     POSITION = 7  # noise of positions
     TORQUER = 8  # noise of this telemetry channel
     FAULTS = 9  # link faults; each has a child of this stream
+    BESIDE = 10  # noise of further magnetometers; each has a child of this stream
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:

@@ -38,6 +38,7 @@ def truth_record(simulation: Simulation) -> dict[str, object]:
         "field": dataclasses.asdict(truth.field),
         "effects": dataclasses.asdict(truth.effects),
         "physics": None if simulation.model is None else text_of(simulation.model),
+        **({"beside": [dataclasses.asdict(one) for one in truth.beside]} if truth.beside else {}),
         "faults": [dataclasses.asdict(fault) for fault in truth.faults],
     }
 

@@ -10,12 +10,14 @@ from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
     NOT_TRUSTED,
+    SOURCE_HELP,
     Parser,
     add_executor,
     executor_of,
     methods_text,
     refuse_executor,
     refuse_unwritable,
+    source_lines,
     tell,
     verdict_text,
 )
@@ -29,6 +31,7 @@ def add_calibrate(parser: Parser) -> None:
     """The arguments of ``magcal calibrate``."""
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
     parser.more = methods_text
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
@@ -50,7 +53,8 @@ def _calibrate_each(options: argparse.Namespace) -> int:
         accepted = "a recording's result is in its own folder of --out; leave --json out"
         raise ConfigError([Fault("--json", str(options.json), accepted)])
     method = find_method(options.method or DEFAULT_METHOD)
-    return tell(calibrate_each(options.recordings, method.name, options.craft, options.out, executor_of(options)))
+    executor = executor_of(options)
+    return tell(calibrate_each(options.recordings, method.name, options.craft, options.out, executor, options.source))
 
 
 def _calibrate_one(options: argparse.Namespace) -> int:
@@ -66,9 +70,11 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     refuse_executor(options, accepted)
     method = find_method(options.method or DEFAULT_METHOD)
     refuse_unwritable(options.json)
-    recording = read_recording(options.recordings[0], options.craft)
+    recording = read_recording(options.recordings[0], options.craft, source=options.source)
     result = calibrate(recording, method.name)
-    print("\n".join([*recording.report.lines(), *(f"found: {one}" for one in result.findings)]))
+    print(
+        "\n".join([*source_lines(recording), *recording.report.lines(), *(f"found: {one}" for one in result.findings)])
+    )
     print(_table(result))
     if options.json is not None:
         try:

@@ -13,11 +13,13 @@ from magcal_service.errors import ConfigError, Fault
 if TYPE_CHECKING:
     from magcal_service.many.executor import Executor
     from magcal_service.offline.each import Asked
+    from magcal_service.recordings.recording import Recording
 
 DONE: Final = 0  # of the contract, as the other two
 REFUSED: Final = 2  # what argparse ends with for a wrong argument
 NOT_TRUSTED: Final = 3  # done, but the reason not to use the result is in the output
 CRAFT_HELP: Final = "which craft of a session that holds several"
+SOURCE_HELP: Final = "which magnetometer of a craft that has several, by the source of its samples"
 
 
 class Parser(argparse.ArgumentParser):
@@ -28,6 +30,13 @@ class Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """The help of argparse, and ``more``."""
         return super().format_help() + (self.more() if self.more is not None else "")
+
+
+def source_lines(recording: Recording) -> list[str]:
+    """Whose samples were read, where the craft has several magnetometers."""
+    if not recording.others:
+        return []
+    return [f"magnetometer {recording.source}; --source chooses another: {', '.join(recording.others)}"]
 
 
 def add_executor(parser: argparse.ArgumentParser) -> None:

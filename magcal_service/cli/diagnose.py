@@ -12,6 +12,7 @@ from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
     NOT_TRUSTED,
+    SOURCE_HELP,
     add_executor,
     executor_of,
     refuse_executor,
@@ -32,6 +33,7 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for its three files")
     parser.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=f"of one recording: {SOURCE_HELP}")
     alone = "recordings of different craft: each by itself, in a folder of its own under --out"
     parser.add_argument("--separately", action="store_true", help=alone)
     add_executor(parser)
@@ -39,6 +41,11 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
+    if options.source is not None and (options.separately or len(options.recordings) > 1):
+        accepted = (
+            "of several recordings each craft's own magnetometer is diagnosed; leave it out, or give one recording"
+        )
+        raise ConfigError([Fault("--source", options.source, accepted)])
     if options.separately:
         from magcal_service.diagnosis.separately import diagnose_each
 
@@ -52,7 +59,9 @@ def _diagnose(options: argparse.Namespace) -> int:
     if len(options.recordings) > 1:
         return _diagnose_together(options)
     with progress() as step, _kept_if_refused(options.out):
-        outcome = run(Request(options.recordings[0], options.out, options.simulation, options.craft), step)
+        outcome = run(
+            Request(options.recordings[0], options.out, options.simulation, options.craft, options.source), step
+        )
     print("\n".join(outcome.lines))
     return DONE if outcome.diagnosis.trusted else NOT_TRUSTED
 

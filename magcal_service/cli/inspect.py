@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, refuse_unwritable
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, SOURCE_HELP, refuse_unwritable, source_lines
 
 
 def add_inspect(parser: argparse.ArgumentParser) -> None:
     """The arguments of ``magcal inspect``."""
     parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings here")
     parser.set_defaults(command=_inspect)
 
@@ -24,10 +25,10 @@ def _inspect(options: argparse.Namespace) -> int:
     from magcal_service.recordings.reader import read_recording
 
     refuse_unwritable(options.json)
-    recording = read_recording(options.recording, options.craft)
+    recording = read_recording(options.recording, options.craft, source=options.source)
     inspection = inspect(recording)
     content = inspection.to_dict()
-    print("\n".join([*recording.report.lines(), *inspection.lines()]))
+    print("\n".join([*source_lines(recording), *recording.report.lines(), *inspection.lines()]))
     print(inspection.summary())
     if options.json is not None:
         try:

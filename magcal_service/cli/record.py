@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED
+from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP
 from magcal_service.errors import Fault, InputRefusedError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def add_record(record: argparse.ArgumentParser) -> None:
     export.add_argument("--out", type=Path, required=True, metavar="X.csv|X.parquet")
     export.add_argument("--kind", default="samples", help="samples (default), or a kind of message such as estimate")
     export.add_argument("--craft", metavar="NAME", help="whose; needed for samples where there are several")
+    export.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     export.set_defaults(command=_export)
 
     recover = commands.add_parser(
@@ -66,7 +67,7 @@ def _info(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from magcal_service.recordings.export import export
 
-    rows = export(options.file, options.out, options.kind, options.craft)
+    rows = export(options.file, options.out, options.kind, options.craft, options.source)
     print(f"{rows} rows: {options.out}")
     return DONE
 

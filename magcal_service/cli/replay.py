@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, check_method, verdict_text
+from magcal_service.cli.common import (
+    CRAFT_HELP,
+    DONE,
+    NOT_TRUSTED,
+    SOURCE_HELP,
+    check_method,
+    source_lines,
+    verdict_text,
+)
 from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
@@ -20,6 +28,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
     parser.add_argument("--config", type=Path, metavar="FILE", help="configuration of exactly one craft, or of --craft")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--speed", type=_speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
     parser.set_defaults(command=_replay)
@@ -37,14 +46,14 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.recordings.usable import refuse_hopeless
 
     configured = _craft_from(options.config, options.craft)
-    recording = read_recording(options.recording, _craft_to_read(options))
+    recording = read_recording(options.recording, _craft_to_read(options), source=options.source)
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
     craft = configured or craft_of(inspection.to_replay)
     with ExitStack() as stack:
         csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
         result = replay(recording, craft, options.speed, csv, as_recorded=True, inspection=inspection)
-    residuals = residuals_of(inspection.usable, result, craft)
+    residuals = residuals_of(inspection.usable, result, result.pipeline.config)
     print(_counts(recording, result))
     print(
         f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
@@ -98,5 +107,11 @@ def _counts(recording: Recording, result: Replay) -> str:
     counters = result.pipeline.ticks.counters + result.pipeline.counters
     kinds = ", ".join(f"{name} {count}" for name, count in sorted(counters.items()) if count)
     found = result.inspection
-    lines = [*recording.report.lines(), *found.lines(), f"rows: {found.account}", *filter(None, [result.remark])]
+    lines = [
+        *source_lines(recording),
+        *recording.report.lines(),
+        *found.lines(),
+        f"rows: {found.account}",
+        *filter(None, [result.remark]),
+    ]
     return "\n".join([*lines, f"{result.estimates} estimates; {kinds}"])

@@ -6,10 +6,12 @@ import argparse
 import itertools
 import json
 import time
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.config.magnetometers import MAGNETOMETERS, label_of
 from magcal_service.errors import ConfigError, Fault, LinkAddressError, MagcalError
 
 if TYPE_CHECKING:
@@ -60,12 +62,12 @@ def _status(options: argparse.Namespace) -> int:
     address, crafts = _whom(options)
     with open_link(address, Role.VIEWER, crafts=crafts) as link:
         found = ask(link, crafts, options.timeout)
-        missing = sorted(set(crafts) - set(found))
+        missing = sorted(set(crafts) - {status.craft for status in found})
         if not found or missing:
             who = f"craft {', '.join(missing)}" if missing else "any craft"
             raise NotReachedError(f"no status of {who} on {address}: {why_silent(link, missing)}")
-    print(as_json(found.values()) if options.json else as_text(found.values()))
-    return HEALTHY if all(is_healthy(status) for status in found.values()) else NOT_HEALTHY
+    print(as_json(found) if options.json else as_text(found))
+    return HEALTHY if all(map(is_healthy, found)) else NOT_HEALTHY
 
 
 def _whom(options: argparse.Namespace) -> tuple[str, list[str]]:
@@ -94,28 +96,40 @@ def viewers_address(link: str) -> str:
     return f"{place}?{'&'.join(kept)}" if kept else place
 
 
-def ask(link: Link, crafts: Iterable[str], timeout_s: float) -> dict[str, Status]:
-    """The newest status of each craft, asked for by command until it comes or ``timeout_s`` [s] are over."""
+def ask(link: Link, crafts: Iterable[str], timeout_s: float) -> list[Status]:
+    """The newest status of each craft, and of each of its magnetometers where it has several.
+
+    Asked for by command until they have come or ``timeout_s`` [s] are over.
+    """
     from magcal_service.wire.messages import Command, Status
 
-    wanted, found, numbers = set(crafts), dict[str, Status](), itertools.count()
+    wanted, found, numbers = set(crafts), dict[tuple[str, str], Status](), itertools.count()
     deadline_s, asked_s, look_s = time.monotonic() + timeout_s, 0.0, time.monotonic() + _LOOK_S
-    while time.monotonic() < deadline_s and not (wanted and wanted <= set(found)):
+    while time.monotonic() < deadline_s and not (wanted and wanted <= _complete(found)):
         if time.monotonic() - asked_s > _ASK_AGAIN_S:
             asked_s = time.monotonic()
-            for craft in wanted - set(found):
+            for craft in wanted - _complete(found):
                 number, now_ns = next(numbers), time.time_ns()
                 link.send(Command(craft=craft, source="status", sequence=number, time_ns=now_ns, name="status"))
         if wanted and time.monotonic() > look_s:
             served, look_s = link.served(), time.monotonic() + _LOOK_S
-            if served and not wanted <= served and wanted & served <= set(found):
+            if served and not wanted <= served and wanted & served <= _complete(found):
                 break  # daemons are there, and none of them serves the rest
         for message in link.receive(0.1):
             if isinstance(message, Status):
                 if not found and not wanted:
                     deadline_s = min(deadline_s, time.monotonic() + _OTHERS_S)
-                found[message.craft] = message
-    return found
+                found[message.craft, message.source] = message
+    return list(found.values())
+
+
+def _complete(found: Mapping[tuple[str, str], Status]) -> set[str]:
+    """The craft of which as many statuses have come as they have magnetometers."""
+    come, of = Counter[str](), Counter[str]()
+    for (craft, _), status in found.items():
+        come[craft] += 1
+        of[craft] = max(of[craft], status.counters.get(MAGNETOMETERS, 1))
+    return {craft for craft in come if come[craft] >= of[craft]}
 
 
 def is_healthy(status: Status) -> bool:
@@ -126,9 +140,9 @@ def is_healthy(status: Status) -> bool:
 def as_text(statuses: Iterable[Status]) -> str:
     """A few lines for people."""
     lines = []
-    for status in sorted(statuses, key=lambda one: one.craft):
+    for status in sorted(statuses, key=lambda one: (one.craft, label_of(one))):
         count = status.counters
-        lines.append(f"{status.craft}: {'healthy' if is_healthy(status) else 'NOT HEALTHY'}: {status.text}")
+        lines.append(f"{label_of(status)}: {'healthy' if is_healthy(status) else 'NOT HEALTHY'}: {status.text}")
         half_ms, most_ms = (count.get(f"tick_late_{name}_us", 0) / 1e3 for name in ("p50", "p99"))
         lines.append(
             f"  up {status.uptime_s:.0f} s; {count.get('accepted', 0)} samples, {count.get('ticks', 0)} ticks, "
@@ -141,7 +155,7 @@ def as_text(statuses: Iterable[Status]) -> str:
 def as_json(statuses: Iterable[Status]) -> str:
     """One object: ``healthy``, and for each craft verdict, text, uptime and counters."""
     each = {
-        status.craft: {
+        label_of(status): {
             "healthy": is_healthy(status),
             "verdict": str(status.verdict),
             "text": status.text,

@@ -50,6 +50,22 @@ def check_craft_name(reading: Reading, key: str, name: str) -> None:
     names.add(name)
 
 
+RESERVED_SOURCE: Final = "magcal"
+"""The source of the daemon's own results: of the craft's own magnetometer, so no other may be called that."""
+
+
+def check_source(reading: Reading, key: str, source: str) -> None:
+    """A name as the wire carries it, each once in a craft: ``context["sources"]`` holds those before."""
+    sources: set[str] = reading.context["sources"]
+    if source in sources:
+        reading.table.refuse(key, source, "each magnetometer of a craft has a source of its own")
+    elif source == RESERVED_SOURCE:
+        reading.table.refuse(key, source, "any other name is accepted: this one is the daemon's own")
+    elif reading.table.has(key) and not NAME.fullmatch(source):
+        reading.table.refuse(key, source, NAME_ACCEPTED)
+    sources.add(source)
+
+
 def check_method(reading: Reading, name: str, method: str) -> None:
     """One of ``context["methods"]``; any well-formed name where none are given."""
     methods = reading.context.get("methods", ())

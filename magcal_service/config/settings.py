@@ -19,6 +19,7 @@ from magcal_service.typed_toml.keys import (
     flag,
     number,
     numbers,
+    optional_numbers,
     section,
     special,
     text,
@@ -34,6 +35,7 @@ __all__ = [
     "CraftConfig",
     "FilterConfig",
     "HealthConfig",
+    "MagnetometerConfig",
     "OutputConfig",
     "PhysicsConfig",
     "RecordConfig",
@@ -267,8 +269,58 @@ class HealthConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class MagnetometerConfig:
+    """One of several magnetometers of a craft; what is None is as the craft has it.
+
+    Parameters
+    ----------
+    source: the source of its samples.
+    noise_nt, range_nt, axis_stuck_s: as in ``SensorConfig``.
+    prior_bias_nt, prior_D, process_noise_bias_nt, process_noise_D: as in ``FilterConfig``.
+    spin: in this sensor's own axes; None: the craft's where it is the first that is listed, else none.
+    physics: compensated live for this one; None: the craft's where it is the first that is listed, else none.
+    """
+
+    source: str = text(accepted="the source of its samples", check=rules.check_source)
+    noise_nt: float | None = number(None, 0.01, 100_000.0, unit="nT")
+    range_nt: float | None = number(None, 1000.0, 1e6, unit="nT")
+    axis_stuck_s: float | None = number(None, 5.0, 86_400.0, unit="s")
+    prior_bias_nt: float | None = number(None, 1.0, 200_000.0, unit="nT")
+    prior_D: float | None = number(None, 1e-4, 1.0)
+    process_noise_bias_nt: Vector | None = optional_numbers(3, 0.0, 1000.0, unit="nT/sqrt(s)")
+    process_noise_D: tuple[float, float, float, float, float, float] | None = optional_numbers(
+        6, 0.0, 0.01, unit="1/sqrt(s)"
+    )
+    spin: SpinConfig | None = section(SpinConfig, None)
+    physics: PhysicsConfig | None = special(physics_setting, None)
+
+
+MOST_SOURCES: Final = 16
+"""Magnetometers of one craft that may be configured at the most: each costs what a craft costs."""
+
+
+def _magnetometers(reading: Reading, name: str) -> tuple[MagnetometerConfig, ...]:
+    tables = reading.table.tables(name)
+    most = reading.values["max_sources"]
+    if len(tables) > most:
+        reading.table.refuse(name, len(tables), f"at most max_sources = {most} tables are accepted; raise max_sources")
+        return ()
+    context = {**reading.context, "sources": set[str]()}
+    return tuple(read_record(table, MagnetometerConfig, context=context) for table in tables)
+
+
+@dataclass(frozen=True, slots=True)
 class CraftConfig:
-    """One craft: its name on the link and how its magnetometer is calibrated; ``spin`` is None where it doesn't."""
+    """One craft: its name on the link and how its magnetometers are calibrated.
+
+    Parameters
+    ----------
+    spin: None where it doesn't.
+    max_sources: magnetometers that are served, by the source of their samples.
+    magnetometers: those that are listed, the first one the craft's own.
+    hears, source: of one magnetometer's pipeline, see ``config.magnetometers``: whose samples it takes (empty: of the
+        first that is heard), and its results' source (empty: the daemon's).  Not read from a file.
+    """
 
     name: str = text(accepted="the craft's name on the link", check=rules.check_craft_name)
     sensor: SensorConfig = defaulted_section(SensorConfig)
@@ -277,6 +329,10 @@ class CraftConfig:
     ticks: TickConfig = defaulted_section(TickConfig)
     trust: TrustConfig = defaulted_section(TrustConfig)
     physics: PhysicsConfig | None = special(physics_setting, None)
+    max_sources: int = whole(4, 1, MOST_SOURCES, unit="sources")
+    magnetometers: tuple[MagnetometerConfig, ...] = special(_magnetometers, (), name="magnetometer")
+    hears: str = ""
+    source: str = ""
 
 
 def _crafts(reading: Reading, name: str) -> tuple[CraftConfig, ...]:

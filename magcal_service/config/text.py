@@ -13,6 +13,7 @@ from magcal_service.config.reader import read_config
 from magcal_service.config.settings import CraftConfig
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.typed_toml import parse_toml
+from magcal_service.typed_toml.record import declared
 
 
 def craft_as_toml(craft: CraftConfig) -> str:
@@ -22,10 +23,23 @@ def craft_as_toml(craft: CraftConfig) -> str:
 
 def _settings(record: Any, name: str) -> str:
     """Plain settings first, then a table for each record within."""
-    values = [(setting.name, getattr(record, setting.name)) for setting in fields(record)]
-    plain = [f"{key} = {_value(value)}\n" for key, value in values if value is not None and not is_dataclass(value)]
+    keys = {name: key.name or name for name, key in declared(type(record)).items()}
+    keys = keys or {one.name: one.name for one in fields(record)}
+    values = [(key, getattr(record, name)) for name, key in keys.items()]
+    plain = [f"{key} = {_value(value)}\n" for key, value in values if value is not None and not _is_table(value)]
     tables = [f"\n[{name}.{key}]\n{_settings(value, f'{name}.{key}')}" for key, value in values if is_dataclass(value)]
-    return "".join(plain + tables)
+    arrays = [
+        f"\n[[{name}.{key}]]\n{_settings(each, f'{name}.{key}')}"
+        for key, value in values
+        if _is_table(value) and not is_dataclass(value)
+        for each in value
+    ]
+    return "".join(plain + tables + arrays)
+
+
+def _is_table(value: Any) -> bool:
+    """Whether a value is a table, or an array of tables."""
+    return is_dataclass(value) or value == () or (isinstance(value, tuple) and is_dataclass(value[0]))
 
 
 def _value(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""One craft without ``physics.toml``: ticks -> estimator -> trust, with faults of the sensor and the model's watch.
+"""One magnetometer of a craft without ``physics.toml``: ticks -> estimator -> trust, with faults and the model's watch.
 
 ``compensating`` adds the physics, ``pipeline`` the messages in and out.
 """
@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.config.magnetometers import label
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.outbox import SOURCE, Stamp, estimate_message, unsendable
@@ -25,6 +26,7 @@ from magcal_service.ticks.rejection import Rejection
 from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
+from magcal_service.watch.witness import Witness
 from magcal_service.wire.messages import Clock, Estimate, MagnetometerSample, Message
 
 WATCHED: Final = {
@@ -70,6 +72,7 @@ class CraftMemory:
     _thawed: bool
     _process_noise: tuple[float, float] | None
     watch: ModelWatch
+    witness: Witness
 
 
 class Craft(Stateful, CraftMemory):
@@ -103,12 +106,18 @@ class Craft(Stateful, CraftMemory):
         self._process_noise = None  # of bias [nT/sqrt(s)] and D [1/sqrt(s)], where a command has set it
         self._events: list[Event] = []
         self.watch = ModelWatch(config.filter.gate_sigma)
+        self.witness = Witness()
+
+    @property
+    def label(self) -> str:
+        """What it is called in logs and tables: the craft, with its source where it is not the craft's own."""
+        return label(self.config.name, self.config.source)
 
     # Events
 
     def event(self, what: str, cause: str, source: str = SOURCE) -> Event:
         """An event of this craft, now."""
-        return Event(self.config.name, what, cause, source, self.last_time_ns)
+        return Event(self.label, what, cause, source, self.last_time_ns)
 
     def note(self, what: str, cause: str, source: str = SOURCE) -> None:
         """Record an event for ``take_events``."""
@@ -126,6 +135,7 @@ class Craft(Stateful, CraftMemory):
         self.estimator.reset()
         self.monitor.reset()
         self.watch.reset()
+        self.witness.reset()
         self._state, self.trust = self.estimator.estimate(), NOT_STARTED
         self._fault, self._learned_s = None, None
 
@@ -154,7 +164,7 @@ class Craft(Stateful, CraftMemory):
     def _take_estimate(self, saved: Craft) -> None:
         """Take estimate and verdict of another of this craft; samples, ticks and counters stay."""
         self.estimator, self.monitor, self._process_noise = saved.estimator, saved.monitor, saved._process_noise
-        self.watch = saved.watch
+        self.watch, self.witness = saved.watch, saved.witness
         self._thawed, self._fault = True, None
         self._learned_s, self._walk = saved._learned_s, saved._walk
 
@@ -199,6 +209,7 @@ class Craft(Stateful, CraftMemory):
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self._learned_from(tick)
         self.monitor.observe(tick, outcome, state)
+        self.witness.push(tick, outcome, state)
         self._watch_model(tick)
         self._count(outcome)
 
@@ -224,6 +235,17 @@ class Craft(Stateful, CraftMemory):
             self.note("model_agrees", "a whole window of the watch has found nothing")
         else:
             self.note("model_doubtful", str(finding))
+
+    def compare(self, others: Iterable[Craft]) -> None:
+        """Judge whether a disturbance is near this magnetometer alone, beside the craft's others."""
+        if not self.witness.judge(one.witness for one in others):
+            return
+        self.monitor.observe_local(self.witness.local)
+        self.trust = self.monitor.judge(self._state)
+        if self.witness.local:
+            self.note("local_disturbance", "the craft's other magnetometers do not see it")
+        else:
+            self.note("local_over", "it agrees with the reference again")
 
     def _count(self, outcome: TickOutcome) -> None:
         self.counters["rejected"] += outcome.rejected
@@ -276,7 +298,7 @@ class Craft(Stateful, CraftMemory):
     def _stamp(self, time_ns: int, clock: Clock) -> Stamp:
         """Craft, next sequence number and time of a message that it publishes."""
         number, self._sequence = self._sequence, (self._sequence + 1) % (1 << 32)
-        return Stamp(self.config.name, number, time_ns, clock)
+        return Stamp(self.config.name, number, time_ns, clock, self.config.source or SOURCE)
 
 
 def _noisier(settings: FilterConfig, bias_nt: float, d: float) -> FilterConfig:

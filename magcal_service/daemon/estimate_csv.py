@@ -15,6 +15,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.config.magnetometers import label_of
 from magcal_service.errors import Fault, InputRefusedError, unwritable
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.wire.messages import Estimate
@@ -139,7 +140,7 @@ class EstimateCsv:
         sigma = [estimate.covariance[index] ** 0.5 for index in _VARIANCES]
         self._write(
             (
-                estimate.craft,
+                label_of(estimate),
                 estimate.time_ns,
                 estimate.tick,
                 *estimate.bias_nt,

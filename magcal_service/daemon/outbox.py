@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
 from magcal_service.trust.monitor import Trust
@@ -25,8 +26,8 @@ from magcal_service.wire.messages import (
     Verdict,
 )
 
-SOURCE: Final = "magcal"
-"""Who sends: the source of every message of the daemon."""
+SOURCE: Final = RESERVED_SOURCE
+"""Who sends: the source of every message of the daemon, but for the estimates and statuses of further magnetometers."""
 
 _UPPER: Final = np.triu_indices(STATE_SIZE)  # a covariance travels as its upper triangle, row by row
 _UPPER_3: Final = np.triu_indices(3)
@@ -44,12 +45,13 @@ A sigma of 0.1 T, or of a factor of 10^8, is no estimate of a magnetometer.
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Craft and number of a message, and the source time [ns] that it refers to."""
+    """Craft, source and number of a message, and the source time [ns] that it refers to."""
 
     craft: str
     sequence: int
     time_ns: int
     clock: Clock
+    source: str = SOURCE
 
 
 def calibrated_vector(
@@ -113,7 +115,7 @@ def estimate_message(
     d11, d22, d33, d12, d13, d23 = state.x[D_ALL].tolist()
     return Estimate(
         craft=stamp.craft,
-        source=SOURCE,
+        source=stamp.source,
         sequence=stamp.sequence,
         time_ns=stamp.time_ns,
         clock=stamp.clock,
@@ -135,7 +137,7 @@ def command_reply(stamp: Stamp, command: Command, refusal: str, summary: str) ->
     """The answer to a command: why it was refused, or the craft's summary after it was carried out."""
     return CommandReply(
         craft=stamp.craft,
-        source=SOURCE,
+        source=stamp.source,
         sequence=stamp.sequence,
         time_ns=stamp.time_ns,
         clock=stamp.clock,
@@ -151,7 +153,7 @@ def status_message(stamp: Stamp, uptime_s: float, trust: Trust, counters: Counte
     """Health of a craft, with as many counters as a status may hold."""
     return Status(
         craft=stamp.craft,
-        source=SOURCE,
+        source=stamp.source,
         sequence=stamp.sequence,
         time_ns=stamp.time_ns,
         clock=stamp.clock,

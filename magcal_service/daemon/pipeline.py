@@ -1,4 +1,4 @@
-"""One craft, pure: a message in, messages out.  Ticks -> estimator -> trust; no link, file or clock inside.
+"""One magnetometer, pure: a message in, messages out.  Ticks -> estimator -> trust; no link, file or clock inside.
 
 Live links, recordings and the simulator all use it, so what is verified on one holds for the others.
 """
@@ -47,24 +47,27 @@ class PipelineMemory(CompensatingMemory):
     """What of ``Pipeline`` outlives a restart, saved and restored whole."""
 
     failure: str
+    heard: str
     _left_out: list[str]
 
 
 class Pipeline(CompensatingCraft, PipelineMemory):
-    """Everything the daemon does for one craft.
+    """Everything the daemon does for one magnetometer of a craft.
 
     Parameters
     ----------
-    config: the craft's configuration.
+    config: the magnetometer's configuration (``config.magnetometers``).
 
     Attributes
     ----------
+    heard: the source of its samples; empty until one was accepted, where the configuration names none.
     failure: why it last began anew by itself; empty where it never did.
     """
 
     def __init__(self, config: CraftConfig) -> None:
         super().__init__(config)
         self.failure = ""
+        self.heard = config.hears
         self._left_out = []  # digests of messages at which it failed
 
     def handle(self, message: Message) -> list[Message]:
@@ -105,6 +108,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         if self._process_noise is not None:
             fresh.set_process_noise(*self._process_noise)
         fresh.frozen, fresh._sequence, fresh._events = self.frozen, self._sequence, self._events
+        fresh.heard = self.heard
         fresh.first_time_ns, fresh.last_time_ns, fresh._clock = self.first_time_ns, self.last_time_ns, self._clock
         fresh._left_out = self._left_out if message is None else [*self._left_out, _digest(message)][-_MOST_LEFT_OUT:]
         vars(self).update(vars(fresh))
@@ -175,6 +179,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         self.ticks.take(measured, sample)
         self._take_beside(measured)
         self._recover()
+        self.heard = self.heard or sample.source
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
         return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict, self._unknown())]

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.config.magnetometers import MAGNETOMETERS, label, label_of
 from magcal_service.config.private_files import check_input, check_state_directory, check_way
 from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
@@ -23,13 +24,14 @@ from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.health.report import Health
+from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import kind_of
-from magcal_service.wire.messages import Command, Estimate, Message, Status, Verdict
+from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status, Verdict
 
 if TYPE_CHECKING:
     from magcal_service.recordings.recorder import Recorder
@@ -75,6 +77,11 @@ class Service:
     recorder: takes everything that comes in and goes out.
     checkpoints: where the state is kept and, at the start, taken from.
     metrics: serves the figures as Prometheus text.
+    build: makes the pipeline of a magnetometer.
+
+    Attributes
+    ----------
+    pipelines: by ``config.magnetometers.label``: the craft's name is that of its own magnetometer.
     """
 
     def __init__(
@@ -85,6 +92,7 @@ class Service:
         recorder: Recorder | None = None,
         checkpoints: Checkpoints | None = None,
         metrics: MetricsServer | None = None,
+        build: Build = Pipeline,
     ) -> None:
         self.config = config
         self.link = link
@@ -92,7 +100,8 @@ class Service:
         self.recorder = recorder
         self.checkpoints, self.metrics = checkpoints, metrics
         self.csv_error: InputRefusedError | None = None
-        self.pipelines = {craft.name: Pipeline(craft) for craft in config.crafts}
+        self.pipelines: dict[str, Pipeline] = {}
+        self.magnetometers = {craft.name: Magnetometers(craft, self.pipelines, build) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
         self._commander = Commander(checkpoints, self.shut_down)
         self._ending = False
@@ -112,11 +121,21 @@ class Service:
         """Restore each craft's newest checkpoint where there is one."""
         if self.checkpoints is None:
             return
-        for name, pipeline in self.pipelines.items():
-            self.pipelines[name], events = self.checkpoints.restore(pipeline)
-            if self.pipelines[name] is not pipeline and self.recorder is not None:
-                self.recorder.begin_with(name, self.pipelines[name].export_state())
-            self._report(events)
+        for craft, magnetometers in self.magnetometers.items():
+            self._restore(magnetometers.own)
+            for source in self.checkpoints.sources(craft):
+                if label(craft, source) not in self.pipelines and source != magnetometers.own.heard:
+                    magnetometers.appear(source)
+            for pipeline in magnetometers.all[1:]:
+                self._restore(pipeline)
+
+    def _restore(self, pipeline: Pipeline) -> None:
+        assert self.checkpoints is not None
+        name = pipeline.label
+        self.pipelines[name], events = self.checkpoints.restore(pipeline)
+        if self.pipelines[name] is not pipeline and self.recorder is not None:
+            self.recorder.begin_with(pipeline.config.name, pipeline.config.source, self.pipelines[name].export_state())
+        self._report(events)
 
     def _received(self) -> list[Message]:
         """The messages received; the waiting time is recorded."""
@@ -183,35 +202,62 @@ class Service:
         return self.checkpoints is not None and self.checkpoints.save(self.pipelines.values())
 
     def handle(self, message: Message) -> None:
-        """Pass one message to its craft and publish the outputs."""
-        pipeline = self.pipelines.get(message.craft)
-        if pipeline is None:
+        """Pass one message to its craft's magnetometers and publish the outputs."""
+        magnetometers = self.magnetometers.get(message.craft)
+        if magnetometers is None:
             self.counters["unknown_craft"] += 1
             return
         if self.recorder is not None:
             self.recorder.add(message)
+        if isinstance(message, Command):
+            self._command(magnetometers, message)
+        else:
+            for pipeline in magnetometers.of(message):
+                self._give(pipeline, message)
+        for pipeline in magnetometers.compare():
+            self._report(pipeline.take_events())
+
+    def _command(self, magnetometers: Magnetometers, command: Command) -> None:
+        """Have a command carried out by the magnetometers that it is for, and answer it once."""
+        bare, pipelines = magnetometers.commanded(command)
+        if not pipelines:
+            refusal = magnetometers.unknown(command)
+            self._publish([magnetometers.own.reply(command, refusal)])
+            return
+        if len(pipelines) == 1:
+            self._give(pipelines[0], bare)
+            return
+        replies: list[CommandReply] = []
+        for pipeline in pipelines:
+            self._give(pipeline, bare, replies)
+        self._publish(magnetometers.one_reply(pipelines, replies))
+
+    def _give(self, pipeline: Pipeline, message: Message, replies: list[CommandReply] | None = None) -> None:
+        """Have a pipeline work on a message; the replies to a command are kept in ``replies`` where that is given."""
         if pipeline.leaves_out(message):
-            self._tell_left_out(message)
+            self._tell_left_out(pipeline, message)
             return
         with contained(pipeline, f"taking a {kind_of(message).name} message", message):
-            self._work_off(pipeline, message)
+            self._work_off(pipeline, message, replies)
         self._report(pipeline.take_events())
 
-    def _work_off(self, pipeline: Pipeline, message: Message) -> None:
+    def _work_off(self, pipeline: Pipeline, message: Message, replies: list[CommandReply] | None) -> None:
         for output in pipeline.outputs(message, self._commander.carry_out):
             if isinstance(output, Event):
                 self._report([output])
+            elif isinstance(output, CommandReply) and replies is not None:
+                replies.append(output)
             else:
                 self._publish([output])
         if isinstance(message, Command) and message.name == "status":
             self._publish_status(pipeline)
 
-    def _tell_left_out(self, message: Message) -> None:
+    def _tell_left_out(self, pipeline: Pipeline, message: Message) -> None:
         """Report a craft's first message that is left out."""
-        if message.craft not in self._left_out:
-            self._left_out.add(message.craft)
+        if pipeline.label not in self._left_out:
+            self._left_out.add(pipeline.label)
             cause = f"a {kind_of(message).name} message has come again at which it failed"
-            self._report([self.pipelines[message.craft].event("left_out", cause)])
+            self._report([pipeline.event("left_out", cause)])
 
     def _publish(self, messages: Iterable[Message]) -> None:
         for message in messages:
@@ -232,11 +278,12 @@ class Service:
         elif self.csv is not None:
             self._to_disk(lambda csv: csv.add(estimate))
         state = " ".join((estimate.verdict, *estimate.reasons))
-        if self._verdicts.get(estimate.craft) != state:
-            self._verdicts[estimate.craft] = state
+        name = label_of(estimate)
+        if self._verdicts.get(name) != state:
+            self._verdicts[name] = state
             if estimate.verdict is Verdict.TRUSTED:
                 self._schedule.ask()
-            log.info("%s: %s at tick %d; %s", estimate.craft, state, estimate.tick, estimate.remedy or "nothing to do")
+            log.info("%s: %s at tick %d; %s", name, state, estimate.tick, estimate.remedy or "nothing to do")
 
     def publish_status(self) -> None:
         """Send each craft's status, and put the rows written so far on disk."""
@@ -272,7 +319,8 @@ class Service:
     def _status(self, pipeline: Pipeline) -> Status:
         """With the link's counters as ``link.*``, the craft's newest event, and faults of disk and link."""
         counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
-        troubles = self.health.troubles(pipeline)
+        magnetometers = self.magnetometers[pipeline.config.name]
+        troubles = [*self.health.troubles(pipeline), *magnetometers.troubles(pipeline)]
         if self.recorder is not None and self.recorder.trouble:
             troubles.append(f"not recording: {self.recorder.trouble}")
         if self.checkpoints is not None and self.checkpoints.trouble:
@@ -280,12 +328,20 @@ class Service:
         if self.link.alone:
             troubles.append(self.link.alone)
         counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
-        event = self._last_events.get(pipeline.config.name)
+        if len(magnetometers.all) > 1:
+            counters[MAGNETOMETERS] = len(magnetometers.all)
+        event = self._last_events.get(pipeline.label)
         strangers = ", ".join(self.link.strangers)
         unserved = (
-            [f"messages of craft {strangers} are refused; served: {', '.join(self.pipelines)}"] if strangers else []
+            [f"messages of craft {strangers} are refused; served: {', '.join(self.magnetometers)}"] if strangers else []
         )
-        remarks = [*troubles, *unserved, *self.link.warnings, *([f"last event: {event}"] if event is not None else [])]
+        remarks = [
+            *troubles,
+            *magnetometers.remarks(pipeline),
+            *unserved,
+            *self.link.warnings,
+            *([f"last event: {event}"] if event is not None else []),
+        ]
         status = pipeline.status(self.health.uptime_s, counters)
         return replace(status, text=fitting("; ".join((status.text, *remarks))))
 

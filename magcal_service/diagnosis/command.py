@@ -45,12 +45,14 @@ class Request:
     out: folder for the files; made where it is not there.
     simulation: scenario to compare with, by file or name; None: the forward model as calibrated.
     craft: which craft of a session that holds several.
+    source: which magnetometer of a craft that has several.
     """
 
     recording: Path
     out: Path
     simulation: str | None = None
     craft: str | None = None
+    source: str | None = None
 
     @property
     def command(self) -> str:
@@ -58,6 +60,7 @@ class Request:
         parts = ["magcal", "diagnose", str(self.recording), "--out", str(self.out)]
         parts += ["--simulation", self.simulation] if self.simulation is not None else []
         parts += ["--craft", self.craft] if self.craft is not None else []
+        parts += ["--source", self.source] if self.source is not None else []
         return shlex.join(parts)
 
 
@@ -115,7 +118,7 @@ class _Accepted:
 
 def _accepted(request: Request) -> _Accepted:
     simulation = None if request.simulation is None else simulation_errors(request.simulation)
-    recording = read_recording(request.recording, request.craft)
+    recording = read_recording(request.recording, request.craft, source=request.source)
     inspection = inspect(recording)
     refuse_hopeless(inspection.to_diagnose, inspection.lines())
     return _Accepted(recording, inspection, simulation)

@@ -160,6 +160,7 @@ def calibrate(
     result = replay(recording, craft, inspection=inspection)
     pipeline = result.pipeline
     state = pipeline.estimator.estimate()
+    craft = pipeline.config
     residuals = residuals_of(usable, result, craft)
     reasons = list(result.reasons)
     reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]

@@ -13,13 +13,15 @@ from magcal_service.offline.result_files import CALIBRATION
 from magcal_service.recordings.reader import read_recording
 
 
-def calibrate_each(paths: Sequence[Path], method: str, craft: str | None, out: Path, executor: Executor) -> Asked:
+def calibrate_each(
+    paths: Sequence[Path], method: str, craft: str | None, out: Path, executor: Executor, source: str | None = None
+) -> Asked:
     """The nine errors of each recording, ``CALIBRATION`` in a folder of each under ``out``; raises as ``ask_each``."""
-    return ask_each("calibrate", partial(_told, method, craft), paths, out, executor)
+    return ask_each("calibrate", partial(_told, method, craft, source), paths, out, executor)
 
 
-def _told(method: str, craft: str | None, path: Path) -> Told:
-    result = calibrate(read_recording(path, craft), method)
+def _told(method: str, craft: str | None, source: str | None, path: Path) -> Told:
+    result = calibrate(read_recording(path, craft, source=source), method)
     levels = result.residuals
     says = f"residual {levels.before:.1f} -> {levels.after:.1f} nT, noise floor {levels.noise_floor:.1f} nT"
     reasons = [str(reason) for reason in result.reasons]

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.config.magnetometers import label_of
 from magcal_service.config.settings import (
     Config,
     CraftConfig,
@@ -70,9 +71,9 @@ class Replay(NineErrors):
 
     Parameters
     ----------
-    pipeline: the craft's, as the recording left it.
+    pipeline: the craft's, of the magnetometer that the recording's rows are of, as the recording left it.
     inspection: what was found on the recording, and the rows that were left out for it.
-    estimates: how many were published.
+    estimates: how many were published of that magnetometer.
     x, covariance: the last estimate (9,) and its covariance (9, 9) [nT, -].
     remark: what kept the replay from beginning as the session did, empty where nothing did.
     """
@@ -173,10 +174,13 @@ def replay(
     inspection = inspect(recording) if inspection is None else inspection
     recording = inspection.to_replay
     craft = craft_of(recording) if config is None else config
+    if recording.stream is None and craft.magnetometers:  # rows that say of no source are of the craft's own
+        recording = replace(recording, source=recording.source or craft.magnetometers[0].source)
     estimates = Counter[str]()
 
     def count(message: Message) -> None:
-        estimates["all"] += isinstance(message, Estimate)
+        if isinstance(message, Estimate):
+            estimates[label_of(message)] += 1
         if sink is not None:
             sink(message)
 
@@ -184,15 +188,14 @@ def replay(
     with RecordingLink(address, recording=recording, sink=count) as link, TemporaryDirectory() as folder:
         # Checkpoints that a command makes within the session are there for one that goes back to them.
         checkpoints = Checkpoints(StateConfig(Path(folder)), (craft,)) if _commanded(recording) else None
-        service = Service(Config(link.address, (craft,)), link, csv, checkpoints=checkpoints)
-        service.pipelines[craft.name] = _pipeline(craft)
+        service = Service(Config(link.address, (craft,)), link, csv, checkpoints=checkpoints, build=_pipeline)
         remark = _begin_as_recorded(service, recording, craft) if as_recorded else ""
         service.run(threading.Event())
     if service.csv_error is not None:
         raise service.csv_error
-    pipeline = service.pipelines[craft.name]
+    pipeline = service.magnetometers[craft.name].heard(recording.source)
     state = pipeline.estimator.estimate()
-    return Replay(pipeline, inspection, estimates["all"], state.x, state.covariance, remark)
+    return Replay(pipeline, inspection, estimates[pipeline.label], state.x, state.covariance, remark)
 
 
 def _pipeline(craft: CraftConfig) -> Pipeline:
@@ -210,9 +213,17 @@ def _begin_as_recorded(service: Service, recording: Recording, craft: CraftConfi
         return ""
     if craft != recording.craft:
         return "the session began with a state of its own, which does not go with another configuration"
-    try:
-        service.pipelines[craft.name].restore_state(recording.state)
-    except MISFITS as error:
-        service.pipelines[craft.name] = _pipeline(craft)
-        return f"the state that the session began with does not fit this version: {error}"
-    return ""
+    magnetometers, remark = service.magnetometers[craft.name], ""
+    for source, state in {"": recording.state, **recording.beside}.items():
+        pipeline = (
+            magnetometers.heard(source) if source in ("", *magnetometers.sources) else magnetometers.appear(source)
+        )
+        if pipeline is None:
+            continue
+        try:
+            pipeline.restore_state(state)
+        except MISFITS as error:
+            service.pipelines[pipeline.label] = _pipeline(pipeline.config)
+            remark = f"the state that the session began with does not fit this version: {error}"
+        pipeline.take_events()
+    return remark

@@ -27,7 +27,7 @@ _CELLS = {kind.record: tuple(field.name for field in kind.fields) for kind in KI
 Columns = dict[str, list[Any]]
 
 
-def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None) -> int:
+def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None, source: str | None = None) -> int:
     """Write one table of a session; returns its rows.
 
     Parameters
@@ -36,6 +36,7 @@ def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None)
     kind: ``samples`` (one row a magnetometer sample, with reference, position and telemetry brought to its time), or
         a kind of message (one row each, as recorded).
     craft: whose; of a kind of message all craft where not given.
+    source: of which magnetometer the samples are, its own where not given; of a kind of message, which source's.
 
     Raises ``RecordingError`` for the session, ``InputRefusedError`` for the rest, ``ExtraMissingError`` where Parquet
     is asked for without pyarrow.
@@ -43,9 +44,9 @@ def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None)
     if out.suffix.lower() not in SUFFIXES:
         raise InputRefusedError([Fault("--out", str(out), "a name ending in .csv or .parquet is accepted")])
     if kind == SAMPLES:
-        columns = _sample_columns(session_recording(path, craft=craft))
+        columns = _sample_columns(session_recording(path, craft=craft, source=source))
     elif kind in KIND_NAMES:
-        columns = _message_columns(path, kind, craft)
+        columns = _message_columns(path, kind, craft, source)
     else:
         raise InputRefusedError([Fault("--kind", kind, nearest(kind, (SAMPLES, *KIND_NAMES)))])
     write = _write_csv if out.suffix.lower() == ".csv" else _write_parquet
@@ -78,14 +79,14 @@ def _vector(name: str, parts: list[list[float]]) -> Columns:
     return {name if len(parts) == 1 else f"{name}.{index}": part for index, part in enumerate(parts)}
 
 
-def _message_columns(path: Path, kind: str, craft: str | None) -> Columns:
+def _message_columns(path: Path, kind: str, craft: str | None, source: str | None) -> Columns:
     rows, names = [], []
     refused: dict[str, Counter[str]] = {}
     try:
         with path.open("rb") as file:
             for name, message in decoded(McapReader(file, str(path)), refused, frozenset({kind})):
                 names.append(name)
-                if craft in (None, name):
+                if craft in (None, name) and source in (None, message.source):
                     rows.append(dict(_cells(message)))
     except OSError as error:
         raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None

@@ -28,14 +28,14 @@ Maker = Callable[[int, int], Message | None]
 
 
 def messages(
-    recording: Recording, craft: str = "craft", *, source: str = SOURCE, telemetry: bool = True
+    recording: Recording, craft: str = "craft", *, source: str | None = None, telemetry: bool = True
 ) -> Iterator[Message]:
     """Every row's messages: reference, position, channels, and last the magnetometer sample that they belong to.
 
     Parameters
     ----------
     recording: rows in the order in which they are to arrive.
-    craft, source: what the messages carry.
+    craft, source: what the messages carry; the recording's own source where none is given.
     telemetry: False leaves the channels out.
 
     Each kind of message counts its own sequence from 0, so no gap is seen where a row has no reference or a channel
@@ -49,7 +49,7 @@ def messages(
             if (telemetry or not isinstance(received, TelemetrySample)) and not _ends_the_daemon(received):
                 yield received if received.craft == craft else replace(received, craft=craft)
         return
-    stamp = _Stamp(craft, source, recording.clock)
+    stamp = _Stamp(craft, source or recording.source or SOURCE, recording.clock)
     makers = [stamp.reference(recording.reference)]
     if recording.position is not None:
         makers.append(stamp.position(recording.position))

@@ -24,7 +24,9 @@ from magcal_service.recordings.table import TextTable, read_table
 from magcal_service.typed_toml import nearest
 
 
-def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | None = None) -> Recording:
+def read_recording(
+    path: Path | str, craft: str | None = None, *, prefer: str | None = None, source: str | None = None
+) -> Recording:
     """Read a recording by its descriptor, or a recorded session (``.mcap``) without one.
 
     Parameters
@@ -32,6 +34,7 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
     craft: which craft of a session; may be left out where it has one, or where the descriptor names it; of rows, none
         but the one that their descriptor names.
     prefer: which craft of a session where none is named and there are several.
+    source: which of the craft's magnetometers; its own where not given.
 
     Raises
     ------
@@ -40,11 +43,11 @@ def read_recording(path: Path | str, craft: str | None = None, *, prefer: str | 
     """
     path = Path(path)
     if path.suffix.lower() == SESSION_SUFFIX:
-        return _read_session(path, None, craft, prefer)
+        return _read_session(path, None, craft, prefer, source)
     _refuse_undescribed(path)
     descriptor = load_descriptor(path)
     if descriptor.session:
-        return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer)
+        return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer, source)
     if craft is not None and craft != descriptor.craft:
         accepted = "only a recorded session (.mcap) has craft to choose from; leave it out"
         if descriptor.craft is not None:
@@ -76,10 +79,12 @@ def _refuse_undescribed(path: Path) -> None:
         raise RecordingError([Fault(str(path), "a log without its description", accepted)])
 
 
-def _read_session(path: Path, descriptor: Descriptor | None, craft: str | None, prefer: str | None) -> Recording:
+def _read_session(
+    path: Path, descriptor: Descriptor | None, craft: str | None, prefer: str | None, source: str | None
+) -> Recording:
     from magcal_service.recordings.session_arrays import session_recording
 
-    recording = session_recording(path, descriptor, craft, prefer)
+    recording = session_recording(path, descriptor, craft, prefer, source)
     _check_usable(recording)
     return recording
 

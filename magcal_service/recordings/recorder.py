@@ -70,7 +70,7 @@ class Recorder:
         names = ("written", "dropped", "files", "deleted", "stopped", "recovered")
         self.counters: Counter[str] = Counter({f"record.{name}": 0 for name in names})
         self._crafts = {craft.name: craft for craft in crafts}
-        self._states: dict[str, str] = {}
+        self._states: dict[str, dict[str, str]] = {}
         self._about = {
             "session": uuid.uuid4().hex,
             "magcal": __version__,
@@ -87,9 +87,12 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def begin_with(self, craft: str, state: dict[str, Any]) -> None:
-        """Note the state that a craft begins with where it is not nothing; before its first message."""
-        self._states[craft] = state_as_text(state)
+    def begin_with(self, craft: str, source: str, state: dict[str, Any]) -> None:
+        """Note the state that a magnetometer begins with where it is not nothing; before the craft's first message.
+
+        ``source`` is empty for the craft's own magnetometer.
+        """
+        self._states.setdefault(craft, {})[source] = state_as_text(state)
 
     def add(self, message: Message) -> None:
         """Queue one message; never waits, never raises.  Counted as dropped where the queue is full."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,6 +67,9 @@ class Recording:
     craft: the configuration a session was recorded under; None where the log does not say.
     stream: what a session's service received, in order; None where the log is rows and no session.
     state: what a session's service began with, for ``Pipeline.restore_state``; None where that was nothing.
+    beside: the same of magnetometers beside the craft's own, by source.
+    source: whose samples the rows are, of a session; empty where the log does not say.
+    others: other sources of samples of the same craft in the log.
     lines: (n,) line of the file of each row, from 1; None where the log has none.
     """
 
@@ -82,6 +85,9 @@ class Recording:
     craft: CraftConfig | None = None
     stream: tuple[Message, ...] | None = None
     state: dict[str, Any] | None = None
+    beside: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    source: str = ""
+    others: tuple[str, ...] = ()
     lines: IntArray | None = None
 
     @classmethod

@@ -42,6 +42,7 @@ class Session:
     dropped: messages that the recorder had to leave out, and those that are gone where the file is damaged.
     damage: why the file could not be read to its end, empty where it could.
     state: what the craft began with, as ``Pipeline.export_state`` gives it; None where that was nothing.
+    beside: the same of magnetometers beside the craft's own, by source.
     """
 
     craft: str
@@ -51,6 +52,7 @@ class Session:
     dropped: int
     damage: str
     state: dict[str, Any] | None
+    beside: dict[str, dict[str, Any]]
 
 
 @dataclass(slots=True)
@@ -59,7 +61,7 @@ class _Found:
 
     messages: dict[str, list[Message]] = field(default_factory=dict)
     refused: dict[str, Counter[str]] = field(default_factory=dict)
-    states: dict[str, dict[str, Any] | None] = field(default_factory=dict)
+    states: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
     def take(self, craft: str, message: Message, reader: McapReader) -> None:
         """Keep what came in, but for commands that were refused: they would not be where checkpoints are other ones."""
@@ -69,7 +71,7 @@ class _Found:
                 came.pop()
             return
         if craft not in self.messages:
-            self.states[craft] = _state(reader, craft)
+            self.states[craft] = _states(reader, craft)
         self.messages.setdefault(craft, []).append(message)
 
 
@@ -113,7 +115,8 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
         refused=found.refused.get(name, Counter()),
         dropped=dropped,
         damage=damage,
-        state=found.states[name],
+        state=found.states[name].get(""),
+        beside={source: state for source, state in found.states[name].items() if source},
     )
 
 
@@ -166,12 +169,14 @@ def _metadata(reader: McapReader) -> tuple[dict[str, CraftConfig], int]:
     return configurations, dropped
 
 
-def _state(reader: McapReader, craft: str) -> dict[str, Any] | None:
-    """The state that stands before the craft's first message; one further on is that of a later session."""
+def _states(reader: McapReader, craft: str) -> dict[str, dict[str, Any]]:
+    """The states that stand before the craft's first message, by source; those further on are of a later session."""
+    texts: dict[str, str] = {}
     for name, content in reader.metadata:
         if name == STATE and content.get("craft") == craft:
-            return state_from_text(content.get("state", ""))
-    return None
+            texts.setdefault(content.get("source", ""), content.get("state", ""))
+    states = {source: state_from_text(text) for source, text in texts.items()}
+    return {source: state for source, state in states.items() if state is not None}
 
 
 def _configuration(content: dict[str, str]) -> CraftConfig | None:

@@ -17,6 +17,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from magcal_service.config.magnetometers import of_source
 from magcal_service.config.settings import CraftConfig, SpinConfig, TickConfig
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import ChannelSpec
@@ -35,6 +36,7 @@ from magcal_service.recordings.specs import (
     VectorReference,
 )
 from magcal_service.recordings.table import FloatArray, IntArray
+from magcal_service.typed_toml import nearest
 from magcal_service.units import CHANNEL_UNITS, FieldUnit, LengthUnit
 from magcal_service.wire.messages import (
     Clock,
@@ -102,7 +104,11 @@ class _Rows:
 
 
 def session_recording(
-    path: Path, descriptor: Descriptor | None = None, craft: str | None = None, prefer: str | None = None
+    path: Path,
+    descriptor: Descriptor | None = None,
+    craft: str | None = None,
+    prefer: str | None = None,
+    source: str | None = None,
 ) -> Recording:
     """Read one craft of a session file.
 
@@ -110,13 +116,16 @@ def session_recording(
     ----------
     descriptor: of a file that names the session; its noise and spin go before those recorded.
     craft, prefer: as ``read_session`` takes them.
+    source: which magnetometer's samples the rows are; the craft's own where not given.
 
     Raises ``RecordingError`` as ``read_session``, and where there is no magnetometer sample.
     """
     session = read_session(path, craft, prefer)
-    samples = [message for message in session.messages if isinstance(message, MagnetometerSample)]
-    if not samples:
+    measured = [message for message in session.messages if isinstance(message, MagnetometerSample)]
+    if not measured:
         raise RecordingError([Fault(str(path), "no magnetometer samples", "a recording with some is accepted")])
+    chosen, further = _chosen(path, session, list(dict.fromkeys(one.source for one in measured)), source)
+    samples = [one for one in measured if one.source == chosen]
     rows = _Rows()
     rows.note("recorder", RowFault.NOT_RECORDED, range(1, session.dropped + 1), kept=False)
     for reason, count in session.refused.items():
@@ -131,7 +140,7 @@ def session_recording(
     reference, position, channels = others.reference(), others.position(), others.channels()
     return Recording(
         name=path.name,
-        descriptor=_descriptor(path, session, descriptor, clock, reference, position, channels),
+        descriptor=_descriptor(path, _settings(session, chosen), descriptor, clock, reference, position, channels),
         time_ns=time_ns,
         clock=clock,
         field_body_nt=np.array([sample.field_body_nt for sample in used], dtype=np.float64),
@@ -142,7 +151,21 @@ def session_recording(
         craft=_configuration(session, descriptor),
         stream=session.messages,
         state=session.state,
+        beside=session.beside,
+        source=chosen,
+        others=further,
     )
+
+
+def _chosen(path: Path, session: Session, heard: Sequence[str], source: str | None) -> tuple[str, tuple[str, ...]]:
+    """The magnetometer whose samples the rows are, and the others; as the service did, where none is named."""
+    if source is not None and source not in heard:
+        raise RecordingError([Fault(f"{path}: source", source, nearest(source, heard))])
+    if source is None:
+        craft, state = session.configuration, session.state or {}
+        own = craft.magnetometers[0].source if craft is not None and craft.magnetometers else state.get("heard")
+        source = own if isinstance(own, str) and own in heard else heard[0]
+    return source, tuple(one for one in heard if one != source)
 
 
 def _note_order(rows: _Rows, time_ns: IntArray) -> None:
@@ -212,6 +235,12 @@ def _positive(magnitude_nt: FloatArray) -> FloatArray:
     return np.where(magnitude_nt > 0.0, magnitude_nt, np.nan)
 
 
+def _settings(session: Session, source: str) -> CraftConfig | None:
+    """The recorded configuration of one magnetometer; None where the file does not say."""
+    craft = session.configuration
+    return None if craft is None else of_source(craft, source)
+
+
 def _configuration(session: Session, descriptor: Descriptor | None) -> CraftConfig | None:
     """The recorded configuration; a descriptor's noise and spin are the newer word."""
     craft = session.configuration
@@ -227,7 +256,7 @@ def _configuration(session: Session, descriptor: Descriptor | None) -> CraftConf
 
 def _descriptor(
     path: Path,
-    session: Session,
+    craft: CraftConfig | None,
     given: Descriptor | None,
     clock: Clock,
     reference: Reference,
@@ -235,7 +264,6 @@ def _descriptor(
     channels: Sequence[Channel],
 ) -> Descriptor:
     """The session described as any log is."""
-    craft = session.configuration
     noise_nt = given.magnetometer.noise_nt if given is not None else None
     if noise_nt is None and craft is not None:
         noise_nt = craft.sensor.noise_nt

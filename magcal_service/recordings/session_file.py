@@ -39,7 +39,8 @@ class SessionFile:
     path, file: the file, new and open.
     about: the session's metadata.
     crafts: whose configurations are written before the first message of each.
-    states: of craft that did not begin from nothing, as text; taken out of it with the first message of each.
+    states: of craft that did not begin from nothing, as text by source of the magnetometer (empty: the craft's own);
+        taken out of it with the first message of each.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class SessionFile:
         file: BinaryIO,
         about: dict[str, str],
         crafts: dict[str, CraftConfig],
-        states: dict[str, str] | None = None,
+        states: dict[str, dict[str, str]] | None = None,
     ) -> None:
         self.path, self._file = path, file
         self._crafts, self._states = dict(crafts), {} if states is None else states
@@ -80,9 +81,9 @@ class SessionFile:
         craft = self._crafts.pop(message.craft, None)
         if craft is not None:
             self._writer.add_metadata(CRAFT, {"name": craft.name, "configuration": craft_as_toml(craft)})
-        state = self._states.pop(message.craft, None)
-        if state is not None:
-            self._writer.add_metadata(STATE, {"craft": message.craft, "state": state})
+        for source, state in self._states.pop(message.craft, {}).items():
+            whose = {"craft": message.craft, **({"source": source} if source else {})}
+            self._writer.add_metadata(STATE, {**whose, "state": state})
         self._last_ns = max(self._last_ns, now_ns)
         published = message.clock is Clock.UTC and 0 <= message.time_ns <= _LARGEST_TIME
         publish_ns = message.time_ns if published else self._last_ns

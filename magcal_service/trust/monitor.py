@@ -113,6 +113,7 @@ class TrustMonitorMemory:
     _driver_missing: bool
     _compensation_stopped: bool
     _model_doubtful: bool
+    _local: bool
     _sudden_share: float
     _frozen: bool
     _unchecked_s: float
@@ -151,6 +152,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._driver_missing = False
         self._compensation_stopped = False
         self._model_doubtful = False
+        self._local = False
         self._sudden_share = 0.0
         self._frozen = False
         self._unchecked_s = 0.0
@@ -247,6 +249,10 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         """Whether the residual follows something that the model leaves out (``model_watch``)."""
         self._model_doubtful = doubtful
 
+    def observe_local(self, local: bool) -> None:
+        """Whether a disturbance is seen by this magnetometer of the craft alone (``watch.witness``)."""
+        self._local = local
+
     def observe_fault(self, fault: Reason | None) -> None:
         """The sensor's fault from now on; None: none any more."""
         self._fault = fault
@@ -301,6 +307,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         settled = self._since_start >= levels.memory_ticks // 3
         floor_nt = self.config.sensor.noise_nt or self._floor_nt or noise_nt
         questions = (
+            (Reason.LOCAL_DISTURBANCE, self._local),
             (Reason.COLLAPSED, _is_collapsed(estimate.x)),
             (Reason.RESTARTED, bool(estimate.restarts) and self._since_start < self.config.trust.min_ticks),
             (Reason.INCONSISTENT, settled and self._innovation > levels.innovation),

@@ -18,6 +18,7 @@ class Reason(StrEnum):
     STRUCTURED_RESIDUAL = "structured_residual"
     DRIFTING_RESIDUAL = "drifting_residual"
     MODEL_DOUBTFUL = "model_doubtful"
+    LOCAL_DISTURBANCE = "local_disturbance"
     MANY_REJECTED = "many_rejected"
     RESTARTED = "restarted"
     SPIN_ALIASING = "spin_aliasing"
@@ -50,6 +51,8 @@ REMEDIES: Final = {
     "a recording",
     Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: diagnose a "
     "recording, load its physics.toml",
+    Reason.LOCAL_DISTURBANCE: "the craft's other magnetometers do not see this disturbance, so its cause is near this "
+    "sensor: use another one, and look for what is magnetic beside it",
     Reason.MANY_REJECTED: "look for spikes, a wrong noise_nt, or a step in the errors",
     Reason.RESTARTED: "the samples contradicted the estimate and it started anew: wait until it has settled",
     Reason.SPIN_ALIASING: "the sample period is close to a multiple of half the spin period: change one of them",

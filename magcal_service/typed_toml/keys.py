@@ -22,6 +22,7 @@ __all__ = [
     "number",
     "numbers",
     "optional_choice",
+    "optional_numbers",
     "section",
     "sections",
     "special",
@@ -140,6 +141,19 @@ def numbers(
         return values
 
     return _declare(read, default, _limits(minimum, maximum), options, fallback)
+
+
+def optional_numbers(count: int, minimum: float, maximum: float, **options: Unpack[Options]) -> Any:
+    """An array of ``count`` numbers, each within [minimum, maximum]; None where the key is absent or refused."""
+
+    def read(reading: Reading, name: str) -> tuple[float, ...] | None:
+        values = reading.table.numbers(name, count)
+        if values is not None and not all(minimum <= value <= maximum for value in values):
+            accepted = f"numbers from {minimum:g} to {maximum:g} are accepted"
+            reading.table.refuse(name, list(values), accepted)
+        return values
+
+    return _declare(read, None, _limits(minimum, maximum), options)
 
 
 def texts(count: int, **options: Unpack[Options]) -> Any:

@@ -20,6 +20,7 @@ from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
     HealthConfig,
+    MagnetometerConfig,
     OutputConfig,
     RecordConfig,
     SensorConfig,
@@ -40,6 +41,7 @@ version = 1
 link = "serial:/dev/magcal-sensor?baud=115200"
 [[craft]]
 name = "demo"
+max_sources = 3
 [craft.sensor]
 noise_nt = 300.0
 stuck_samples = 12
@@ -78,6 +80,18 @@ sigma_bias_nt = 50.0
 sigma_D = 0.002
 residual_ratio = 2.0
 watch = false
+[[craft.magnetometer]]
+source = "mag2"
+noise_nt = 50.0
+range_nt = 90000.0
+axis_stuck_s = 80.0
+prior_bias_nt = 4000.0
+prior_D = 0.3
+process_noise_bias_nt = [0.4, 0.5, 0.6]
+process_noise_D = [6e-6, 5e-6, 4e-6, 3e-6, 2e-6, 1e-6]
+[craft.magnetometer.spin]
+axis = "x"
+rate_rpm = 7.0
 [output]
 csv = "estimates.csv"
 status_period_s = 5.0
@@ -143,6 +157,13 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                 ),
                 ticks=TickConfig(20.0, 4.0, 40.0, 70.0, 700.0),
                 trust=TrustConfig(400, 50.0, 0.002, 2.0, watch=False),
+                max_sources=3,
+                magnetometers=(
+                    MagnetometerConfig(
+                        "mag2", 50.0, 90000.0, 80.0, 4000.0, 0.3, (0.4, 0.5, 0.6), (6e-6, 5e-6, 4e-6, 3e-6, 2e-6, 1e-6),
+                        SpinConfig((1.0, 0.0, 0.0), 7.0),
+                    ),
+                ),
             ),
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0),
@@ -156,9 +177,12 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
 def test_the_full_file_differs_from_the_default_in_every_setting(tmp_path: Path) -> None:
     full = settings_in(load(tmp_path, FULL))
     del full[".crafts.physics"]  # names another file: tests/config/test_config_physics.py
+    full = {name: full[name] for name in full if name not in (".crafts.hears", ".crafts.source")}  # not of a file
     other = Path("other")
     crafts = (CraftConfig("other", spin=SpinConfig()),)
-    default = settings_in(Config(crafts=crafts, record=RecordConfig(other), state=StateConfig(other)))
+    default = dict.fromkeys(full, ()) | settings_in(
+        Config(crafts=crafts, record=RecordConfig(other), state=StateConfig(other))
+    )
     assert [name for name in full if full[name] == default[name]] == []
 
 

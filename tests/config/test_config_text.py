@@ -13,6 +13,7 @@ from magcal_service.config.reader import read_config
 from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
+    MagnetometerConfig,
     SensorConfig,
     SpinConfig,
     SpinWindow,
@@ -33,7 +34,16 @@ CRAFT = CraftConfig(
 )
 
 
-@pytest.mark.parametrize("craft", [CRAFT, CraftConfig("a"), CraftConfig("b", spin=SpinConfig())])
+LISTED = (
+    MagnetometerConfig("mag1"),
+    MagnetometerConfig("mag2", 50.1, process_noise_bias_nt=(0.1, 0.2, 0.3), spin=SpinConfig()),
+)
+
+
+@pytest.mark.parametrize(
+    "craft",
+    [CRAFT, replace(CRAFT, max_sources=3, magnetometers=LISTED), CraftConfig("a"), CraftConfig("b", spin=SpinConfig())],
+)
 def test_a_craft_comes_back_as_it_was(craft: CraftConfig) -> None:
     assert craft_from_toml(craft_as_toml(craft), "text") == craft
 

@@ -15,6 +15,7 @@ from magcal_service.config.settings import (
     Config,
     FilterConfig,
     HealthConfig,
+    MagnetometerConfig,
     OutputConfig,
     RecordConfig,
     SensorConfig,
@@ -29,6 +30,7 @@ TEXT = (Path(__file__).resolve().parents[2] / "docs/configuration.md").read_text
 
 TABLES: dict[str, Any] = {
     "[craft.sensor]": SensorConfig,
+    "[[craft.magnetometer]]": MagnetometerConfig,
     "[craft.spin]": SpinConfig,
     "[craft.filter]": FilterConfig,
     "[craft.ticks]": TickConfig,

@@ -9,7 +9,10 @@ import pytest
 
 from magcal_service.cli.__main__ import main
 from magcal_service.config.settings import FilterConfig, TickConfig, TrustConfig
-from magcal_service.wire.messages import Message
+from magcal_service.recordings.reader import read_recording
+from magcal_service.wire.messages import MagnetometerSample, Message
+from tests.daemon.magnetometer_streams import PAIR
+from tests.daemon.magnetometer_streams import messages as pair_messages
 from tests.recordings.sessions import command, craft, record, stream
 
 
@@ -144,3 +147,28 @@ def test_a_daemon_on_a_session_writes_the_rows_of_the_live_run(tmp_path: Path) -
     )
     assert main(["run", "--config", str(config)]) == 0
     assert (tmp_path / "daemon.csv").read_bytes() == (tmp_path / "live.csv").read_bytes()
+
+
+def test_of_several_magnetometers_a_replay_writes_the_rows_of_all_and_shows_the_one_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the second session each of them begins with a state of its own."""
+    samples = pair_messages(400.0)
+    for folder, part in (("one", samples[:600]), ("two", samples[600:])):
+        (file,) = record(tmp_path / folder, part, [PAIR], csv=tmp_path / f"{folder}.csv", state=tmp_path / "state")
+        live = (tmp_path / f"{folder}.csv").read_bytes()
+        assert replayed(str(file), out=tmp_path / "replay.csv") == live
+        assert {row.split(b",")[0] for row in live.splitlines()[1:]} == {b"pair", b"pair/mag2"}
+    capsys.readouterr()
+    (first,) = (tmp_path / "one").glob("*.mcap")
+    assert main(["calibrate", str(first), "--source", "mag3"]) == 2
+    assert "source: 'mag3' is refused; did you mean 'mag'? known: mag, mag2" in capsys.readouterr().err
+    for source in ("mag", "mag2"):
+        capsys.readouterr()
+        main(["calibrate", str(first), "--source", source])
+        told = capsys.readouterr().out
+        other = {"mag": "mag2", "mag2": "mag"}[source]
+        assert f"magnetometer {source}; --source chooses another: {other}" in told
+        mine = [one for one in samples[:600] if isinstance(one, MagnetometerSample) and one.source == source]
+        rows = read_recording(first, source=source).field_body_nt.tolist()
+        assert rows == [list(one.field_body_nt) for one in mine]

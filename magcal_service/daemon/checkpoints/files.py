@@ -5,7 +5,7 @@ all; a SHA-256 over its content detects a file that a failing disk has changed. 
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
 data as ``snapshot`` has them.  It is restored only where craft, version and digest agree.
 
-    magcal-state 4\\n   SHA-256 of the rest, 32 bytes   msgpack
+    magcal-state 5\\n   SHA-256 of the rest, 32 bytes   msgpack
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
-MAGIC: Final = b"magcal-state 4\n"  # 3: nothing of what is left out, and why
+MAGIC: Final = b"magcal-state 5\n"  # 4: nothing of which magnetometer it is, and what others witness
 _DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
 """Far above any craft's state: 0.4 MB with 4096 samples collected towards a start."""
@@ -63,8 +63,14 @@ class StateError(MagcalError):
 
 
 def config_digest(config: CraftConfig) -> str:
-    """SHA-256 (hex) of a craft's whole configuration, defaults included."""
-    text = json.dumps(asdict(config), sort_keys=True, default=str)
+    """SHA-256 (hex) of the whole configuration of a craft's magnetometer, defaults included."""
+    settings = asdict(config)
+    for others in ("magnetometers", "max_sources"):
+        del settings[others]
+    for name in ("hears", "source"):
+        if not settings[name]:
+            del settings[name]
+    text = json.dumps(settings, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -122,10 +128,12 @@ def decode(raw: bytes) -> Checkpoint:
 class StateStore:
     """The checkpoints of one craft in its folder: ``DIRECTORY/CRAFT/NUMBER.state`` and ``NAME.named``.
 
+    Those of a magnetometer beside the craft's own are in a folder of that one's: ``DIRECTORY/CRAFT/SOURCE``.
+
     Parameters
     ----------
     config: where, and how many.
-    craft: the craft's name.
+    craft: the craft's name, or what a magnetometer is called (``config.magnetometers.label``).
 
     Attributes
     ----------
@@ -185,6 +193,11 @@ class StateStore:
     def named(self) -> list[str]:
         """Names of the named checkpoints."""
         return sorted(path.stem for path in self.folder.glob("*.named") if _is_file(path))
+
+    def beside(self) -> list[str]:
+        """Sources of the magnetometers that have a folder with checkpoints within this one."""
+        folders = (path for path in self.folder.iterdir() if path.is_dir() and not path.is_symlink())
+        return sorted(path.name for path in folders if NAME.fullmatch(path.name) and any(path.glob("*.state")))
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Write the newest of the rotation and remove what is older than the ``keep`` newest; OSError is the disk's."""

@@ -44,6 +44,7 @@ class Checkpoints:
     """
 
     def __init__(self, config: StateConfig, crafts: Sequence[CraftConfig]) -> None:
+        self._config = config
         self._stores = {craft.name: StateStore(config, craft.name) for craft in crafts}
         self._saved: dict[str, int] = {}  # samples accepted at the last checkpoint
         self.counters: Counter[str] = Counter()
@@ -59,6 +60,17 @@ class Checkpoints:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self._held.close()
 
+    def sources(self, craft: str) -> list[str]:
+        """Magnetometers beside the craft's own of which there is a checkpoint, by their sources."""
+        return self._stores[craft].beside()
+
+    def _store(self, pipeline: Pipeline) -> StateStore:
+        """That of a magnetometer beside the craft's own is made when it is first asked for."""
+        store = self._stores.get(pipeline.label)
+        if store is None:
+            store = self._stores[pipeline.label] = StateStore(self._config, pipeline.label)
+        return store
+
     def restore(self, pipeline: Pipeline) -> tuple[Pipeline, list[Event]]:
         """The pipeline of the newest checkpoint that is whole and this craft's, or the one given; and what was done.
 
@@ -66,7 +78,7 @@ class Checkpoints:
         search: somebody has flown otherwise since those before it, which hold numbers of messages and an estimate that
         were given out already.  A command may still roll back to a named one.
         """
-        store, events = self._stores[pipeline.config.name], list[Event]()
+        store, events = self._store(pipeline), list[Event]()
         for name, found in store.newest():
             foreign = found.refusal(pipeline.config) if isinstance(found, Checkpoint) else ""
             restored = foreign or self._restored_or_why(pipeline.config, found)
@@ -107,26 +119,26 @@ class Checkpoints:
         before = self.counters["state.writes"]
         for pipeline in pipelines:
             accepted = pipeline.ticks.counters["accepted"]
-            if self._saved.get(pipeline.config.name) == accepted:
+            if self._saved.get(pipeline.label) == accepted:
                 continue
             with contained(pipeline, "writing its checkpoint"):
                 self._save(pipeline, accepted)
         return self.counters["state.writes"] > before
 
     def _save(self, pipeline: Pipeline, accepted: int) -> None:
-        store = self._stores[pipeline.config.name]
+        store = self._store(pipeline)
         try:
             store.write(self._checkpoint(pipeline, store))
         except OSError as error:
             self._failed(error)
             return
-        self._saved[pipeline.config.name] = accepted
+        self._saved[pipeline.label] = accepted
         self.trouble = ""
         self._count()
 
     def save_named(self, pipeline: Pipeline, name: str) -> str:
         """Write one under a name; why that failed, empty where it did not."""
-        store = self._stores[pipeline.config.name]
+        store = self._store(pipeline)
         try:
             store.write_named(name, self._checkpoint(pipeline, store))
         except OSError as error:
@@ -140,7 +152,7 @@ class Checkpoints:
     def restore_estimate(self, pipeline: Pipeline, name: str) -> str:
         """Restore estimate and verdict of a named checkpoint; why that failed, empty where it did not."""
         try:
-            checkpoint = self._stores[pipeline.config.name].read_named(name)
+            checkpoint = self._store(pipeline).read_named(name)
             refusal = checkpoint.refusal(pipeline.config)
             if refusal:
                 return f"checkpoint {name!r}: {refusal}"

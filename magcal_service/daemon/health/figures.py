@@ -94,10 +94,10 @@ class Flow:
     def silent_s(self, pipeline: Pipeline) -> float:
         """How long no sample of a craft has been accepted [s], to within the interval of the calls."""
         accepted, now_s = pipeline.ticks.counters["accepted"], time.monotonic()
-        before, since_s = self._since.get(pipeline.config.name, (0, self._began_s))
+        before, since_s = self._since.get(pipeline.label, (0, self._began_s))
         if accepted != before:
             before, since_s = accepted, now_s
-        self._since[pipeline.config.name] = (before, since_s)
+        self._since[pipeline.label] = (before, since_s)
         return now_s - since_s
 
 

@@ -56,7 +56,7 @@ class Health:
     def summary(self, pipelines: Iterable[Pipeline]) -> dict[str, Any]:
         """One object for the log."""
         craft = {
-            pipeline.config.name: {
+            pipeline.label: {
                 "verdict": str(pipeline.trust.verdict),
                 "reasons": [str(reason) for reason in pipeline.trust.reasons],
                 "troubles": self.troubles(pipeline),
@@ -102,25 +102,25 @@ class Health:
 
     def _samples(self, metrics: Metrics, crafts: list[Pipeline]) -> None:
         rows = [
-            ({"craft": craft.config.name, "outcome": name}, craft.ticks.counters[name])
+            (_whose(craft) | {"outcome": name}, craft.ticks.counters[name])
             for craft in crafts
             for name in ("accepted", *(each.value for each in Rejection))
         ]
         metrics.add("samples_total", "counter", "Magnetometer samples by what became of them.", rows)
         rows = [
-            ({"craft": craft.config.name, "outcome": name}, craft.ticks.counters[name])
+            (_whose(craft) | {"outcome": name}, craft.ticks.counters[name])
             for craft in crafts
             for name in ("ticks", "ticks_skipped", "ticks_empty")
         ]
         metrics.add("ticks_total", "counter", "Ticks used, skipped without reference, and without samples.", rows)
-        rows = [({"craft": craft.config.name}, craft.counters["failed"]) for craft in crafts]
+        rows = [(_whose(craft), craft.counters["failed"]) for craft in crafts]
         metrics.add("craft_failures_total", "counter", "Times that a defect made the craft begin anew.", rows)
-        rows = [({"craft": craft.config.name}, craft.counters["rejected"]) for craft in crafts]
+        rows = [(_whose(craft), craft.counters["rejected"]) for craft in crafts]
         metrics.add("samples_rejected_total", "counter", "Samples that the filter's gate stopped.", rows)
 
     def _estimates(self, metrics: Metrics, crafts: list[Pipeline]) -> None:
         rows = [
-            ({"craft": craft.config.name, "verdict": str(verdict)}, int(craft.trust.verdict is verdict))
+            (_whose(craft) | {"verdict": str(verdict)}, int(craft.trust.verdict is verdict))
             for craft in crafts
             for verdict in Verdict
         ]
@@ -134,11 +134,17 @@ class Health:
             ("rejected_ratio", "Share of samples stopped by the gate.", lambda craft: craft.monitor.rejected_share),
         )
         doubts: list[tuple[Labels, float]] = [
-            ({"craft": craft.config.name, "effect": effect}, found.nats if found is not None else 0.0)
+            (_whose(craft) | {"effect": effect}, found.nats if found is not None else 0.0)
             for craft, found in ((craft, craft.watch.finding) for craft in crafts)
             for effect in (("none",) if found is None else found.effects)
         ]
         metrics.add("model_doubt_nats", "gauge", "Evidence for what the model leaves out, by its looks.", doubts)
         for name, text, value in gauges:
-            each: list[tuple[Labels, float]] = [({"craft": craft.config.name}, value(craft)) for craft in crafts]
+            each: list[tuple[Labels, float]] = [(_whose(craft), value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)
+
+
+def _whose(pipeline: Pipeline) -> dict[str, str]:
+    """Labels of a pipeline's figures: its craft, and its source where it is not the craft's own magnetometer."""
+    source = pipeline.config.source
+    return {"craft": pipeline.config.name, **({"source": source} if source else {})}
