@@ -7,7 +7,7 @@ magnetometer is the first that is listed, or where none is, the first that is he
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,6 +15,7 @@ from magcal_service.config.magnetometers import beside, label, own_magnetometer
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.errors import ConfigError
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Command, CommandReply, MagnetometerSample, Message
 
@@ -42,16 +43,14 @@ class Magnetometers:
     pipelines: the daemon's, by ``label``; those of this craft are added to it.
     build: makes a pipeline.
 
-    Attributes
-    ----------
-    refused: sources that are not served, because ``max_sources`` others are; the first few.
+    Raises ConfigError where a listed one cannot be calibrated as it is configured.
     """
 
     def __init__(self, config: CraftConfig, pipelines: dict[str, Pipeline], build: Build = Pipeline) -> None:
         self.config = config
         self._pipelines, self._build = pipelines, build
         self._labels = [config.name]
-        self.refused: list[str] = []
+        self._refused: dict[str, str] = {}  # why, by source; the first few
         pipelines[config.name] = build(own_magnetometer(config))
         for one in config.magnetometers[1:]:
             self._add(one.source)
@@ -65,6 +64,11 @@ class Magnetometers:
     def all(self) -> list[Pipeline]:
         """All pipelines of the craft, its own magnetometer's first."""
         return [self._pipelines[name] for name in self._labels]
+
+    @property
+    def several(self) -> bool:
+        """Whether the craft has more than its own magnetometer."""
+        return len(self._labels) > 1
 
     @property
     def sources(self) -> list[str]:
@@ -85,21 +89,30 @@ class Magnetometers:
         """The pipelines that a message is for; none for a sample of a source that is not served."""
         if not isinstance(message, MagnetometerSample):
             return self.all
-        own = self.own
-        if own.heard in ("", message.source):
-            return [own]
         name = label(self.config.name, message.source)
         if name in self._labels:
             return [self._pipelines[name]]
+        if self.own.heard in ("", message.source):
+            return [self.own]
         appeared = self.appear(message.source)
         return [] if appeared is None else [appeared]
 
     def appear(self, source: str) -> Pipeline | None:
         """A pipeline for a source that is new, with what the craft has been told so far; None where it is refused."""
-        if source == RESERVED_SOURCE or len(self._labels) >= self.config.max_sources:
-            self._refuse(source)
+        why = ""
+        if source == RESERVED_SOURCE:
+            why = "that name is the daemon's own"
+        elif len(self._labels) >= self.config.max_sources:
+            why = f"max_sources = {self.config.max_sources}, served: {', '.join(self.sources)}"
+        else:
+            try:
+                pipeline = self._add(source)
+            except ConfigError as error:
+                why = f"list it in [[craft.magnetometer]]; {error}"
+        if why:
+            self._refuse(source, why)
             return None
-        own, pipeline = self.own, self._add(source)
+        own = self.own
         told = own.ticks if own.plain is None else own.plain.ticks  # as it came, without the craft's own physics
         pipeline.ticks.references.restore_state(told.references.export_state())
         pipeline.ticks.rates.restore_state(told.rates.export_state())
@@ -107,16 +120,11 @@ class Magnetometers:
         pipeline.note("magnetometer", f"source {source} has appeared, beside {', '.join(self.sources[:-1])}")
         return pipeline
 
-    def _refuse(self, source: str) -> None:
+    def _refuse(self, source: str, why: str) -> None:
         self.own.counters["sources_refused"] += 1
-        if source not in self.refused and len(self.refused) < _MOST_TOLD:
-            self.refused.append(source)
-            log.warning("%s: %s", self.config.name, self._refusal())
-
-    def _refusal(self) -> str:
-        """Which samples are refused, and why."""
-        served = f"max_sources = {self.config.max_sources}, served: {', '.join(self.sources)}"
-        return f"magnetometer samples of source {', '.join(self.refused)} are refused ({served})"
+        if source not in self._refused and len(self._refused) < _MOST_TOLD:
+            self._refused[source] = f"magnetometer samples of source {source} are refused: {why}"
+            log.warning("%s: %s", self.config.name, self._refused[source])
 
     def commanded(self, command: Command) -> tuple[Command, list[Pipeline]]:
         """A command without the argument that names its magnetometer, and those it is for; none for an unknown one.
@@ -148,13 +156,6 @@ class Magnetometers:
             return list(replies[:1])
         return [replace(done[0], text=fitting("; ".join((done[0].text, "refused: ", *refused))))]
 
-    def compare(self) -> Iterator[Pipeline]:
-        """Let each judge beside the others whether a disturbance is near it alone; all of them, for their events."""
-        pipelines = self.all
-        for one in pipelines if len(pipelines) > 1 else ():
-            one.compare(other for other in pipelines if other is not one)
-            yield one
-
     def remarks(self, pipeline: Pipeline) -> list[str]:
         """What a status says of the craft's magnetometers beside the pipeline's own state."""
         found = [f"local disturbance near {one.heard}" for one in self.all if one.witness.local]
@@ -165,4 +166,4 @@ class Magnetometers:
 
     def troubles(self, pipeline: Pipeline) -> list[str]:
         """Sources that are refused, in the status of the craft's own magnetometer."""
-        return [self._refusal()] if pipeline is self.own and self.refused else []
+        return list(self._refused.values()) if pipeline is self.own else []

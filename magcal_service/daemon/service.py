@@ -212,9 +212,22 @@ class Service:
         if isinstance(message, Command):
             self._command(magnetometers, message)
         else:
-            for pipeline in magnetometers.of(message):
+            for pipeline in self._whose(magnetometers, message):
                 self._give(pipeline, message)
-        for pipeline in magnetometers.compare():
+        if magnetometers.several:
+            self._compare(magnetometers)
+
+    def _whose(self, magnetometers: Magnetometers, message: Message) -> list[Pipeline]:
+        """The pipelines that a message is for."""
+        with contained(magnetometers.own, "finding the magnetometer of a message", message):
+            return magnetometers.of(message)
+        return []
+
+    def _compare(self, magnetometers: Magnetometers) -> None:
+        """Let each magnetometer of a craft judge beside the others whether a disturbance is near it alone."""
+        for pipeline in magnetometers.all:
+            with contained(pipeline, "comparing it with the craft's other magnetometers"):
+                pipeline.compare(other for other in magnetometers.all if other is not pipeline)
             self._report(pipeline.take_events())
 
     def _command(self, magnetometers: Magnetometers, command: Command) -> None:
@@ -328,7 +341,7 @@ class Service:
         if self.link.alone:
             troubles.append(self.link.alone)
         counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
-        if len(magnetometers.all) > 1:
+        if magnetometers.several:
             counters[MAGNETOMETERS] = len(magnetometers.all)
         event = self._last_events.get(pipeline.label)
         strangers = ", ".join(self.link.strangers)

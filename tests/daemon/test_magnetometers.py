@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from magcal_service.cli.status import _complete, as_text
-from magcal_service.config.settings import Config, CraftConfig, MagnetometerConfig, StateConfig
+from magcal_service.config.settings import (
+    Config,
+    CraftConfig,
+    FilterConfig,
+    MagnetometerConfig,
+    SpinConfig,
+    StateConfig,
+)
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
@@ -138,7 +145,7 @@ def test_a_source_beyond_the_bound_is_refused_by_name() -> None:
         status = service._status(service.pipelines["pair"])
     assert status.counters["sources_refused"] == 5
     assert status.counters["magnetometers"] == 2
-    assert "magnetometer samples of source mag3 are refused (max_sources = 2, served: mag, mag2)" in status.text
+    assert "magnetometer samples of source mag3 are refused: max_sources = 2, served: mag, mag2" in status.text
     assert set(service.pipelines) == {"pair", "pair/mag2"}
 
 
@@ -148,6 +155,16 @@ def test_the_daemons_own_name_is_no_sources_of_another_magnetometer() -> None:
     with served() as (service, node):
         give(service, node, [*messages(10.0), *impostor])
         assert service.pipelines["pair"].counters["sources_refused"] == 3
+
+
+def test_a_source_that_the_method_cannot_serve_is_refused_and_the_craft_goes_on() -> None:
+    """An axis is one of the sensor's own axes, so the craft's is not taken for another magnetometer."""
+    craft = replace(PAIR, spin=SpinConfig(rate_rpm=7.5), filter=FilterConfig("plkf"))
+    with served(craft) as (service, node):
+        published = give(service, node, list(messages(10.0)))
+        assert (len(vectors(published, "mag")), vectors(published, "mag2")) == (10, [])
+        text = service._status(service.pipelines["pair"]).text
+    assert "source mag2 are refused: list it in [[craft.magnetometer]]; spin" in text
 
 
 def test_the_first_that_is_listed_is_the_crafts_own_and_each_has_its_settings() -> None:
