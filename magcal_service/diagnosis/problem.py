@@ -2,9 +2,9 @@
 
 Three forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
 recorded, three rows a sample: r = w - R A H where the reference is a vector, with the turn R of the sensor against the
-body as three unknowns more (``aimed``); r = w - A H0 where the reference has one magnitude only (a room), with H0 as
-three unknowns more: on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d and m the effects'
-(``physics.interface``).
+body as three unknowns more (``aimed``); r = w - |H| A h where the reference has one magnitude only (a room), with the
+field's direction h there as unknowns more: on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d
+and m the effects' (``physics.interface``).
 
 Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
 residual's noise.
@@ -80,7 +80,7 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Unknowns before any effect: nine, and the field of the room or the turn of the sensor."""
+        """Unknowns before any effect: nine, and a vector along the room's field or the turn of the sensor."""
         return STATE_SIZE + 3 * self.is_vector
 
     @cached_property
@@ -109,7 +109,8 @@ class Problem:
         if self.aimed is not None:
             return self.aimed.turned(x[STATE_SIZE:])
         assert self.room_from_body is not None, "the scalar form has no vector to compare with"
-        return np.asarray(np.einsum("nji,j->ni", self.room_from_body, x[STATE_SIZE:]))
+        towards = x[STATE_SIZE:] / np.linalg.norm(x[STATE_SIZE:])
+        return np.asarray(np.einsum("nji,j->ni", self.room_from_body, towards) * self.scene.magnitude_nt[:, None])
 
     def is_collapsed(self, x: Array) -> bool:
         """Whether the nine errors among the unknowns (size,) are no sensor's."""
@@ -322,10 +323,17 @@ def _model_rows(problem: Problem, x: Array, jacobian: Array, unit: Array) -> Arr
     if problem.aimed is not None:
         slopes = problem.aimed.slopes(x[STATE_SIZE:])
     elif problem.room_from_body is not None:
-        slopes = np.transpose(problem.room_from_body, (0, 2, 1))
+        slopes = _room_slopes(problem.room_from_body, x[STATE_SIZE:], problem.scene.magnitude_nt)
     else:
         return np.asarray(np.einsum("ni,nij->nj", unit, jacobian))
     return np.concatenate([jacobian, -slopes], axis=2).reshape(-1, STATE_SIZE + 3)
+
+
+def _room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Array:
+    """d target / d H0 (n, 3, 3): only the direction of H0 (3,) counts, its length is as stated."""
+    size = float(np.linalg.norm(field))
+    across = (np.eye(3) - np.outer(field, field) / size**2) / size
+    return np.asarray(np.transpose(room_from_body, (0, 2, 1)) @ across * magnitude_nt[:, None, None])
 
 
 def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:

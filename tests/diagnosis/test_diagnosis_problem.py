@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -61,17 +62,19 @@ def test_derivatives_by_the_nine_errors_are_those_of_the_residual() -> None:
 
 
 def test_derivatives_in_a_room_are_those_of_the_residual() -> None:
-    """In the vector form nine errors and the room's field have twelve such columns."""
+    """In the vector form nine errors and the field's direction have twelve such columns; along it nothing moves."""
     assert scene().body_from_eci is not None
     room = np.transpose(scene().body_from_eci, (0, 2, 1))
     problem, field = Problem(scene(), 0.0, room), np.array([21e3, -3e3, 17e3])
     fitting = spoiled(measure(X, np.einsum("nji,j->ni", room, field)), scene())
+    fitting = replace(fitting, magnitude_nt=np.full(len(fitting), np.linalg.norm(field)))
     problem = Problem(fitting, 0.0, room)
     x = np.concatenate([X, field])
     fit = evaluate(problem, x, [])
     assert fit.residual == pytest.approx(np.zeros(3 * len(scene())), abs=1e-6)
     numeric = slopes(problem, x, [1.0] * 3 + [1e-5] * 6 + [1.0] * 3)
     assert np.abs(fit.columns - numeric).max() < 1e-6 * np.abs(numeric).max()
+    assert fit.columns[:, STATE_SIZE:] @ field == pytest.approx(np.zeros(len(fit.columns)), abs=1e-6)
 
 
 def test_the_true_errors_leave_the_noise() -> None:

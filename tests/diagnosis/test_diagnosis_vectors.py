@@ -75,6 +75,7 @@ def test_in_a_room_too_an_attitude_that_errs_is_not_believed() -> None:
     bench.attitude_noise_rad = 0.0
     sound = diagnose(bench.recording())
     assert (sound.prepared.form, sound.refused, sound.verdict) == (Form.ROOM, (), Verdict.NONE)
+    assert sound.trusted  # the stated magnitude fixes the common gain
 
 
 def test_an_attitude_that_errs_slowly_is_not_believed() -> None:
