@@ -9,19 +9,22 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
-from magcal_service.diagnosis.explain import CLASS_NATS, Explained
+from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
 from magcal_service.diagnosis.problem import Fit, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
 
-UNLISTED: Final = "unknown"
-"""What stands among the rivals of a name for causes that are in no catalogue."""
-
 _MOST_UNLISTED: Final = 0.999
 """Probability that a name leaves to what is in no catalogue, at the most: it was seen, after all."""
+
+_LEAST_UNLISTED: Final = (0.01, 0.03)
+"""Probability that a name leaves to what is in no catalogue, at the least: by a recorded driver, and by none or one
+that is inferred.  However well a name fits, causes that nobody thought of fit as well now and then; of concealed cases'
+names that nothing spoke against, 1 and 3 of a hundred were false."""
 
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
@@ -78,10 +81,10 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
-    unlisted = min(max(lasting, shaped**2), _MOST_UNLISTED)
+    least = _LEAST_UNLISTED[not is_recorded(explained.fit.terms[index].hypothesis)]
+    unlisted = min(max(lasting, shaped**2, least), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
-    if unlisted:
-        weights[UNLISTED] = unlisted * total
+    weights[UNLISTED] = weights.get(UNLISTED, 0.0) + unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
@@ -102,6 +105,14 @@ def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...
     total = sum(weights)
     alike = [(c, w) for c, w in zip(ranked, weights, strict=True) if c.nats > ranked[0].nats - CLASS_NATS]
     return tuple((c.hypothesis.driver, w / total) for c, w in alike)
+
+
+def unlisted(explained: Explained, index: int) -> str:
+    """What follows a recorded channel, is no effect and does as well as a term, in words; empty where nothing does."""
+    name, ranked = explained.fit.terms[index].hypothesis.effect, explained.rivals[index]
+    own = next((c.nats for c in ranked if c.hypothesis.effect == name), explained.nats[index])
+    near = (c for c in ranked if c.hypothesis.effect == UNLISTED and c.nats > own - CLASS_NATS)
+    return next((said(c.hypothesis) for c in near), "")
 
 
 def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt: float) -> Explained:

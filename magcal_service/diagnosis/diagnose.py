@@ -330,7 +330,7 @@ def _standing(
     if not explained.fit.terms:
         return explained, left
     stands = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
-    return stands, left if stands is explained else structures(search, stands.fit, phase, floor)
+    return stands, left if stands.fit is explained.fit else structures(search, stands.fit, phase, floor)
 
 
 def _other_findings(

@@ -34,6 +34,7 @@ class Entry:
     measure: what would tell its class apart, the best first.
     drivers: (driver, probability) of the channels that drive it as well as this recording can tell, most probable
         first; empty for what has no driver.
+    unlisted: what the recorded channel's signal is that does as well and is no effect, in words; empty where none does.
     """
 
     effect: str
@@ -51,6 +52,7 @@ class Entry:
     seen_in_blocks: tuple[int, ...] = ()
     measure: tuple[Separation, ...] = ()
     drivers: tuple[tuple[str, float], ...] = ()
+    unlisted: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -63,6 +65,7 @@ class Entry:
             "separated_by": self.separated_by,
             "driver": self.driver,
             "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in self.drivers],
+            "unlisted": self.unlisted,
             "variant": self.variant,
             "parameters": {name: _parameter(value) for name, value in self.parameters.items()},
             "where": dict(self.where),

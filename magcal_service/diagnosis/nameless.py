@@ -11,6 +11,7 @@ from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, structures
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 
@@ -41,11 +42,12 @@ def standing(
     explained = _each_its_own(search, explained, phase, floor_nt)
     if explained.fit.terms and is_left:
         explained = _all_together(search, baseline, explained, phase, floor_nt)
+    explained = against_signals(search, explained, floor_nt)
     while explained.fit.terms:
         index = _weakest_failing(baseline, explained, floor_nt)
         if index is None:
             break
-        explained = _without(search, explained, index, floor_nt)
+        explained = against_signals(search, _without(search, explained, index, floor_nt), floor_nt)
     return explained
 
 

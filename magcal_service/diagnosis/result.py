@@ -7,14 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import UNLISTED, drivers_of, posterior
-from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
+from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
+from magcal_service.diagnosis.diagnose import FLOOR, Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, plain
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.separation import separations
+from magcal_service.diagnosis.signals import UNLISTED, said, strongest
 from magcal_service.diagnosis.where import lines, span, where_of_term
 from magcal_service.model import BIAS
 from magcal_service.physics.acting import ActsOn
@@ -56,7 +57,8 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
     effect = _effect(diagnosis, term.hypothesis.effect)
     parameters = parameters_of(fit, index, effect)
     believed = posterior(diagnosis.explained, index)
-    rivals = [pair for pair in believed.rivals if pair[1] >= _LEAST_PROBABILITY or pair is believed.rivals[0]]
+    nearest = next((name for name, _ in believed.rivals if name != UNLISTED), "")
+    rivals = [pair for pair in believed.rivals if pair[1] >= _LEAST_PROBABILITY or pair[0] == nearest]
     return Entry(
         effect=effect.name,
         says=effect.sentence(parameters, term.hypothesis.driver),
@@ -73,6 +75,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
         measure=separations(diagnosis, index, believed.members),
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
+        unlisted=unlisted(diagnosis.explained, index),
     )
 
 
@@ -117,6 +120,10 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
         says += f" Nearest is {nearest[0]}, which explains {100.0 * nearest[1]:.0f} % of it."
+    follows = strongest(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
+    held = 0.0 if follows is None else min(1.0, follows[1] / max(structure.squares, 1e-9))
+    if follows is not None and held >= (0.0 if nearest is None else nearest[1]):
+        says += f" Of one channel's signals {said(follows[0])} does most: {100.0 * held:.0f} %."
     where: dict[str, Any] = {
         "time_s": span(diagnosis.fit, structure.signal),
         "axis": None,

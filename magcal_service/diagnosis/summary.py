@@ -14,6 +14,7 @@ from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     belief,
+    members,
     modelled_sentence,
     next_step,
     percent,
@@ -77,7 +78,7 @@ def _of(entry: Entry) -> Iterator[str]:
     yield from wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:
         yield from wrapped(
-            f"cannot be told from {', '.join(entry.members[1:])} here; what would: {next_step(entry)}", "    "
+            f"cannot be told from {', '.join(members(entry))} here; what would: {next_step(entry)}", "    ", most=3
         )
 
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from magcal_service.diagnosis.belief import SURE, UNLISTED
+from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.empirical import Modelled, unit_of
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
+from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.drivers.computed import COMPUTED
 
@@ -203,6 +204,12 @@ def belief(entry: Entry) -> str:
     return f"{something}, {chance(entry.probability)} that it is this" + (
         " rather than a rival" if entry.rivals else ""
     )
+
+
+def members(entry: Entry) -> list[str]:
+    """The other names of an effect's class; for a cause in no catalogue what it would be."""
+    others = [name for name in entry.members if name != entry.effect]
+    return [entry.unlisted if name == UNLISTED and entry.unlisted else name for name in others]
 
 
 def next_step(entry: Entry) -> str:

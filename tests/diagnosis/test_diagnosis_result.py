@@ -257,15 +257,19 @@ def test_entries_come_by_the_share_that_they_explain() -> None:
     assert one.nats == pytest.approx(made().explained.nats[1])
 
 
+LISTED = 0.97
+"""Share of the probability that names have at the most where no recorded channel drives them."""
+
+
 def test_probability_is_shared_with_rivals_by_their_evidence() -> None:
     _, one = entries(made())
     ranked = made().explained.rivals[1]
     nats = {candidate.hypothesis.effect: candidate.nats for candidate in ranked}
     odds = {name: math.exp(value - nats["one"]) for name, value in nats.items()}
     assert set(odds) >= {"one", "near"}
-    assert one.probability == pytest.approx(1.0 / sum(odds.values()))
+    assert one.probability == pytest.approx(LISTED / sum(odds.values()))
     rivals = dict(one.rivals)
-    assert rivals["near"] == pytest.approx(odds["near"] / sum(odds.values()))
+    assert rivals["near"] == pytest.approx(LISTED * odds["near"] / sum(odds.values()))
     assert "one" not in rivals
     near = nats["near"] > nats["one"] - 3.0
     assert one.members == (("one", "near") if near else ("one",))
@@ -288,17 +292,17 @@ def with_rivals(ranked: tuple[Candidate, ...]) -> Any:
 
 def test_of_rivals_the_best_is_always_named_and_others_from_a_ten_thousandth_on() -> None:
     far = entries(with_rivals(candidates(one=50.0, near=20.0, idle=19.0)))[1]
-    assert [name for name, _ in far.rivals] == ["near"]
-    assert far.rivals[0][1] == pytest.approx(math.exp(-30.0))
+    assert [name for name, _ in far.rivals] == ["unknown", "near"]
+    assert far.rivals[1][1] == pytest.approx(LISTED * math.exp(-30.0))
     some = entries(with_rivals(candidates(one=50.0, near=41.0, idle=40.5)))[1]
-    assert [name for name, _ in some.rivals] == ["near"]
+    assert [name for name, _ in some.rivals] == ["unknown", "near"]
     more = entries(with_rivals(candidates(one=50.0, near=41.0, idle=40.9)))[1]
-    assert [name for name, _ in more.rivals] == ["near", "idle"]
+    assert [name for name, _ in more.rivals] == ["unknown", "near", "idle"]
     many = entries(with_rivals(candidates(one=50.0, a=49.0, b=48.0, c=47.5, d=46.0, e=45.0)))[1]
-    assert [name for name, _ in many.rivals] == ["a", "b", "c", "d"]
+    assert [name for name, _ in many.rivals] == ["a", "b", "c", "unknown"]
     assert many.members == ("one", "a", "b", "c")
     alone = entries(with_rivals(candidates(one=50.0)))[1]
-    assert (alone.rivals, alone.probability) == ((), 1.0)
+    assert (alone.rivals, alone.probability) == ((("unknown", pytest.approx(1.0 - LISTED)),), pytest.approx(LISTED))
     beyond = entries(with_rivals(candidates(near=2000.0, one=50.0)))[1]
     assert beyond.probability < 1e-300
 
@@ -307,7 +311,7 @@ def test_an_entry_that_is_no_rival_of_itself_counts_by_its_worth() -> None:
     """Where its own form was not looked at again, its evidence is that of the fit."""
     own = made().explained.nats[1]
     entry = entries(with_rivals(candidates(near=own - 1.0)))[1]
-    assert entry.probability == pytest.approx(1.0 / (1.0 + math.exp(-1.0)))
+    assert entry.probability == pytest.approx(LISTED / (1.0 + math.exp(-1.0)))
 
 
 def finding(nats: float, share: float, **parameters: Any) -> Finding:

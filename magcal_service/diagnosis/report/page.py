@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import UNLISTED
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical import Modelled
 from magcal_service.diagnosis.entry import Entry
@@ -18,12 +17,14 @@ from magcal_service.diagnosis.report.figures import curve_picture, pictures, tra
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.diagnosis.words import (
     advice,
     belief,
     chance,
     driver_in_words,
     expected,
+    members,
     modelled_sentence,
     odds,
     percent,
@@ -117,11 +118,11 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "absorbed": effect.absorbed,
         "driver": driver_in_words(entry.driver),
         "share": float(entry.where["share_of_mismatch"]),
-        "members": [name for name in entry.members if name != entry.effect],
+        "members": members(entry),
         "rivals": [
             {
                 "name": name,
-                "title": known.get(name, ""),
+                "title": (entry.unlisted if name == UNLISTED else "") or known.get(name, ""),
                 "probability": p,
                 "here": "cannot be told apart"
                 if name in entry.members
