@@ -82,7 +82,12 @@ def first_order(time_s: Array, drive: Array, tau_s: float, start: Array | float 
     shape = (-1,) + (1,) * (drive.ndim - 1)
     pushed = early.reshape(shape) * drive[:-1] + late.reshape(shape) * drive[1:]
     if len(steps) > _MANY and tau_s > 0.0:
-        answer[1:] = _recursion(np.cumsum(steps) / tau_s, pushed, value)
+        wide = pushed.reshape(len(pushed), -1)
+        if _STRETCH * tau_s > _MANY * float(np.median(steps)):
+            found = _in_stretches(np.cumsum(steps) / tau_s, wide, value.reshape(-1))
+        else:
+            found = carried(kept, wide, value.reshape(-1))
+        answer[1:] = found.reshape(pushed.shape)
         return answer
     for index in range(len(steps)):
         value = kept[index] * value + pushed[index]
@@ -90,16 +95,16 @@ def first_order(time_s: Array, drive: Array, tau_s: float, start: Array | float 
     return answer
 
 
-def _recursion(aged: Array, pushed: Array, value: Array) -> Array:
-    """y_k = kept_k y_(k-1) + pushed_k (n, ...) from ``value``, with kept_k = exp(-(aged_k - aged_(k-1))).
+def _in_stretches(aged: Array, pushed: Array, value: Array) -> Array:
+    """``carried`` for a long memory: kept_k = exp(-(aged_k - aged_(k-1))), in a few stretches.
 
-    In stretches of ``_STRETCH`` time constants: y_k = exp(-aged_k) (y_0 + sum exp(aged_j) pushed_j) within each.
+    Of ``_STRETCH`` time constants each: y_k = exp(-aged_k) (y_0 + sum exp(aged_j) pushed_j) within each.
     """
     found = np.empty_like(pushed)
     first, before = 0, 0.0
     while first < len(aged):
         last = max(int(np.searchsorted(aged, before + _STRETCH, side="right")), first + 1)
-        since = (aged[first:last] - before).reshape((-1,) + (1,) * (pushed.ndim - 1))
+        since = (aged[first:last] - before)[:, None]
         if last == first + 1:  # one gap may be longer than a stretch
             found[first] = np.exp(-since[0]) * value + pushed[first]
         else:
@@ -109,7 +114,7 @@ def _recursion(aged: Array, pushed: Array, value: Array) -> Array:
 
 
 def carried(kept: Array, pushed: Array, value: Array) -> Array:
-    """y_k = kept_k y_(k-1) + pushed_k (n, m) from ``value`` (m,), for kept (n,) of 0 to 1, in whole columns.
+    """y_k = kept_k y_(k-1) + pushed_k (n, m) from ``value`` (m,), for kept (n,) of 0 to 1 and a short memory.
 
     By doubling (Hillis & Steele 1986): after each pass y_k holds twice as many terms, until what is kept over them is
     below the last bit.
