@@ -182,12 +182,19 @@ def listed(
         "unexplained_structure": unexplained_structure,
         "mismatch_lasts": bool(fit.terms) and rest is not None and rest.is_much,
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
-        "name_uncertain": any(posterior(explained, index).own < SURE for index in range(len(fit.terms))),
-        "size_uncertain": not all(has_size(fit, index) for index in range(len(fit.terms))),
+        **{reason: bool(names) for reason, names in concerned(explained).items()},
         "rough_residual": rough_residual,
         **beside,
     }
     return tuple(name for name, holds in found.items() if holds)
+
+
+def concerned(explained: Explained) -> dict[str, tuple[str, ...]]:
+    """The effects that each reason is about, by the reason, for those that are about single ones."""
+    names = [term.hypothesis.effect for term in explained.fit.terms]
+    unsure = [name for index, name in enumerate(names) if posterior(explained, index).own < SURE]
+    unsized = [name for index, name in enumerate(names) if not has_size(explained.fit, index)]
+    return {"name_uncertain": tuple(unsure), "size_uncertain": tuple(unsized)}
 
 
 def has_coverage(covariance: Array) -> bool:

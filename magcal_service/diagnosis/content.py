@@ -23,7 +23,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     found = entries(diagnosis) if found is None else found
     fit, problem = diagnosis.fit, diagnosis.prepared.problem
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
-    mounting = mounting_of(fit)
+    mounting, (moved_nt, moved_sigma_nt) = mounting_of(fit), moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
     content: dict[str, Any] = {
         "verdict": str(diagnosis.verdict),
@@ -37,7 +37,8 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
             "D": d_matrix(fit.x[:STATE_SIZE]).tolist(),
             "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
             "bias_before_nt": diagnosis.prepared.baseline.x[BIAS].tolist(),
-            "bias_moved_nt": moved_bias(diagnosis),
+            "bias_moved_nt": moved_nt,
+            "bias_moved_sigma_nt": moved_sigma_nt,
         },
         "residual": str(diagnosis.prepared.form),
         "not_borne_out": [str(form) for form in diagnosis.refused],
@@ -52,7 +53,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "converged": fit.converged,
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
-        "advice": advice(diagnosis.reasons),
+        "advice": advice(diagnosis.reasons, diagnosis.concerned),
         "findings": [one.to_dict() for one in diagnosis.inspection.findings],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"

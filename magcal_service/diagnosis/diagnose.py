@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import reasons, with_left
+from magcal_service.diagnosis.belief import concerned, reasons, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.empirical import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search, is_recorded
@@ -110,6 +110,11 @@ class Diagnosis:
     def left_share(self) -> float:
         """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
         return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
+
+    @property
+    def concerned(self) -> Mapping[str, tuple[str, ...]]:
+        """The effects that a reason is about, by the reason."""
+        return concerned(self.explained)
 
     @property
     def trusted(self) -> bool:

@@ -162,9 +162,12 @@ def _nearest(diagnosis: Diagnosis) -> tuple[str, float] | None:
     return best.hypothesis.effect, min(1.0, best.gain.squares / max(diagnosis.left[0].squares, 1e-9))
 
 
-def moved_bias(diagnosis: Diagnosis) -> float:
-    """How far the effects that were left out had pulled the bias of a static calibration [nT]."""
-    return float(np.linalg.norm(diagnosis.fit.x[BIAS] - diagnosis.prepared.baseline.x[BIAS]))
+def moved_bias(diagnosis: Diagnosis) -> tuple[float, float]:
+    """How far the effects that were left out had pulled the bias of a static calibration, with 1 sigma [nT]."""
+    moved = diagnosis.fit.x[BIAS] - diagnosis.prepared.baseline.x[BIAS]
+    size = float(np.linalg.norm(moved))
+    towards = moved / max(size, 1e-300)
+    return size, math.sqrt(max(float(towards @ diagnosis.fit.covariance[BIAS, BIAS] @ towards), 0.0))
 
 
 def held_out_rms(diagnosis: Diagnosis) -> dict[str, float]:

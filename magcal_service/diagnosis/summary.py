@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
@@ -13,20 +13,23 @@ from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
+    advice,
     belief,
     members,
     modelled_sentence,
     next_step,
     percent,
-    reason_in_words,
     remaining,
-    remedy,
     verdict_sentence,
 )
 from magcal_service.model import BIAS, Array
+from magcal_service.physics.saying import measured
 
 _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
+
+_WORSE: Final = 1.02
+"""Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse."""
 
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
@@ -37,7 +40,7 @@ def summary(
 ) -> list[str]:
     """What was found, how much better it fits, what remains, and where the files are."""
     lines = [f"verdict: {diagnosis.verdict}"]
-    lines += reason_lines(diagnosis.reasons)
+    lines += reason_lines(advice(diagnosis.reasons, diagnosis.concerned))
     lines += wrapped(verdict_sentence(diagnosis, found, held_out), most=3)
     for entry in found[:_MOST_EFFECTS]:
         lines += _of(entry)
@@ -47,11 +50,13 @@ def summary(
         f"held-out rms: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} nT recalibrated, "
         f"{held_out['with_effects']:.1f} nT with effects; noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
     )
+    if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
+        lines.append("  recalibrated is worse than the simulation on data that took no part: what is missing moves it")
     lines += _vectors(diagnosis)
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
         lines.append(
-            f"bias: a static calibration was off by {moved_bias(diagnosis):.1f} nT unseen, at {_vector(before)} "
+            f"bias: a static calibration was off by {measured(*moved_bias(diagnosis))} nT unseen, at {_vector(before)} "
             f"instead of {_vector(after)} nT"
         )
     lines.append(f"left: {remaining(diagnosis)}")
@@ -62,13 +67,14 @@ def summary(
     return lines
 
 
-def reason_lines(reasons: Sequence[str]) -> Iterator[str]:
-    """Every reason against acting on a result, with what would lift it."""
-    if reasons:
+def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Every reason against acting on a result (``words.advice``), with what would lift it."""
+    if against:
         yield "  do not act on this:"
-    for reason in reasons:
-        lift = f"; {remedy(reason)}" if remedy(reason) else ""
-        yield from wrapped(f"{reason}: {reason_in_words(reason)}{lift}", "    ")
+    for one in against:
+        about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
+        lift = f"; {one['remedy']}" if one["remedy"] else ""
+        yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ")
 
 
 def _of(entry: Entry) -> Iterator[str]:

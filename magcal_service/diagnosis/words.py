@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
@@ -83,9 +83,17 @@ def remedy(reason: str) -> str:
     return REASONS[reason][1] if reason in REASONS else ""
 
 
-def advice(reasons: Sequence[str]) -> list[dict[str, str]]:
-    """Every reason against acting on a result with what it means and what would lift it."""
-    return [{"reason": reason, "means": reason_in_words(reason), "remedy": remedy(reason)} for reason in reasons]
+def advice(reasons: Sequence[str], concerned: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+    """Every reason against acting on a result: what it means, what would lift it, and the effects it is about."""
+    return [
+        {
+            "reason": reason,
+            "means": reason_in_words(reason),
+            "remedy": remedy(reason),
+            "effects": list(concerned.get(reason, ())),
+        }
+        for reason in reasons
+    ]
 
 
 def odds(nats: float) -> str:

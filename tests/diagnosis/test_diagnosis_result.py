@@ -236,6 +236,7 @@ def made() -> Any:
         seconds=1.234,
         trusted=True,
         reasons=(),
+        concerned={},
     )
 
 
@@ -415,8 +416,9 @@ def test_sums_of_a_diagnosis() -> None:
         "with_effects": made().fit.held_out_rms_nt,
     }
     off = made().fit.x[:3] - made().prepared.baseline.x[:3]
-    assert moved_bias(made()) == pytest.approx(math.sqrt(sum(off**2)))
-    assert moved_bias(made()) > 1.0
+    moved_nt, sigma_nt = moved_bias(made())
+    assert moved_nt == pytest.approx(math.sqrt(sum(off**2)))
+    assert sigma_nt**2 == pytest.approx(off @ made().fit.covariance[:3, :3] @ off / moved_nt**2)
 
 
 def test_the_json_holds_the_fit_with_its_sigmas() -> None:

@@ -56,11 +56,13 @@ def diagnosis(
         unexplained=unexplained,
         left_share=max(unexplained, lasting),
         reasons=reasons,
+        concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
         fit=SimpleNamespace(
             terms=(None,) * terms,
             x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6]),
+            covariance=0.25 * np.eye(9),
             problem=SimpleNamespace(aimed=None),
         ),
         refused=(),
@@ -326,11 +328,13 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
     found = [entry("a", "b", share=0.8, probability=0.9), entry("d", share=0.00001)]
     found[0].nats = math.log(7.4)
     files = [Path("out/diagnosis.json"), Path("out/report.html")]
-    lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("not_enough_data", "brand_new")), found, HELD_OUT, files)
+    lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("name_uncertain", "brand_new")), found, HELD_OUT, files)
     assert lines == [
         "verdict: named",
         "  do not act on this:",
-        "    not_enough_data: too few samples for held-out blocks; record longer: 300 samples at least",
+        "    name_uncertain (heat): another name, or a cause in no catalogue, does nearly as well; make one of the "
+        "measurements",
+        "    that stand beside the name",
         "    brand_new: brand new",
         "  Not told apart: heat; or currents. If the first: it is hot; beside it a tone; "
         "what is left of the mismatch is not",
@@ -341,7 +345,8 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
         "    It is hot.",
         "held-out rms: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise floor 100.0 nT",
-        "bias: a static calibration was off by 13.0 nT unseen, at (10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
+        "bias: a static calibration was off by 13.00 ± 0.50 nT unseen, at (10.0, 20.0, 30.0) instead of "
+        "(13.0, 16.0, 42.0) nT",
         "left: nothing that could not be noise",
         "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
         "files: out/diagnosis.json, out/report.html",

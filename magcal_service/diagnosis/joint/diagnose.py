@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import LITTLE_LEFT, has_coverage, is_rough, listed, stands_out, with_left
+from magcal_service.diagnosis.belief import (
+    LITTLE_LEFT,
+    concerned,
+    has_coverage,
+    is_rough,
+    listed,
+    stands_out,
+    with_left,
+)
 from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Verdict
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
@@ -93,6 +101,11 @@ class JointDiagnosis:
     seconds: float
     assumed: str = ""
     rest: Rest | None = None
+
+    @property
+    def concerned(self) -> Mapping[str, tuple[str, ...]]:
+        """The effects that a reason is about, by the reason."""
+        return concerned(self.explained)
 
     @property
     def trusted(self) -> bool:

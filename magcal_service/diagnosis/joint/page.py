@@ -28,7 +28,7 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         origin,
         diagnosis=diagnosis,
         sentence=sentence(diagnosis),
-        advice=advice(diagnosis.reasons),
+        advice=advice(diagnosis.reasons, diagnosis.concerned),
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
         predicted=[_predicted(one) for one in diagnosis.compared.predicted if diagnosis.compared.shared],

@@ -57,7 +57,7 @@ def as_json(diagnosis: JointDiagnosis) -> str:
         "converged": diagnosis.fit.converged,
         "trusted": diagnosis.trusted,
         "reasons": list(diagnosis.reasons),
-        "advice": advice(diagnosis.reasons),
+        "advice": advice(diagnosis.reasons, diagnosis.concerned),
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
@@ -299,7 +299,8 @@ def _field_model_nt(diagnosis: JointDiagnosis) -> float | None:
 
 def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     """What was found, what is common, how well each recording is predicted, and where the files are."""
-    lines = [f"verdict: {diagnosis.verdict}", *reason_lines(diagnosis.reasons), f"  {sentence(diagnosis)}"]
+    against = advice(diagnosis.reasons, diagnosis.concerned)
+    lines = [f"verdict: {diagnosis.verdict}", *reason_lines(against), f"  {sentence(diagnosis)}"]
     for index, term in enumerate(diagnosis.fit.terms):
         believed = posterior(diagnosis.explained, index)
         lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
