@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.typed_toml.keys import inline, number, sections, text
 from magcal_service.typed_toml.record import Reading
 from magcal_service.wire.fields import NAME
-from magcal_service.wire.messages import Vector
+from magcal_service.wire.messages import Estimate, Vector
 from sim_sensor.declarations import LONGEST_S, vector
 from sim_sensor.sensor import Sensor
 
@@ -18,6 +19,11 @@ Floats = npt.NDArray[np.float64]
 
 OWN_SOURCE = "mag"
 """Source of the samples of ``[magnetometer]``."""
+
+
+def is_own(estimate: Estimate) -> bool:
+    """Whether an estimate is of the craft's own magnetometer, the first that the daemon has heard."""
+    return estimate.source == RESERVED_SOURCE
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from magcal_service.links.silence import why_silent
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
+from sim_sensor.beside import is_own
 from sim_sensor.demo.flow import WindowedLink
 from sim_sensor.node import NodeReport, run_node
 from sim_sensor.physics import doubled
@@ -258,7 +259,7 @@ class Progress:
     def result(self, message: Message) -> None:
         """Take a message from the daemon in."""
         self.received[type(message).__name__] += 1
-        if isinstance(message, Estimate):
+        if isinstance(message, Estimate) and is_own(message):
             self.newest = message
 
     def sent(self, report: NodeReport) -> None:

@@ -25,6 +25,7 @@ from urllib.parse import quote
 from magcal_service.errors import ExtraMissingError, MagcalError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Estimate, Message
+from sim_sensor.beside import is_own
 from sim_sensor.demo.config import daemon_config, zenoh_settings
 from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.flow import WindowedLink
@@ -79,7 +80,7 @@ def _exchange(plan: Plan, session: Session, stop: threading.Event, console: Cons
 
         def take(message: Message) -> None:
             session.take(message)
-            if isinstance(message, Estimate):
+            if isinstance(message, Estimate) and is_own(message):
                 table.update(session.time_s, message, session.truth, _counts(flow))
 
         flow = WindowedLink(link, WINDOW, take, PATIENCE_S, daemon.check)

@@ -104,10 +104,8 @@ class WindowedLink(Link):
         return messages
 
     def _settle_one(self, answer: CalibratedVector) -> None:
-        # The answer names the sample by its sequence; the source in it is the daemon's.
-        named = (answer.craft, answer.sequence)
-        answered = next((key for key in self._on_the_way if (key[0], key[2]) == named), None)
-        if answered is None:
+        answered = (answer.craft, answer.source, answer.sequence)
+        if answered not in self._on_the_way:
             return
         while self._on_the_way:
             oldest = next(iter(self._on_the_way))

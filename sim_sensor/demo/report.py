@@ -13,6 +13,7 @@ import numpy as np
 
 from magcal_service.errors import MagcalError
 from magcal_service.wire.messages import CalibratedVector, Estimate, Message, Status, Verdict
+from sim_sensor.beside import is_own
 from sim_sensor.recorder import record_simulation
 from sim_sensor.sensor import errors_at
 from sim_sensor.simulation import Simulation
@@ -104,7 +105,7 @@ class Session:
             self.statuses += 1
         if isinstance(message, Estimate | CalibratedVector):
             self.last_result_s = time.monotonic()
-        if isinstance(message, Estimate):
+        if isinstance(message, Estimate) and is_own(message):
             self.estimate = message
             self.time_s = (message.time_ns - self.simulation.truth.start_ns) * 1e-9
             self.truth = self.truth_at(self.time_s)

@@ -190,7 +190,7 @@ def answer_everything(service: object, seen: list[Message], stop: threading.Even
                 service.send(  # type: ignore[attr-defined]
                     CalibratedVector(
                         craft=message.craft,
-                        source="magcal",
+                        source=message.source,
                         sequence=message.sequence,
                         time_ns=message.time_ns,
                         field_body_nt=message.field_body_nt,

@@ -30,10 +30,11 @@ def status(craft: str, sequence: int) -> Status:
 
 
 def answer(link: Link, sample: MagnetometerSample, tick: int) -> None:
-    stamp = {"craft": sample.craft, "source": "fake", "time_ns": sample.time_ns}
+    stamp = {"craft": sample.craft, "time_ns": sample.time_ns}
     link.send(
         CalibratedVector(
             **stamp,
+            source=sample.source,
             sequence=sample.sequence,
             field_body_nt=sample.field_body_nt,
             covariance_nt2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
@@ -43,6 +44,7 @@ def answer(link: Link, sample: MagnetometerSample, tick: int) -> None:
     link.send(
         Estimate(
             **stamp,
+            source="magcal",
             sequence=tick,
             method="made-up",
             tick=tick,

@@ -40,7 +40,7 @@ class FarEnd(Link):
         return [
             CalibratedVector(
                 craft=sample.craft,
-                source="magcal",
+                source=sample.source,
                 sequence=sample.sequence,
                 time_ns=sample.time_ns,
                 field_body_nt=sample.field_body_nt,
