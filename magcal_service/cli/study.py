@@ -11,7 +11,9 @@ from magcal_service.cli.common import DONE, Parser, add_executor, executor_of, m
 def add_study(parser: Parser) -> None:
     """The arguments of ``magcal study``."""
     parser.add_argument(
-        "name", metavar="NAME", help="table2, convergence, noise, window, step, spin-rates, concealed, reality"
+        "name",
+        metavar="NAME",
+        help="table2, convergence, noise, window, step, spin-rates, integrity, concealed, reality",
     )
     parser.add_argument("--runs", type=int, metavar="N", help="Monte-Carlo runs (default: the study's own)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the whole study (default: 1)")

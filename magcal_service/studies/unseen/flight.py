@@ -1,0 +1,206 @@
+"""One flight: the truth, what is done to it, and everything the daemon's pipeline says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.model import STATE_SIZE, Array, d_matrix, field_jacobian, measure
+from magcal_service.studies.unseen.motion import SPIN_AXIS, SPIN_RPM, Motion, Track, field_eci_nt, track
+from magcal_service.wire.messages import CalibratedVector, Estimate, Frame, MagnetometerSample, ReferenceSample, Verdict
+
+CRAFT: Final = "study"
+
+SIGMA_BIAS_NT, SIGMA_D = 4000.0, 0.03
+"""Spread of the true nine errors that are drawn [nT, -]."""
+
+
+@dataclass(eq=False)
+class Sent:
+    """What is sent to the daemon, open to be spoiled; all of n seconds.
+
+    Parameters
+    ----------
+    track: the craft's way.
+    rng: for what a scenario draws.
+    noise_nt: true white noise, 1 sigma per axis [nT].
+    x: true nine errors (9,).
+    field_nt: (n, 3) the field at the sensor, body [nT]: what a calibrated vector should be.
+    disturbance_nt: (n, 3) what the craft adds, in the body [nT].
+    gain: (n, 3) by how much each axis reads more than its calibration says.
+    noise: (n, 3) [nT].
+    reference_nt: (n, 3) reference as sent, ECI [nT].
+    reference_sent: (n,) whether one is sent.
+    sample_sent: (n,) whether a sample is sent.
+    sample_ns: (n,) what its time is off by [ns].
+    config: the craft's configuration.
+    post: what the sensor makes of its readings (n, 3), after noise.
+    """
+
+    track: Track
+    rng: np.random.Generator
+    noise_nt: float
+    x: Array
+    field_nt: Array
+    disturbance_nt: Array
+    gain: Array
+    noise: Array
+    reference_nt: Array
+    reference_sent: NDArray[np.bool_]
+    sample_sent: NDArray[np.bool_]
+    sample_ns: NDArray[np.int64]
+    config: CraftConfig
+    post: list[Callable[[Array], Array]] = field(default_factory=list)
+
+    @property
+    def time_s(self) -> Array:
+        """(n,) [s]."""
+        return self.track.time_s
+
+    def late(self, share: float) -> Array:
+        """(n,) 1 from a share of the flight on, else 0."""
+        return np.asarray(self.time_s >= share * self.time_s[-1], dtype=np.float64)
+
+    def readings(self, noise: Array) -> Array:
+        """(n, 3) what the sensor reads with this noise (n, 3), before ``post`` [nT]."""
+        inside = self.field_nt + self.disturbance_nt + noise
+        return np.asarray(measure(self.x, inside * (1.0 + self.gain)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heard:
+    """What the daemon said of each vector that it answered (m, ...).
+
+    Parameters
+    ----------
+    time_s: of the sample.
+    error_nt: length of the vector's error, but for the sample's own noise [nT].
+    sigma_nt: 1 sigma of that by the estimate's covariance, along the error [nT].
+    protection_nt: as published; NaN where none was.
+    trusted, doubtful: whether the verdict was that.
+    bias_sigma_nt: largest 1 sigma of the bias [nT].
+    reasons: distinct reasons that were given while doubtful, by how many estimates.
+    """
+
+    time_s: Array
+    error_nt: Array
+    sigma_nt: Array
+    protection_nt: Array
+    trusted: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
+    bias_sigma_nt: Array
+    reasons: dict[str, int]
+
+
+def begin(motion: Motion, noise_nt: float, duration_s: int, seed: np.random.SeedSequence) -> Sent:
+    """A clean flight, and the configuration that fits it."""
+    way, errors, noise, own = (np.random.default_rng(child) for child in seed.spawn(4))
+    of = track(motion, duration_s, way)
+    reference = field_eci_nt(of.position_eci_km)
+    x = np.concatenate([errors.normal(0.0, SIGMA_BIAS_NT, 3), errors.normal(0.0, SIGMA_D, 6)])
+    count = len(of.time_s)
+    spin = SpinConfig(axis=SPIN_AXIS, rate_rpm=SPIN_RPM) if motion is Motion.SPIN else None
+    return Sent(
+        track=of,
+        rng=own,
+        noise_nt=noise_nt,
+        x=x,
+        field_nt=np.einsum("nij,nj->ni", of.body_from_eci, reference),
+        disturbance_nt=np.zeros((count, 3)),
+        gain=np.zeros((count, 3)),
+        noise=noise.normal(0.0, noise_nt, (count, 3)),
+        reference_nt=reference.copy(),
+        reference_sent=np.ones(count, dtype=bool),
+        sample_sent=np.ones(count, dtype=bool),
+        sample_ns=np.zeros(count, dtype=np.int64),
+        config=CraftConfig(CRAFT, sensor=SensorConfig(noise_nt=noise_nt), spin=spin),
+    )
+
+
+def hear(sent: Sent) -> Heard:
+    """Send it all through the daemon's pipeline: each second the reference, then the sample."""
+    measured = sent.readings(sent.noise)
+    noisefree = sent.readings(np.zeros_like(sent.noise))
+    for change in sent.post:
+        measured, noisefree = change(measured), change(noisefree)
+    pipeline = Pipeline(sent.config)
+    rows: list[tuple[float, ...]] = []
+    reasons: dict[str, int] = {}
+    latest: Estimate | None = None
+    for index, time_ns in enumerate(sent.track.time_ns.tolist()):
+        if sent.reference_sent[index]:
+            pipeline.handle(_reference(index, time_ns, sent.reference_nt[index]))
+        if not sent.sample_sent[index]:
+            continue
+        sample = _sample(index, time_ns + int(sent.sample_ns[index]), measured[index])
+        for message in pipeline.handle(sample):
+            if isinstance(message, CalibratedVector):
+                rows.append(_row(sent, index, message, latest, measured[index] - noisefree[index], noisefree[index]))
+            elif isinstance(message, Estimate):
+                latest = message
+                if message.verdict is Verdict.DOUBTFUL:
+                    for reason in message.reasons:
+                        reasons[reason] = reasons.get(reason, 0) + 1
+    return _heard(rows, reasons)
+
+
+def _row(
+    sent: Sent, index: int, vector: CalibratedVector, estimate: Estimate | None, noise: Array, noisefree: Array
+) -> tuple[float, ...]:
+    time_s, verdict = float(sent.time_s[index]), vector.verdict
+    flags = (float(verdict is Verdict.TRUSTED), float(verdict is Verdict.DOUBTFUL))
+    if estimate is None:
+        return (time_s, np.nan, np.nan, np.nan, *flags, np.nan)
+    gain = np.eye(3) + d_matrix(np.array([0.0, 0.0, 0.0, *estimate.D]))
+    error = np.array(vector.field_body_nt) - gain @ noise - sent.field_nt[index]
+    size = float(np.linalg.norm(error))
+    covariance = _matrix(estimate.covariance)
+    along = field_jacobian(noisefree).T @ (error / max(size, 1e-9))
+    sigma = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+    published = getattr(vector, "protection_nt", None)
+    bias = float(np.sqrt(np.diagonal(covariance)[:3].max()))
+    return (time_s, size, sigma, np.nan if published is None else published, *flags, bias)
+
+
+def _matrix(upper: tuple[float, ...]) -> Array:
+    """The covariance (9, 9) of its upper triangle (45,)."""
+    matrix = np.zeros((STATE_SIZE, STATE_SIZE))
+    matrix[_UPPER] = upper
+    return np.asarray(matrix + np.triu(matrix, 1).T)
+
+
+_UPPER: Final = np.triu_indices(STATE_SIZE)
+
+
+def _heard(rows: list[tuple[float, ...]], reasons: dict[str, int]) -> Heard:
+    table = np.array(rows).reshape(-1, 7)
+    time_s, error, sigma, protection, trusted, doubtful, bias = table.T
+    return Heard(time_s, error, sigma, protection, trusted > 0.5, doubtful > 0.5, bias, reasons)
+
+
+def _reference(index: int, time_ns: int, field_nt: Array) -> ReferenceSample:
+    x, y, z = field_nt.tolist()
+    return ReferenceSample(
+        craft=CRAFT, source="model", sequence=index, time_ns=time_ns, field_nt=(x, y, z), frame=Frame.ECI
+    )
+
+
+def _sample(index: int, time_ns: int, field_nt: Array) -> MagnetometerSample:
+    x, y, z = field_nt.tolist()
+    return MagnetometerSample(craft=CRAFT, source="mag", sequence=index, time_ns=time_ns, field_body_nt=(x, y, z))
+
+
+def reconfigured(config: CraftConfig, **changes: Any) -> CraftConfig:
+    """A configuration whose spin or sensor says something else; ``spin`` and ``sensor`` as dictionaries of changes."""
+    parts: dict[str, Any] = {}
+    if "spin" in changes and config.spin is not None:
+        parts["spin"] = replace(config.spin, **changes["spin"])
+    if "sensor" in changes:
+        parts["sensor"] = replace(config.sensor, **changes["sensor"])
+    return replace(config, **parts)

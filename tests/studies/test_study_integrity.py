@@ -1,0 +1,127 @@
+"""Flights with something wrong: what is sent, what is counted, and the study over two scenarios."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.studies import integrity
+from magcal_service.studies.study import Request
+from magcal_service.studies.unseen import scenarios
+from magcal_service.studies.unseen.flight import Heard, Sent, begin
+from magcal_service.studies.unseen.motion import SPIN_RPM, Motion
+from magcal_service.studies.unseen.scenarios import SCENARIOS, Group
+from magcal_service.studies.unseen.score import EDGES_NT, scored
+from tests.many.here import HERE
+
+pytest.importorskip("ppigrf")
+
+SHORT_S = 120
+
+
+def sent(motion: Motion = Motion.SPIN) -> Sent:
+    return begin(motion, 10.0, SHORT_S, np.random.SeedSequence(3))
+
+
+def heard(**changes: object) -> Heard:
+    """Ten seconds: trusted from the third on, 60 nT off from the sixth, doubtful in the last two."""
+    time_s = np.arange(10.0)
+    made = Heard(
+        time_s=time_s,
+        error_nt=np.where(time_s < 5.0, 10.0, 60.0),
+        sigma_nt=np.full(10, 4.0),
+        protection_nt=np.full(10, 30.0),
+        trusted=(time_s >= 2.0) & (time_s < 8.0),
+        doubtful=time_s >= 8.0,
+        bias_sigma_nt=np.full(10, 5.0),
+        reasons={"drifting_residual": 1, "model_doubtful": 5},
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def test_seconds_are_counted_while_trusted() -> None:
+    """Three of six trusted ones are 60 nT off: beyond 50 nT and five of 4 nT; protection of 30 and four sigma is 46."""
+    found = scored(heard(), since_s=5.0)
+    assert (found.heard_s, found.trusted_s, found.wrong_s, found.misled_s, found.unprotected_s) == (10, 6, 3, 3, 0)
+    assert (found.worst_nt, found.worst_beyond_nt, found.trusted_at_s, found.alarm_s) == (60.0, 14.0, 2.0, 3.0)
+    assert found.near_ratio == pytest.approx(np.median([3.0, 3.0, 3.0, 0.5, 0.5, 0.5]))
+    assert found.reasons == ["model_doubtful", "drifting_residual"]
+    counted = np.array(found.diagram)
+    assert counted.sum() == 6.0
+    (rows, columns) = np.nonzero(counted)
+    assert all(EDGES_NT[row] <= error <= EDGES_NT[row + 1] for row, error in zip(rows, (10.0, 60.0), strict=True))
+    assert set(columns) == {int(np.searchsorted(EDGES_NT, 30.0)) - 1}
+
+
+@pytest.mark.parametrize(
+    ("changes", "wrong_s", "misled_s", "unprotected_s"),
+    [
+        ({"sigma_nt": np.full(10, 13.0)}, 0.0, 0.0, 0.0),  # within five and within four sigma
+        ({"protection_nt": np.full(10, 50.0)}, 3.0, 0.0, 0.0),
+        ({"protection_nt": np.full(10, np.nan)}, 3.0, 0.0, 6.0),
+        ({"trusted": np.zeros(10, dtype=bool)}, 0.0, 0.0, 0.0),
+    ],
+)
+def test_what_is_wrong_and_what_misleads(
+    changes: dict[str, object], wrong_s: float, misled_s: float, unprotected_s: float
+) -> None:
+    found = scored(heard(**changes), since_s=5.0)
+    assert (found.wrong_s, found.misled_s, found.unprotected_s) == (wrong_s, misled_s, unprotected_s)
+
+
+def test_a_clean_flight_has_no_alarm_and_a_pause_counts_for_five_seconds() -> None:
+    paused = heard(time_s=np.array([0.0, 1, 2, 3, 4, 100, 101, 102, 103, 104]))
+    found = scored(paused, since_s=math.inf)
+    assert math.isnan(found.alarm_s)
+    assert found.heard_s == 9 + 5
+
+
+@pytest.mark.parametrize(("events", "limit"), [(0, 2.9957), (1, 4.7439), (5, 10.5130)])
+def test_the_upper_limit_is_that_of_a_poisson_law(events: int, limit: float) -> None:
+    """Half of the quantile of chi square with 2 (k + 1) degrees of freedom: tables, e.g. PDG 2022, table 40.3."""
+    assert integrity.upper_limit(events) == pytest.approx(limit, abs=1e-3)
+
+
+@pytest.mark.parametrize("motion", list(Motion))
+def test_the_field_in_the_body_is_the_reference_turned(motion: Motion) -> None:
+    flight = sent(motion)
+    lengths = np.linalg.norm(flight.reference_nt, axis=1)
+    assert np.linalg.norm(flight.field_nt, axis=1) == pytest.approx(lengths)
+    assert np.all((lengths > 18_000.0) & (lengths < 60_000.0))
+    turns = flight.track.body_from_eci
+    assert np.einsum("nij,nkj->nik", turns, turns) == pytest.approx(np.broadcast_to(np.eye(3), turns.shape), abs=1e-12)
+
+
+def test_a_spin_turns_about_its_axis_by_its_rate() -> None:
+    """B across the axis goes round -3 times a minute in the body of a craft that turns by +3 rpm."""
+    across = sent().field_nt[:, :2] @ np.array([1.0, 1.0j])
+    turned = np.angle(across[1:] / across[:-1])
+    assert turned == pytest.approx(-SPIN_RPM * 2.0 * np.pi / 60.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS))
+def test_a_scenario_changes_what_is_sent(name: str) -> None:
+    """Each but the clean one changes something, and none what the vector should be."""
+    clean, spoiled = sent(), sent()
+    SCENARIOS[name].spoil(spoiled)
+    assert np.array_equal(clean.field_nt, spoiled.field_nt)
+    assert np.array_equal(clean.x, spoiled.x)
+    arrays = ("disturbance_nt", "gain", "noise", "reference_nt", "reference_sent", "sample_sent", "sample_ns")
+    changed = any(not np.array_equal(getattr(clean, one), getattr(spoiled, one)) for one in arrays)
+    changed |= bool(spoiled.post) or spoiled.config != clean.config
+    assert changed == (name != "clean")
+
+
+def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {name: SCENARIOS[name] for name in ("clean", "scaled_5")}
+    monkeypatch.setattr(integrity, "SCENARIOS", few)
+    monkeypatch.setattr(integrity, "NOISES_NT", (100.0,))
+    monkeypatch.setattr(integrity, "Motion", (Motion.SPIN,))
+    findings = integrity.run(Request(2, 1, HERE, duration_s=400))
+    assert findings.figures["flights"] == 4
+    parts = {row[0]: row[1] for row in findings.tables[0].rows}
+    assert parts == {"clean": 2, "all that can be seen": 2, "what nothing can show": 2}
+    assert {scenarios.SCENARIOS[name].group for name in few} == {Group.CLEAN, Group.REFERENCE}
