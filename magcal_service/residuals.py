@@ -1,4 +1,4 @@
-"""Levels of a residual: all of it, and the part that is white noise."""
+"""Levels of a residual: all of it, the part that is white noise, and what noise alone reaches."""
 
 from __future__ import annotations
 
@@ -44,3 +44,21 @@ def noise_floor(time_ns: NDArray[np.int64], residual_nt: Array) -> float:
         return rms(residual_nt)
     total = sum(count for count, _ in floors)
     return float(np.sqrt(sum(count * floor**2 for count, floor in floors) / total))
+
+
+def log_tail(x: float, degrees: int) -> float:
+    """ln P(chi-squared with ``degrees`` > x), exact up to rounding.
+
+    Source: Abramowitz & Stegun 26.4.4 and 26.4.5 (finite sums for odd and even degrees).
+    """
+    half = 0.5 * max(x, 0.0)
+    if degrees % 2:
+        root = math.sqrt(half)
+        total = math.erfc(root) * math.exp(half) if half < 500.0 else 1.0 / (root * math.sqrt(math.pi))
+        term, first = math.sqrt(half) / math.gamma(1.5), 1.5
+    else:
+        total, term, first = 0.0, 1.0, 1.0
+    for step in range(degrees // 2):
+        total += term
+        term *= half / (first + step)
+    return math.log(total) - half

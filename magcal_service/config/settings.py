@@ -191,6 +191,9 @@ class TrustConfig:
     sigma_D: largest 1-sigma of any element of D [-].
     residual_ratio: largest rms residual, in units of the sensor's noise [-].
     watch: whether the residual is watched for physics that is left out (``model_watch``).
+    protection: whether protection levels are worked out, published and asked for (``trust.protector``).
+    protection_nt: largest protection level [nT].
+    disturbance_nt: largest field of the craft's own that may step, or follow orbit or spin, without being told [nT].
     """
 
     min_ticks: int = whole(300, 10, 1_000_000, unit="ticks")
@@ -198,6 +201,9 @@ class TrustConfig:
     sigma_D: float = number(0.005, 1e-6, 0.5)
     residual_ratio: float = number(1.5, 1.0, 100.0)
     watch: bool = flag(True)
+    protection: bool = flag(True)
+    protection_nt: float = number(100_000.0, 0.1, 100_000.0, unit="nT")
+    disturbance_nt: float = number(200.0, 0.1, 100_000.0, unit="nT")
 
 
 @dataclass(frozen=True, slots=True)

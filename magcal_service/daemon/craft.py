@@ -36,8 +36,9 @@ WATCHED: Final = {
     Reason.DRIFTING_RESIDUAL,
     Reason.MANY_REJECTED,
     Reason.SPIN_CONTRADICTED,
+    Reason.UNPROTECTED,
 }
-"""Reasons under which a window of the watch may begin: it may explain them."""
+"""Reasons under which a window of the watch may begin: it may explain them, or lessen them."""
 
 UNWATCHED: Final = {Reason.STUCK, Reason.AXIS_STUCK, Reason.DRIVER_MISSING}
 """Reasons under which ticks are kept from the watch.  Its window outlives a new start: it fits errors separately."""

@@ -37,6 +37,8 @@ COLUMNS: Final = (
     "residual_rms_nt",
     "noise_nt",
     "samples_used",
+    "protection_nt",
+    "protection_by",
 )
 
 
@@ -151,6 +153,8 @@ class EstimateCsv:
                 estimate.residual_rms_nt,
                 estimate.noise_nt,
                 estimate.samples_used,
+                estimate.protection_nt,
+                estimate.protection_by,
             )
         )
 

@@ -23,7 +23,6 @@ from magcal_service.wire.messages import (
     Estimate,
     MagnetometerSample,
     Status,
-    Verdict,
 )
 
 SOURCE: Final = RESERVED_SOURCE
@@ -58,7 +57,7 @@ def calibrated_vector(
     sample: MagnetometerSample,
     state: StateEstimate,
     covariance: Array,
-    verdict: Verdict,
+    trust: Trust,
     unknown: Array | None = None,
 ) -> CalibratedVector:
     """A sample's vector by equation (5), with the covariance of noise and estimate together.
@@ -68,7 +67,7 @@ def calibrated_vector(
     sample: as it is to be calibrated [nT].
     state: the present estimate.
     covariance: its covariance (9, 9), grown by the random walk since the newest sample that it learned from.
-    verdict: how far it is to be trusted.
+    trust: how far it is to be trusted.
     unknown: covariance (3, 3) [nT^2] of what the sample was corrected for; None: it is known.
     """
     b1, b2, b3 = sample.field_body_nt
@@ -86,7 +85,9 @@ def calibrated_vector(
         clock=sample.clock,
         field_body_nt=(b1 + dx, b2 + dy, b3 + dz),
         covariance_nt2=(xx, xy, xz, yy, yz, zz),
-        verdict=verdict,
+        verdict=trust.verdict,
+        protection_nt=trust.protection_nt,
+        protection_by=trust.protection_by,
     )
 
 
@@ -130,6 +131,8 @@ def estimate_message(
         residual_rms_nt=min(residual_rms_nt, MAX_RESULT_FIELD_NT),
         noise_nt=state.noise_nt,
         samples_used=state.samples,
+        protection_nt=trust.protection_nt,
+        protection_by=trust.protection_by,
     )
 
 

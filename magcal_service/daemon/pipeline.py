@@ -182,7 +182,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         self.heard = self.heard or sample.source
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
-        return [calibrated_vector(sample, self._state, self._covariance(), self.trust.verdict, self._unknown())]
+        return [calibrated_vector(sample, self._state, self._covariance(), self.trust, self._unknown())]
 
     def _command(self, command: Command) -> CommandReply:
         """Carry out a command of the craft; an unknown one is refused."""
@@ -207,7 +207,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
         if self.model_doubt:
             state += f"{self.model_doubt}; "
-        return f"{state}{self.trust.verdict}{reasons}, {self.ticks.counters['ticks']} ticks"
+        return f"{state}{self.trust.verdict}{reasons}{self.trust.protection}, {self.ticks.counters['ticks']} ticks"
 
     @property
     def model_doubt(self) -> str:

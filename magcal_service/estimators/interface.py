@@ -70,6 +70,8 @@ class StateEstimate:
     restarts: times the estimator lost consistency and restarted.
     waiting_for: the gate that stopped the last attempt at a start, None where none did.
     spin_given_up: the spin windows contradicted the scalar measurement and are no longer used.
+    is_least_squares: it is that of least squares on the scalar residuals of all ticks since its start, weighted
+        alike, so that what a disturbance does to it follows from its covariance (``trust.protector``).
     """
 
     x: Array
@@ -81,6 +83,7 @@ class StateEstimate:
     restarts: int
     waiting_for: StartGate | None
     spin_given_up: bool
+    is_least_squares: bool = False
 
 
 class InformationSet(StrEnum):

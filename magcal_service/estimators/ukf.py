@@ -183,6 +183,7 @@ class Ukf(Stateful, UkfMemory):
             restarts=self._restarts,
             waiting_for=self._start.gate if self._phase is Phase.STARTING else None,
             spin_given_up=self._spin_given_up,
+            is_least_squares=self._walk is None and self._detector is None,
         )
 
     def handle(self, tick: Tick) -> TickOutcome:

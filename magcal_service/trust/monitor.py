@@ -21,6 +21,8 @@ from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
+from magcal_service.trust.hazards import REMEDY, Hazard
+from magcal_service.trust.protector import Protector
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
@@ -64,11 +66,23 @@ class _Levels:
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """A verdict with the reasons against it and the first one's remedy."""
+    """A verdict with the reasons against it and the first one's remedy, and the protection level.
+
+    ``protection_nt`` [nT] and what sets it, ``protection_by``, are None while unknown.
+    """
 
     verdict: Verdict
     reasons: tuple[Reason, ...]
     remedy: str
+    protection_nt: float | None = None
+    protection_by: str | None = None
+
+    @property
+    def protection(self) -> str:
+        """The level in words, empty while unknown."""
+        return (
+            "" if self.protection_nt is None else f", protected to {self.protection_nt:.0f} nT ({self.protection_by})"
+        )
 
 
 NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])
@@ -117,6 +131,7 @@ class TrustMonitorMemory:
     _sudden_share: float
     _frozen: bool
     _unchecked_s: float
+    protector: Protector
 
 
 class TrustMonitor(Stateful, TrustMonitorMemory):
@@ -129,6 +144,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
 
     def __init__(self, config: CraftConfig) -> None:
         self.config = config
+        self.protector = Protector(config)
         self.reset()
 
     def reset(self) -> None:
@@ -156,6 +172,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._sudden_share = 0.0
         self._frozen = False
         self._unchecked_s = 0.0
+        self.protector.reset()
 
     @property
     def residual_rms_nt(self) -> float:
@@ -184,6 +201,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             self._block.clear()
             self._blocks.clear()
             self._residuals.clear()
+        self.protector.observe(tick, estimate)
         self._ticks += 1
         self._unpaired_s = self._unchecked_s = 0.0
         self._frozen = False
@@ -279,7 +297,17 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             verdict = Verdict.CONVERGING
         else:
             verdict = Verdict.TRUSTED
-        return Trust(verdict, everything, REMEDIES[everything[0]] if everything else "")
+        return self._trust(verdict, everything)
+
+    def _trust(self, verdict: Verdict, reasons: tuple[Reason, ...]) -> Trust:
+        level = self.protector.level
+        if level is None:
+            return Trust(verdict, reasons, REMEDIES[reasons[0]] if reasons else "")
+        if reasons and reasons[0] is Reason.UNPROTECTED:
+            remedy = REMEDY[Hazard(level.by)]
+        else:
+            remedy = REMEDIES[reasons[0]] if reasons else ""
+        return Trust(verdict, reasons, remedy, level.nt, level.by)
 
     def _before_start(self, estimate: StateEstimate) -> Trust:
         reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
@@ -316,7 +344,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
                 settled and self.residual_rms_nt > self.config.trust.residual_ratio * floor_nt,
             ),
             (Reason.DRIFTING_RESIDUAL, len(self._blocks) >= 10 and self._block_ratio > levels.block_ratio),
-            (Reason.MODEL_DOUBTFUL, self._model_doubtful),
+            (Reason.MODEL_DOUBTFUL, self._model_doubtful or self.protector.seen is not None),
             (
                 Reason.MANY_REJECTED,
                 (settled and self._rejected_share > levels.rejected_share) or self._sudden_share > levels.sudden_share,
@@ -345,7 +373,13 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             unfinished.append(Reason.POOR_COVERAGE if late else Reason.NOT_SETTLED)
         elif self._since_start < settings.min_ticks:
             unfinished.append(Reason.NOT_SETTLED)
+        if estimate.phase is Phase.RUNNING and self.protector.applies_to(estimate) and not self._is_protected():
+            unfinished.append(Reason.UNPROTECTED)
         return unfinished
+
+    def _is_protected(self) -> bool:
+        level = self.protector.level
+        return level is not None and level.nt <= self.config.trust.protection_nt
 
 
 @dataclass(init=False, repr=False, eq=False)

@@ -13,6 +13,7 @@ class Reason(StrEnum):
     POOR_COVERAGE = "poor_coverage"
     NO_SOLUTION = "no_solution"
     NOT_SETTLED = "not_settled"
+    UNPROTECTED = "unprotected"
     COLLAPSED = "collapsed"
     INCONSISTENT = "inconsistent"
     STRUCTURED_RESIDUAL = "structured_residual"
@@ -43,6 +44,8 @@ REMEDIES: Final = {
     Reason.NO_SOLUTION: "no sound solution fits the samples so far, mostly for want of directions; if that lasts for "
     "an orbit, check units, axes and the reference",
     Reason.NOT_SETTLED: "wait",
+    Reason.UNPROTECTED: "a disturbance too small to be seen yet may put vectors off by more than protection_nt: "
+    "wait for more of the orbit",
     Reason.COLLAPSED: "the solution shrinks an axis: check units and axes of sensor and reference, then reset",
     Reason.INCONSISTENT: "the residual is larger than noise and estimate allow: check noise_nt, the reference and its "
     "time tags; diagnose a recording",

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, Array
 from magcal_service.physics.acting import Watched
 from magcal_service.physics.catalogue import watched_as
+from magcal_service.residuals import log_tail
 
 FALSE_PER_YEAR: Final = 0.1
 """False alarms expected in a year of ticks where the model is right: the sum over all tests."""
@@ -64,24 +65,6 @@ class Explanation:
     def significance(self) -> float:
         """-ln of the probability that noise alone gains as much."""
         return -log_tail(2.0 * self.gain, self.columns)
-
-
-def log_tail(x: float, degrees: int) -> float:
-    """ln P(chi-squared with ``degrees`` > x), exact up to rounding.
-
-    Source: Abramowitz & Stegun 26.4.4 and 26.4.5 (finite sums for odd and even degrees).
-    """
-    half = 0.5 * max(x, 0.0)
-    if degrees % 2:
-        root = math.sqrt(half)
-        total = math.erfc(root) * math.exp(half) if half < 500.0 else 1.0 / (root * math.sqrt(math.pi))
-        term, first = math.sqrt(half) / math.gamma(1.5), 1.5
-    else:
-        total, term, first = 0.0, 1.0, 1.0
-    for step in range(degrees // 2):
-        total += term
-        term *= half / (first + step)
-    return math.log(total) - half
 
 
 def inverse_root(squares: Array) -> Array:

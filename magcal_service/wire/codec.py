@@ -22,6 +22,7 @@ MAX_PAYLOAD_BYTES = 10240  # the largest message the limits allow, a status of 1
 _CONTENT = {kind.code: attrgetter(*(field.name for field in kind.fields)) for kind in KINDS}
 _DUMPS = {kind.code: tuple(field.dump for field in kind.fields) for kind in KINDS}
 _CHECKS = {kind.code: tuple((field.name, field.check) for field in kind.fields) for kind in KINDS}
+_LEAST = {kind.code: len(kind.fields) - kind.appended + 2 for kind in KINDS}
 
 
 def encode(message: Message) -> bytes:
@@ -51,7 +52,10 @@ def decode(payload: bytes) -> Message:
 
 def _values(code: int, content: Iterable[Any]) -> list[Any]:
     own = [value if dump is None else dump(value) for value, dump in zip(content, _DUMPS[code], strict=True)]
-    return [SCHEMA_VERSION, code, *own]
+    values, least = [SCHEMA_VERSION, code, *own], _LEAST[code]
+    while len(values) > least and values[-1] is None:
+        values.pop()
+    return values
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -99,9 +103,12 @@ def _checked(values: Any) -> tuple[Kind, dict[str, Any]]:
     if code not in KIND_BY_CODE:
         check.refuse("unknown_kind", "kind", code, kind_names())
     kind, checks = KIND_BY_CODE[code], _CHECKS[code]
-    if len(values) != len(checks) + 2:
-        check.refuse("wrong_shape", f"the length of a {kind.name} payload", len(values), f"{len(checks) + 2}")
-    content = {name: accept(value, name) for (name, accept), value in zip(checks, values[2:], strict=True)}
+    least, most = _LEAST[code], len(checks) + 2
+    if not least <= len(values) <= most:
+        accepted = f"{least}" if least == most else f"{least} to {most}"
+        check.refuse("wrong_shape", f"the length of a {kind.name} payload", len(values), accepted)
+    given = (*values[2:], *(None,) * (most - len(values)))
+    content = {name: accept(value, name) for (name, accept), value in zip(checks, given, strict=True)}
     if kind.rule is not None:
         kind.rule(content)
     return kind, content

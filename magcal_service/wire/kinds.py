@@ -79,6 +79,7 @@ class Kind:
     record: its class.
     own: the fields after the seven that all kinds share.
     rule: a check across fields; raises ``DecodeError``.
+    appended: how many of the last fields came later: an older sender leaves them out, and they are not sent where nil.
     """
 
     code: int
@@ -86,6 +87,7 @@ class Kind:
     record: type[Message]
     own: tuple[Field, ...]
     rule: Callable[[Mapping[str, Any]], None] | None = None
+    appended: int = 0
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -97,6 +99,17 @@ def _vector_or_magnitude(values: Mapping[str, Any]) -> None:
     given = (values["field_nt"] is not None, values["frame"] is not None, values["magnitude_nt"] is not None)
     if given not in ((True, True, False), (False, False, True)):
         raise DecodeError("wrong_shape", "field_nt with frame, or magnitude_nt alone, is accepted; the others are nil")
+
+
+_PROTECTION = (
+    Field("protection_nt", check.optional(check.real(0.0, MAX_RESULT_FIELD_NT))),
+    Field("protection_by", check.optional(check.name_like())),
+)
+
+
+def _with_its_hazard(values: Mapping[str, Any]) -> None:
+    if (values["protection_nt"] is None) != (values["protection_by"] is None):
+        raise DecodeError("wrong_shape", "protection_nt with protection_by, or neither, is accepted")
 
 
 KINDS = (
@@ -136,7 +149,10 @@ KINDS = (
             Field("field_body_nt", check.vector(MAX_RESULT_FIELD_NT)),
             Field("covariance_nt2", check.covariance(3, MAX_COVARIANCE)),
             _choice("verdict", Verdict),
+            *_PROTECTION,
         ),
+        _with_its_hazard,
+        appended=len(_PROTECTION),
     ),
     Kind(
         17,
@@ -154,7 +170,10 @@ KINDS = (
             Field("residual_rms_nt", check.real(0.0, MAX_RESULT_FIELD_NT)),
             Field("noise_nt", check.real(0.0, MAX_RESULT_FIELD_NT)),
             Field("samples_used", check.integer(*check.COUNT)),
+            *_PROTECTION,
         ),
+        _with_its_hazard,
+        appended=len(_PROTECTION),
     ),
     Kind(
         18,

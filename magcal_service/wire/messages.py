@@ -113,12 +113,15 @@ class TelemetrySample(Message):
 class CalibratedVector(Message):
     """The answer to one accepted magnetometer sample; ``sequence`` and ``time_ns`` are those of that sample.
 
-    ``covariance_nt2`` is the upper triangle xx, xy, xz, yy, yz, zz [nT^2] of sensor noise and estimate together.
+    ``covariance_nt2`` is the upper triangle xx, xy, xz, yy, yz, zz [nT^2] of sensor noise and estimate together;
+    ``protection_nt`` and ``protection_by`` are as in ``Estimate``.
     """
 
     field_body_nt: Vector
     covariance_nt2: tuple[float, float, float, float, float, float]
     verdict: Verdict
+    protection_nt: float | None = None
+    protection_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +139,9 @@ class Estimate(Message):
     residual_rms_nt: running rms of |(I+D)B - b| - |H| [nT].
     noise_nt: sensor noise that the filter assumes, 1 sigma per axis [nT].
     samples_used: magnetometer samples that entered the estimate so far.
+    protection_nt: how far a calibrated vector may be off by a hazard that would not have been seen yet [nT], None while
+        unknown (docs/integrity.md).
+    protection_by: the hazard that sets it (``trust.hazards``), None while unknown.
     """
 
     method: str
@@ -149,6 +155,8 @@ class Estimate(Message):
     residual_rms_nt: float = 0.0
     noise_nt: float = 0.0
     samples_used: int = 0
+    protection_nt: float | None = None
+    protection_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

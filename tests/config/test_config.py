@@ -80,6 +80,9 @@ sigma_bias_nt = 50.0
 sigma_D = 0.002
 residual_ratio = 2.0
 watch = false
+protection = false
+protection_nt = 150.0
+disturbance_nt = 50.0
 [[craft.magnetometer]]
 source = "mag2"
 noise_nt = 50.0
@@ -156,7 +159,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                     100.0, 200.0, 5.0, 0.5, 1.0, 2.0, 5.0, True,
                 ),
                 ticks=TickConfig(20.0, 4.0, 40.0, 70.0, 700.0),
-                trust=TrustConfig(400, 50.0, 0.002, 2.0, watch=False),
+                trust=TrustConfig(400, 50.0, 0.002, 2.0, False, False, 150.0, 50.0),
                 max_sources=3,
                 magnetometers=(
                     MagnetometerConfig(
@@ -403,7 +406,7 @@ def test_the_largest_value_is_accepted_and_nothing_beyond(
 
 def test_every_number_in_the_configuration_has_limits() -> None:
     unlimited = {name for kind in KINDS.values() for name, key in declared(kind).items() if key.limits is None}
-    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "watch", "csv", "directory"}
+    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "watch", "protection", "csv", "directory"}
 
 
 def test_configuration_imports_neither_numpy_nor_an_extra() -> None:

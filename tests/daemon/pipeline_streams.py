@@ -7,13 +7,16 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, TrustConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.wire.messages import Clock, Frame, MagnetometerSample, Message, ReferenceSample
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 START_NS = 1_750_000_000_000_000_000
+EARLY = TrustConfig(protection_nt=1e5)
+"""Trusted as soon as its errors are known, whatever may act on it unseen."""
+
 LIMIT_NT = 1e6 / np.sqrt(3.0) * (1.0 - 1e-12)
 
 
@@ -25,13 +28,13 @@ def paper(seed: int, duration_s: float) -> Simulation:
 
 def paper_craft(**changes: object) -> CraftConfig:
     """What an operator of the paper's craft configures."""
-    settings = {"sensor": SensorConfig(noise_nt=300.0), "spin": SpinConfig(rate_rpm=7.5)} | changes
+    settings = {"sensor": SensorConfig(noise_nt=300.0), "spin": SpinConfig(rate_rpm=7.5), "trust": EARLY} | changes
     return CraftConfig("paper", **settings)
 
 
 def quick_craft(noise_nt: float | None = 300.0, spin: SpinConfig | None = None) -> CraftConfig:
     """A craft whose filter starts after 10 s."""
-    return CraftConfig("paper", SensorConfig(noise_nt=noise_nt), spin, FilterConfig(start_s=10.0))
+    return CraftConfig("paper", SensorConfig(noise_nt=noise_nt), spin, FilterConfig(start_s=10.0), trust=EARLY)
 
 
 def handle_all(pipeline: Pipeline, messages: Iterable[Message]) -> list[Message]:

@@ -19,6 +19,7 @@ from magcal_service.estimators.ekf import Ekf
 from magcal_service.estimators.interface import TickOutcome
 from magcal_service.ticks.assembler import Tick
 from magcal_service.ticks.time_window import EARLIEST_NS, LATEST_NS
+from magcal_service.trust.monitor import Trust
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.messages import (
     Frame,
@@ -196,7 +197,7 @@ def test_results_are_within_the_wire_up_to_the_limits_of_what_may_be_sent() -> N
     state = Ekf(CraftConfig("a", SensorConfig(noise_nt=1e5))).estimate()
     state = replace(state, x=x, covariance=np.outer(sigma, sigma), noise_nt=1e7)
     assert unsendable(state) == ""
-    vector = calibrated_vector(sample, state, state.covariance, Verdict.DOUBTFUL)
+    vector = calibrated_vector(sample, state, state.covariance, Trust(Verdict.DOUBTFUL, (), "", 1e7, "bias_step"))
     assert decode(encode(vector)) == vector
     nan, beyond = float("nan"), 1.0 + 1e-6
     wrong = [("x", nan), ("covariance", nan), ("x", 1e300), ("noise_nt", nan)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from magcal_service.estimators.parts.adaptive import _LEVELS, EVERY_TICKS, OLDEST_TICKS, Change, ChangeDetector
-from magcal_service.watch.evidence import log_tail
+from magcal_service.residuals import log_tail
 
 BEFORE = np.array([50.0**2] * 3 + [1e-3**2] * 6)
 NOW = 0.5 * BEFORE

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig, TrustConfig
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.ticks.assembler import Tick
@@ -27,8 +27,9 @@ Ticks = tuple[Tick, ...]
 def craft(
     noise_nt: float | None = 300.0, rate_rpm: float = 7.5, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 ) -> CraftConfig:
-    """What the operator of the paper's craft configures."""
-    return CraftConfig("paper", SensorConfig(noise_nt), SpinConfig(axis=axis, rate_rpm=rate_rpm))
+    """What the operator of the paper's craft configures, without protection levels: they would hide other reasons."""
+    spin = SpinConfig(axis=axis, rate_rpm=rate_rpm)
+    return CraftConfig("paper", SensorConfig(noise_nt), spin, trust=TrustConfig(protection=False))
 
 
 @cache

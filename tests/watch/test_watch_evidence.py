@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from magcal_service.model import BIAS, D_SCALE
-from magcal_service.watch.evidence import Explanation, log_tail, of_columns, of_course, spectral, without
+from magcal_service.residuals import log_tail
+from magcal_service.watch.evidence import Explanation, of_columns, of_course, spectral, without
 
 ROWS = 400
 

@@ -10,6 +10,7 @@ import pytest
 
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import BIAS, D_SCALE, calibrate, field_jacobian, without_radial_noise
+from magcal_service.residuals import log_tail
 from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch import residual_watch as module
@@ -19,7 +20,6 @@ from magcal_service.watch.evidence import (
     courses,
     gain,
     inverse_root,
-    log_tail,
     of_columns,
     of_course,
     spectral,

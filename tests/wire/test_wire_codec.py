@@ -235,3 +235,15 @@ def test_a_refusal_names_the_field_the_value_and_what_is_accepted():
 @settings(max_examples=50, deadline=None)
 def test_the_kind_of_a_message_is_the_second_value_of_its_payload(message):
     assert msgpack.unpackb(encode(message))[1] == kind_of(message).code
+
+
+@pytest.mark.parametrize("name", ["calibrated", "estimate"])
+def test_a_protection_level_is_appended_and_what_has_none_is_what_older_senders_send(name):
+    golden = next(one for one in cases.GOLDEN if one.name == name)
+    assert (golden.message.protection_nt, golden.message.protection_by) == (None, None)
+    protected = dataclasses.replace(golden.message, protection_nt=80.5, protection_by="bias_step")
+    values = [*msgpack.unpackb(golden.payload), 80.5, "bias_step"]
+    assert msgpack.unpackb(encode(protected)) == values
+    assert decode(msgpack.packb([*values[:-2], None, None])) == golden.message
+    assert refusal_of(msgpack.packb(values[:-1])) == "wrong_shape"
+    assert refusal_of(msgpack.packb([*values, None])) == "wrong_shape"

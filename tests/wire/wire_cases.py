@@ -113,6 +113,14 @@ def _record(kind: type[Message], **own: st.SearchStrategy[Any]) -> st.SearchStra
 
 
 _verdicts = st.sampled_from(Verdict)
+
+
+def _protected(kind: type[Message], **own: st.SearchStrategy[Any]) -> st.SearchStrategy[Message]:
+    """With a protection level and what sets it, or without both."""
+    level = {"protection_nt": reals(1e7, 0.0), "protection_by": names}
+    return st.one_of(_record(kind, **own), _record(kind, **own, **level))
+
+
 _arguments = st.one_of(st.booleans(), st.integers(-(2**63), 2**63 - 1), reals(1e300), texts)
 BY_KIND: dict[str, st.SearchStrategy[Message]] = {
     "magnetometer": _record(MagnetometerSample, field_body_nt=vectors(1e6)),
@@ -127,10 +135,10 @@ BY_KIND: dict[str, st.SearchStrategy[Message]] = {
         unit=units,
         values=st.lists(reals(1e18), min_size=1, max_size=16).map(tuple),
     ),
-    "calibrated": _record(
+    "calibrated": _protected(
         CalibratedVector, field_body_nt=vectors(1e7), covariance_nt2=covariances(3), verdict=_verdicts
     ),
-    "estimate": _record(
+    "estimate": _protected(
         Estimate,
         method=names,
         tick=counts,

@@ -21,18 +21,19 @@ OWN = {
     "reference": (2, ["field_nt", "frame", "magnitude_nt"]),
     "position": (3, ["position_km", "frame"]),
     "telemetry": (4, ["channel", "unit", "values"]),
-    "calibrated": (16, ["field_body_nt", "covariance_nt2", "verdict"]),
+    "calibrated": (16, ["field_body_nt", "covariance_nt2", "verdict", "protection_nt", "protection_by"]),
     "estimate": (
         17,
         [
             *("method", "tick", "bias_nt", "D", "covariance", "verdict", "reasons", "remedy", "residual_rms_nt"),
-            *("noise_nt", "samples_used"),
+            *("noise_nt", "samples_used", "protection_nt", "protection_by"),
         ],
     ),
     "status": (18, ["uptime_s", "verdict", "counters", "text"]),
     "command": (32, ["name", "arguments"]),
     "reply": (33, ["name", "command_source", "command_sequence", "accepted", "text"]),
 }
+APPENDED = {"protection_nt", "protection_by"}  # left out where the message has none
 ENUMERATIONS = {"clock": CLOCK, "frame": FRAME, "verdict": VERDICT}
 
 
@@ -102,6 +103,7 @@ def golden(kind: str, message: dict[str, object], frame_sequence: int, number: s
     values = [
         ENUMERATIONS[name][str(message[name])] if name in ENUMERATIONS and message[name] is not None else message[name]
         for name in COMMON + own
+        if name in message or name not in APPENDED
     ]
     payload = msgpack([1, code, *values], number)
     body = struct.pack("<BBHH", 1, code, frame_sequence, len(payload)) + payload
@@ -188,6 +190,13 @@ def all_golden() -> dict[str, dict[str, object]]:
             }
             | {"verdict": "trusted"},
             5,
+        ),
+        "calibrated_protected": golden(
+            "calibrated",
+            common("mag0", 2, utc)
+            | {"field_body_nt": [17000.5, -12000.25, 33000.0], "covariance_nt2": [9e4, 0.0, 0.0, 9e4, 0.0, 9e4]}
+            | {"verdict": "trusted", "protection_nt": 208.5, "protection_by": "bias_step"},
+            11,
         ),
         "estimate": golden(
             "estimate",
