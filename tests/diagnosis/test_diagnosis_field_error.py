@@ -46,7 +46,7 @@ def test_the_whole_variance_is_kept_at_every_sample(error: FieldError) -> None:
 def test_whitening_is_the_inverse_root_of_the_covariance(error: FieldError) -> None:
     """W'W = sigma^2 C^-1 with C = sigma^2 I + U diag(v) U', by solving with the dense matrix."""
     count = 300
-    lines = Lines.between(np.linspace(0, count - 1, 14).astype(np.intp), count)
+    lines = Lines(np.linspace(0, count - 1, 14).astype(np.intp), count)
     drawn = np.random.default_rng(8).normal(size=(len(lines.at), 6))
     dense = np.linalg.cholesky(lines.carried_on(drawn).T @ lines.carried_on(drawn)).T
     small = FieldError(lines, drawn @ np.linalg.inv(dense), error.variance[-6:], NOISE_NT)
@@ -85,12 +85,15 @@ def test_there_is_none_on_the_ground_without_places_or_under_much_noise() -> Non
     assert FieldError.of(scene(), 1e6) is None
 
 
-def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose() -> None:
-    """Against numpy's own interpolation, and (L a)'b = a'(L'b)."""
-    at = np.array([0, 3, 4, 11])
-    lines = Lines.between(at, 12)
+@pytest.mark.parametrize("knots", [4, 17, 40])
+def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose(knots: int) -> None:
+    """Against numpy's own interpolation, and (L a)'b = a'(L'b); sixteen lines are worked out together."""
     rng = np.random.default_rng(4)
-    values, rows = rng.normal(size=(4, 2)), rng.normal(size=(12, 2))
-    for column in range(2):
-        assert lines.carried_on(values)[:, column] == pytest.approx(np.interp(np.arange(12), at, values[:, column]))
-    assert float((lines.carried_on(values) * rows).sum()) == pytest.approx(float((values * lines.gathered(rows)).sum()))
+    at = np.concatenate([[0], np.cumsum(rng.integers(1, 9, knots - 1))]).astype(np.intp)
+    count = int(at[-1]) + 1
+    lines = Lines(at, count)
+    values, rows = rng.normal(size=(knots, 2)), rng.normal(size=(count, 2))
+    expected = np.stack([np.interp(np.arange(count), at, column) for column in values.T], axis=1)
+    assert lines.carried_on(values) == pytest.approx(expected)
+    assert lines.less(rows, values) == pytest.approx(rows - expected)
+    assert float((expected * rows).sum()) == pytest.approx(float((values * lines.gathered(rows)).sum()))
