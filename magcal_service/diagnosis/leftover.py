@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.linear import Workspace
+from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
@@ -34,7 +36,7 @@ _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Structure:
     """Structure of one family in a residual.
 
@@ -43,44 +45,69 @@ class Structure:
     shape: the family.
     nats: evidence for it, after the number of families tried.
     squares: sum of squares that it holds, less what noise alone would give it [nT^2].
-    signal: (m,) its fitted value in each row [nT].
+    fitted: works out its fitted value (m,) in each row [nT]; the columns are made again for it.
     """
 
     shape: Shape
     nats: float
     squares: float
-    signal: Array
+    fitted: Callable[[], Array]
+
+    @cached_property
+    def signal(self) -> Array:
+        """(m,) its fitted value in each row [nT]."""
+        return self.fitted()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beside:
+    """A fit, its residual with the model's columns out, and the search as it was there: itself it goes on elsewhere."""
+
+    search: Search
+    fit: Fit
+    space: Workspace
+
+    def products(self, shape: Shape) -> Products:
+        """Of a family's columns, which are not kept."""
+        return self.space.products(self.search.white(shape.columns(self.fit.unit)))
+
+    def signal(self, shape: Shape, amplitudes: Array) -> Array:
+        """(m,) what amplitudes of a family add to the residual [nT]."""
+        return self.space.projected(self.search.white(shape.columns(self.fit.unit) @ amplitudes))
 
 
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
     """Every family's part in the residual of a fit, the best first."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    families = list(shapes(search.problem, phase, _line(search, fit, space, sigma)))
+    beside = _Beside(replace(search), fit, space)
+    line_hz = _line(search, fit, space, sigma)
+    families = [(shape, beside.products(shape)) for shape in shapes(search.problem, phase, line_hz)]
     cost = math.log(max(len(families), 1))
     found = []
     for _ in range(2):
-        found = [_structure(shape, search, space, fit, sigma, cost) for shape in families]
+        found = [_structure(shape, products, beside, sigma, cost) for shape, products in families]
         found.sort(key=lambda structure: -structure.nats)
         left = (space.squares - found[0].squares) / space.count
         better = max(math.sqrt(max(left, 0.0)), floor_nt)
         if better > 0.98 * sigma:
             break
         sigma = better
-    sudden = _transients(search, space, fit, sigma, cost)
+    sudden = _transients(beside, sigma, cost)
     return found if sudden is None else sorted([*found, sudden], key=lambda structure: -structure.nats)
 
 
-def _transients(search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure | None:
+def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     """Stretches, at no regular times, in which a field fixed in the body is present.
 
     Each stretch of three widths that gains more than choosing it among all costs counts by what it gains; of those
     that overlap the best.  Where most of the recording would count, it is no transient.
     """
+    search, space = beside.search, beside.space
     if search.problem.is_vector:
         return None
     scene = search.problem.scene
-    rows = search.white(along_axes(np.ones(len(scene))).along(fit.unit))
+    rows = search.white(along_axes(np.ones(len(scene))).along(beside.fit.unit))
     trials: list[tuple[float, int, int]] = []
     for width_s in _TRANSIENTS_S:
         step = max(round(0.5 * width_s / scene.period_s), 3)
@@ -109,8 +136,8 @@ def _transients(search: Search, space: Workspace, fit: Fit, sigma: float, cost: 
     shape = body_shape(
         search.problem, "transients", "a body-fixed field that comes and goes at no regular times", signals
     )
-    found = _structure(shape, search, space, fit, sigma, cost)
-    return Structure(shape, sum(gain for gain, _, _ in chosen) - cost, found.squares, found.signal)
+    found = _structure(shape, beside.products(shape), beside, sigma, cost)
+    return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
 
 
 def largest_product(search: Search, fit: Fit, floor_nt: float) -> float:
@@ -135,12 +162,10 @@ def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | N
     return float(found[0]) if space.gain(rows, sigma).nats > 0.5 * SIGNIFICANT_NATS else None
 
 
-def _structure(shape: Shape, search: Search, space: Workspace, fit: Fit, sigma: float, cost: float) -> Structure:
-    columns = search.white(shape.columns(fit.unit))
-    gain = space.gain(columns, sigma)
+def _structure(shape: Shape, products: Products, beside: _Beside, sigma: float, cost: float) -> Structure:
+    gain = products.gain(sigma)
     squares = max(gain.squares - gain.effective * sigma**2, 0.0)
-    signal: Array = space.projected(columns) @ gain.amplitudes
-    return Structure(shape, gain.nats - cost, squares, signal)
+    return Structure(shape, gain.nats - cost, squares, lambda: beside.signal(shape, gain.amplitudes))
 
 
 def significant(structure: Structure) -> bool:

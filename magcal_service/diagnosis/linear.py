@@ -54,6 +54,28 @@ class Gain:
     amplitudes: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Products:
+    """All that evidence needs of k columns: how they were counted does not depend on the noise.
+
+    Parameters
+    ----------
+    normal: (k, k) of the columns less their part in the model's, each divided by ``scale``.
+    right: (k,) products with the residual [nT], divided by the same.
+    scale: rms of each column (k,).
+    smallest: eigenvalue below which a direction is rounding.
+    """
+
+    normal: Array
+    right: Array
+    scale: Array
+    smallest: float
+
+    def gain(self, sigma_nt: float) -> Gain:
+        """Evidence at a noise of ``sigma_nt``."""
+        return evidence(self.normal, self.right, self.scale, sigma_nt, self.smallest)
+
+
 class Workspace:
     """A residual with the model's columns projected out.
 
@@ -79,11 +101,15 @@ class Workspace:
 
     def gain(self, columns: Array, sigma_nt: float) -> Gain:
         """Evidence for columns (m, k) at a noise of ``sigma_nt``."""
+        return self.products(columns).gain(sigma_nt)
+
+    def products(self, columns: Array) -> Products:
+        """Of columns (m, k), for their evidence at any noise."""
         scale = self._scale(columns)
         # Q'Z is small: G = Z'Z - (Q'Z)'(Q'Z), and Z'r needs no projection because r is projected
         inside = self._basis.T @ columns
         normal = (columns.T @ columns - inside.T @ inside) / np.outer(scale, scale)
-        return evidence(normal, columns.T @ self.residual / scale, scale, sigma_nt, _ROUNDING * len(columns))
+        return Products(normal, columns.T @ self.residual / scale, scale, _ROUNDING * len(columns))
 
     def segments(self, columns: Array, first_rows: NDArray[np.intp]) -> Segments:
         """Sums over the stretches that begin at each of the rows (g,), rising; what comes before the first is left out.

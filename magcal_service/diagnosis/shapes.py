@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -44,19 +45,25 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     elapsed = scene.time_s - scene.time_s[0]
     share = elapsed / max(float(elapsed[-1]), 1.0)
     for count in (12, 40):
-        yield body_shape(problem, f"slow {count}", "a body-fixed field that changes over time", _cosines(share, count))
+        says = "a body-fixed field that changes over time"
+        yield _body(problem, f"slow {count}", says, partial(_cosines, share, count))
     if not problem.is_vector:
         for count in (24, 160):
-            yield _plain(f"time {count}", "the field's magnitude, in stretches of time", _windows(share, count))
+            says = "the field's magnitude, in stretches of time"
+            yield _plain(f"time {count}", says, partial(_windows, share, count))
     yield body_shape(
         problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt)
     )
     if line_hz is not None:
         angle = 2.0 * np.pi * line_hz * scene.time_s
-        courses = _windows(share, int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES)))
-        swinging = [courses * part[:, None] for part in (np.cos(angle), np.sin(angle))]
+        count = int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES))
+
+        def swinging() -> Array:
+            courses = _windows(share, count)
+            return np.concatenate([courses * part[:, None] for part in (np.cos(angle), np.sin(angle))], axis=1)
+
         says = f"a body-fixed oscillation near {line_hz:.4g} Hz that comes and goes"
-        yield body_shape(problem, "line", says, np.concatenate(swinging, axis=1))
+        yield _body(problem, "line", says, swinging)
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
         yield body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
@@ -66,13 +73,13 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     if scene.position_ecef_km is not None and not problem.is_vector:
         places = _places(scene.position_ecef_km)
         if places.shape[1] > 1:
-            yield _plain("place", "the field's magnitude, by place on the Earth", places)
+            yield _plain("place", "the field's magnitude, by place on the Earth", _indicators(places))
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
             bins = _quantiles(values)
             if bins is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
-                yield body_shape(problem, name, f"a body-fixed field that follows {channel.name}", bins)
+                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", _indicators(bins))
 
 
 def products_of_two(problem: Problem) -> Columns:
@@ -83,8 +90,14 @@ def products_of_two(problem: Problem) -> Columns:
 
 def body_shape(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
     """A family of signals (n, s), each along each axis of the body."""
+    return _body(problem, name, says, lambda: signals, terms)
+
+
+def _body(problem: Problem, name: str, says: str, make: Callable[[], Array], terms: tuple[str, ...] = ()) -> Shape:
+    """As ``body_shape``; signals are made whenever columns are: those of all families are too many to hold."""
 
     def columns(unit: Array) -> Array:
+        signals = make()
         if problem.is_vector:
             rows = along_axes(signals).components()
             assert rows is not None
@@ -94,8 +107,14 @@ def body_shape(problem: Problem, name: str, says: str, signals: Array, terms: tu
     return Shape(name, says, columns, terms)
 
 
-def _plain(name: str, says: str, signals: Array) -> Shape:
-    return Shape(name, says, lambda _: signals)
+def _plain(name: str, says: str, make: Callable[[], Array]) -> Shape:
+    return Shape(name, says, lambda _: make())
+
+
+def _indicators(values: Array) -> Callable[[], Array]:
+    """Zeros and ones (n, s), held as bits until they are asked for."""
+    marks = values.astype(bool)
+    return lambda: marks.astype(np.float64)
 
 
 def _cosines(share: Array, count: int) -> Array:

@@ -213,7 +213,7 @@ def test_sunlight_is_the_suns_direction_its_half_waves_and_light_itself() -> Non
 
 
 def structure(nats: float) -> Structure:
-    return Structure(Shape("name", "says", lambda unit: unit), nats, 1.0, np.zeros(COUNT))
+    return Structure(Shape("name", "says", lambda unit: unit), nats, 1.0, lambda: np.zeros(COUNT))
 
 
 def test_a_family_counts_from_six_nats_on() -> None:
@@ -342,7 +342,7 @@ def test_every_family_has_its_kind_of_place() -> None:
         "place": "place",
         "channel of 2": "channel",
     }
-    found = [Structure(Shape(name, "says", lambda u: u), 90.0, 2.0, np.zeros(COUNT)) for name in kinds]
+    found = [Structure(Shape(name, "says", lambda u: u), 90.0, 2.0, lambda: np.zeros(COUNT)) for name in kinds]
     places = {place.says: place for place in locate(search, fit, found)}
     assert {f"says ({name})": kind for name, kind in kinds.items()} == {
         says: place.kind for says, place in places.items()
@@ -354,7 +354,7 @@ def test_significance_pays_for_the_places_that_were_looked_at() -> None:
     search, fit = searched(flown())
     looked = math.log(2 + 1 + 4)
     found = [
-        Structure(Shape("field", "says", lambda u: u), nats, 2.0, np.zeros(COUNT))
+        Structure(Shape("field", "says", lambda u: u), nats, 2.0, lambda: np.zeros(COUNT))
         for nats in (looked + 5.1, looked + 4.9)
     ]
     (place,) = locate(search, fit, found)

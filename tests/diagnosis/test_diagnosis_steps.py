@@ -43,7 +43,7 @@ def finding(**parameters: float) -> Finding:
 
 
 def structure(nats: float, squares: float) -> Structure:
-    return Structure(Shape("field", "says", lambda unit: unit), nats, squares, np.zeros(COUNT))
+    return Structure(Shape("field", "says", lambda unit: unit), nats, squares, lambda: np.zeros(COUNT))
 
 
 def explained(terms: int) -> Any:
