@@ -10,6 +10,7 @@ import pytest
 from magcal_service import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene.motion import smooth_slope
+from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from magcal_service.physics.scene.view import runs
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, COUNT, PERIOD_S, RATE_RAD_S, scene, turning
@@ -296,3 +297,15 @@ def test_the_model_knows_the_field_where_time_and_place_are_known() -> None:
     assert scene().model_magnitude(places, degree=8) == pytest.approx(short)
     assert not replace(scene(), position_ecef_km=None).has_model
     assert not replace(scene(), origin_ns=8 * 10**18).has_model
+
+
+def test_results_asked_for_last_are_kept_and_older_ones_made_again() -> None:
+    made: list[int] = []
+    recent = Recent[int, int](2)
+
+    def ask(key: int) -> int:
+        return recent.once(key, lambda: made.append(key) or 10 * key)
+
+    assert [ask(key) for key in (1, 2, 1, 3, 1, 2)] == [10, 20, 10, 30, 10, 20]
+    assert made == [1, 2, 3, 2]
+    assert len(recent) == 2

@@ -11,7 +11,7 @@ from magcal_service.diagnosis.joint.scene import offsets_s, under
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.physics.interface import Effect, Hypothesis
-from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.scene import MOST_WARMED, Scene, Warmed
 
 _OF_ONE_RECORDING: Final = ("middle_s", "span_s")
 """Constants of a course in time: they have no meaning in another recording."""
@@ -39,7 +39,7 @@ class Forms:
 
     effects: tuple[Effect, ...]
     constants: Mapping[str, Mapping[str, float]]
-    _warmed: dict[Any, dict[Any, Any]] = field(default_factory=dict, repr=False)
+    _warmed: dict[Any, Warmed] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, effects: Sequence[Effect], parts: Sequence[Problem]) -> Forms:
@@ -78,7 +78,7 @@ class Forms:
             else:
                 by_constants.setdefault(tuple(sorted(constants.items())), []).append(label)
         for key, labels in by_constants.items():
-            warmed = self._warmed.setdefault((name, key), {})
+            warmed = self._warmed.setdefault((name, key), Warmed(MOST_WARMED))
             given = replace(part, scene=under(part.scene, started(part.scene, dict(key)), warmed))
             forms = {form.label: form for form in hypotheses_of([effect], given)}
             found |= {label: forms[label] for label in labels if label in forms}

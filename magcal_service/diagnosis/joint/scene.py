@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.scene.scene import KEPT, Scene
+from magcal_service.physics.scene.scene import KEPT, Scene, Warmed
 
 _BETWEEN_S: Final = 3600.0
 """Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
@@ -60,7 +60,7 @@ def offsets_s(parts: Sequence[Scene]) -> list[float]:
     return found
 
 
-def under(scene: Scene, constants: Mapping[str, float], warmed: dict[Any, Any]) -> Scene:
+def under(scene: Scene, constants: Mapping[str, float], warmed: Warmed) -> Scene:
     """A scene to which a model with these constants is applied.
 
     ``warmed`` keeps answers to light, which depend on the constants but not on calibrated vectors.

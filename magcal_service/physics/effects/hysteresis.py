@@ -11,9 +11,12 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
 from magcal_service.physics.saying import AXES
+from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
+
+_MOST_KNOWN: Final = 16  # answers kept for what is tried again: two forms, on a grid and about its best
 
 _MANY: Final = 64
 """Samples from which on all of them at once, in log2(n) passes, are faster than one after another."""
@@ -32,7 +35,11 @@ def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
     low, high = values - half_width, values + half_width
     span = 1
     while span < len(values):  # maps x -> min(max(x, low), high) of 1, 2, 4 ... samples one after another
-        low[span:], high[span:] = (np.clip(edge[:-span], low[span:], high[span:]) for edge in (low, high))
+        lower, upper = low[span:], high[span:]
+        if np.array_equal(lower, upper):  # what was before no longer matters
+            break
+        found = [np.minimum(np.maximum(edge[:-span], lower), upper) for edge in (low, high)]
+        low[span:], high[span:] = found
         span *= 2
     return np.asarray(np.clip(before, low, high))
 
@@ -49,14 +56,15 @@ def _stepped(values: Array, state: float, half_width: float) -> Array:
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     field = scene.calibrated_nt
     scale = scene.constant("scale_nt", float(np.percentile(np.abs(field), 99)))
-    known: dict[float, Array] = {}
+    known = Recent[float, Array](_MOST_KNOWN)
+
+    def lag(share: float) -> Array:
+        answer = play(field, share * scale, scene.begin("answer", 0.0))
+        scene.keep("answer", answer)
+        return np.asarray(answer - field)
 
     def lagging(share: float) -> Array:
-        if share not in known:
-            answer = play(field, share * scale, scene.begin("answer", 0.0))
-            scene.keep("answer", answer)
-            known[share] = answer - field
-        return known[share]
+        return known.once(share, lambda: lag(share))
 
     def own(theta: Array) -> Columns:
         return Columns(axes=lagging(float(theta[0]))[None])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from magcal_service import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene import main_field, motion, sunlight
+from magcal_service.physics.scene.recent import Recent
 
 KEPT = (
     "memo",
@@ -35,6 +36,12 @@ KEPT = (
     "has_model",
 )
 """Results of a scene that do not depend on the calibrated vectors."""
+
+MOST_WARMED: Final = 96
+"""Answers to light that are kept: more than the pairs of time constants on a grid, which are tried again and again."""
+
+Warmed = Recent[tuple[float, float], tuple[Array, Array]]
+"""Answers to light with their decays, by time constant and skin."""
 
 T = TypeVar("T")
 
@@ -266,19 +273,19 @@ class Scene:
 
     def warmed(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
         """Response (n,) to light of something with a time constant behind a skin with another, and its decay (n,)."""
-        key = (tau_s, skin_s)
-        if key not in self._warmed:
-            assert self.lit is not None
-            drive = self.lit - self.mean_light
-            if skin_s > 0.0:
-                drive = sunlight.first_order(
-                    self.time_s, drive, skin_s, self.begin("skin", self.constant("skin_start", 0.0))
-                )
-                self.keep("skin", drive)
-            answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
-            self.keep("answer", answer)
-            self._warmed[key] = answer, self._decay(tau_s)
-        return self._warmed[key]
+        return self._warmed.once((tau_s, skin_s), lambda: self._warm(tau_s, skin_s))
+
+    def _warm(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
+        assert self.lit is not None
+        drive = self.lit - self.mean_light
+        if skin_s > 0.0:
+            drive = sunlight.first_order(
+                self.time_s, drive, skin_s, self.begin("skin", self.constant("skin_start", 0.0))
+            )
+            self.keep("skin", drive)
+        answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
+        self.keep("answer", answer)
+        return answer, self._decay(tau_s)
 
     def _decay(self, tau_s: float) -> Array:
         """What is left (n,) of a temperature at the start: of the recording, or of a stream that begins elsewhere."""
@@ -289,8 +296,8 @@ class Scene:
         return np.asarray(decay)
 
     @cached_property
-    def _warmed(self) -> dict[tuple[float, float], tuple[Array, Array]]:
-        return {}
+    def _warmed(self) -> Warmed:
+        return Warmed(MOST_WARMED)
 
     @cached_property
     def eclipses(self) -> bool:
