@@ -174,6 +174,17 @@ class Fit:
         return self.problem.white(self.columns)
 
     @cached_property
+    def normal_equations(self) -> tuple[Array, Array, Array]:
+        """Norm of each white column (p,), products of the columns so scaled (p, p), and those with the residual (p,).
+
+        A column of zeros has 1 for its norm.
+        """
+        scale = np.linalg.norm(self.white_columns, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = self.white_columns / scale
+        return scale, scaled.T @ scaled, scaled.T @ self.white_residual
+
+    @cached_property
     def white_rms_nt(self) -> float:
         """rms of the white residual [nT]: what evidence is counted in."""
         return float(np.sqrt(np.mean(self.white_residual**2)))
@@ -268,9 +279,13 @@ def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
 
 def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
     """Additive body field d (n, 3) and growth of the magnitude m (n,) of all terms [nT]."""
+    return _added(terms, [term.hypothesis.columns(term.theta) for term in terms], scene)
+
+
+def _added(terms: Sequence[Term], made: Sequence[Columns], scene: Scene) -> tuple[Array, Array]:
+    """The same from the columns of each term."""
     body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
-    for term in terms:
-        columns = term.hypothesis.columns(term.theta)
+    for term, columns in zip(terms, made, strict=True):
         body += columns.field(term.amplitudes)
         magnitude += columns.growth(term.amplitudes)
     return body, magnitude
@@ -283,7 +298,8 @@ def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: boo
 
 def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
     scene = problem.scene
-    body, magnitude = disturbances(terms, scene)
+    made = [term.hypothesis.columns(term.theta) for term in terms]
+    body, magnitude = _added(terms, made, scene)
     w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
     length = np.linalg.norm(w, axis=1)
     if problem.is_vector:
@@ -303,10 +319,9 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     unit = clean / np.linalg.norm(clean, axis=1)[:, None]
     parts, ties = [-_model_rows(problem, x, jacobian, unit)], [_tie(problem)]
     slopes = []
-    for term in terms:
-        made = term.hypothesis.columns(term.theta)
-        parts.append(_required(problem.rows(made, unit)))
-        ties.append(amplitude_tie(problem, term, made))
+    for term, own in zip(terms, made, strict=True):
+        parts.append(_required(problem.rows(own, unit)))
+        ties.append(amplitude_tie(problem, term, own))
         slopes += _slopes(problem, term, unit)
     columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
     tie = np.concatenate([*ties, np.zeros(len(slopes))])

@@ -57,12 +57,10 @@ class _Step:
 
     @classmethod
     def of(cls, fit: Fit, sigma2: float) -> _Step:
-        scale = np.linalg.norm(fit.white_columns, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = fit.white_columns / scale
+        scale, products, with_residual = fit.normal_equations
         tie = fit.tie * sigma2
-        normal = scaled.T @ scaled + np.diag(tie / scale**2)
-        score = scaled.T @ fit.white_residual - tie * fit.unknowns / scale
+        normal = products + np.diag(tie / scale**2)
+        score = with_residual - tie * fit.unknowns / scale
         whole = np.linalg.lstsq(normal, score, rcond=1e-13)[0]
         free = ~_blocked(fit, whole / scale)
         cost = float(fit.white_residual @ fit.white_residual) + float(tie @ fit.unknowns**2)
