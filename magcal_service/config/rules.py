@@ -156,6 +156,17 @@ def _directory(reading: Reading, name: str, accepted: str, section: str) -> Path
     return Path(text)
 
 
+def checkpoints_key(reading: Reading, name: str) -> Path | None:
+    """The file of the key that checkpoints are signed with."""
+    accepted = "a file with a key in hexadecimal, that its owner alone can read"
+    text = reading.table.text(name, "", accepted=accepted)
+    if text.strip():
+        return Path(text)
+    if isinstance(reading.table.content.get(name), str):
+        reading.table.refuse(name, text, f"{accepted} is accepted; leave it out for none")
+    return None
+
+
 def metrics_address(reading: Reading, name: str) -> str | None:
     """A loopback address and port: what the text says about the craft is not for the network."""
     text = reading.table.text(name, "", accepted=_METRICS_ACCEPTED)

@@ -111,6 +111,7 @@ retry_s = 30.0
 directory = "state"
 period_s = 120.0
 keep = 5
+key = "state.key"
 
 [health]
 metrics = "127.0.0.1:9464"
@@ -171,7 +172,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0),
         record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
-        state=StateConfig(Path("state"), 120.0, 5),
+        state=StateConfig(Path("state"), 120.0, 5, Path("state.key")),
         health=HealthConfig("127.0.0.1:9464", 60.0),
     )  # fmt: skip
     assert load(tmp_path, FULL) == expected

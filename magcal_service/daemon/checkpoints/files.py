@@ -5,7 +5,10 @@ all; a SHA-256 over its content detects a file that a failing disk has changed. 
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
 data as ``snapshot`` has them.  It is restored only where craft, version and digest agree.
 
-    magcal-state 5\\n   SHA-256 of the rest, 32 bytes   msgpack
+    magcal-state 5\\n    SHA-256 of the rest, 32 bytes        msgpack
+    magcal-signed 5\\n   HMAC-SHA256 of the rest, 32 bytes    msgpack    where ``[state] key`` names a key
+
+The key is not that of the configuration but one made from it, so that a line's key may be used here too.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import hashlib
+import hmac
 import json
 import os
 import re
@@ -26,12 +30,14 @@ from typing import Any, Final
 
 import msgpack
 
+from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import CraftConfig, StateConfig
 from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
+SIGNED_MAGIC: Final = b"magcal-signed 5\n"
 MAGIC: Final = b"magcal-state 5\n"  # 4: nothing of which magnetometer it is, and what others witness
 _DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
@@ -99,20 +105,29 @@ class Checkpoint:
         return "; ".join(f"{what} is {found}, not {own}" for what, found, own in marks if found != own)
 
 
-def encode(checkpoint: Checkpoint) -> bytes:
-    """The bytes of a file."""
+def encode(checkpoint: Checkpoint, key: bytes | None = None) -> bytes:
+    """The bytes of a file, signed where there is a key."""
     body: bytes = msgpack.packb({name: getattr(checkpoint, name) for name in SCHEMA})
-    return MAGIC + hashlib.sha256(body).digest() + body
+    return (MAGIC if key is None else SIGNED_MAGIC) + _digest(body, key) + body
 
 
-def decode(raw: bytes) -> Checkpoint:
-    """Decode a file's bytes; ``StateError`` where they are not a whole, unchanged checkpoint of this format."""
-    begin = len(MAGIC) + _DIGEST_BYTES
-    if not raw.startswith(MAGIC):
+def decode(raw: bytes, key: bytes | None = None) -> Checkpoint:
+    """Decode a file's bytes; ``StateError`` where they are not a whole, unchanged checkpoint of this format.
+
+    With a key, what is not signed by it is refused; without one, what is signed.
+    """
+    magic, other = (MAGIC, SIGNED_MAGIC) if key is None else (SIGNED_MAGIC, MAGIC)
+    if raw.startswith(other):
+        raise StateError("signed, and no key is configured" if key is None else "not signed, and a key is configured")
+    if not raw.startswith(magic):
         raise StateError("not a checkpoint of this format")
+    begin = len(magic) + _DIGEST_BYTES
     body = raw[begin:]
-    if hashlib.sha256(body).digest() != raw[len(MAGIC) : begin]:
-        raise StateError(f"damaged: the checksum of its {len(body)} bytes does not fit")
+    if not hmac.compare_digest(_digest(body, key), raw[len(magic) : begin]):
+        what = "checksum" if key is None else "signature"
+        raise StateError(
+            f"damaged{'' if key is None else ' or forged'}: the {what} of its {len(body)} bytes does not fit"
+        )
     try:
         content = msgpack.unpackb(body, strict_map_key=False)
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:  # TypeError: a key that is a list
@@ -123,6 +138,12 @@ def decode(raw: bytes) -> Checkpoint:
         if type(content[name]) is not kind:
             raise StateError(f"{name} is {type(content[name]).__name__}; {kind.__name__} is accepted")
     return Checkpoint(**content)
+
+
+def _digest(body: bytes, key: bytes | None) -> bytes:
+    if key is None:
+        return hashlib.sha256(body).digest()
+    return hmac.digest(hmac.digest(key, b"magcal checkpoints", "sha256"), body, "sha256")
 
 
 class StateStore:
@@ -139,10 +160,11 @@ class StateStore:
     ----------
     writes, written_bytes: of this craft's checkpoints since the folder was new, as far as they are known.
 
-    Raises InputRefusedError where the folder cannot be made.
+    Raises InputRefusedError where the folder cannot be made, ConfigError where the key is none or others can read it.
     """
 
     def __init__(self, config: StateConfig, craft: str) -> None:
+        self._key = None if config.key is None else read_key(config.key)
         self.folder = config.directory / craft
         self._keep = config.keep
         self.writes = self.written_bytes = 0
@@ -243,8 +265,7 @@ class StateStore:
             raise StateError(f"name {name!r} is refused; 1 to 32 characters of A-Z a-z 0-9 _ - are accepted")
         return self.folder / f"{name}.named"
 
-    @staticmethod
-    def _read(path: Path) -> Checkpoint:
+    def _read(self, path: Path) -> Checkpoint:
         try:
             with open(path, "rb", opener=_opened_itself) as file:
                 _refuse_anybodys(os.fstat(file.fileno()))
@@ -255,10 +276,10 @@ class StateStore:
             ) from None
         if len(raw) > _LARGEST_BYTES:
             raise StateError(f"larger than {_LARGEST_BYTES} bytes")
-        return decode(raw)
+        return decode(raw, self._key)
 
     def _replace(self, path: Path, checkpoint: Checkpoint) -> None:
-        raw = encode(checkpoint)
+        raw = encode(checkpoint, self._key)
         write_whole(path, raw, mode=0o600, mark=_UNFINISHED)
         self.writes += 1
         self.written_bytes += len(raw)

@@ -13,6 +13,7 @@ from magcal_service.config.settings import StateConfig, default_craft
 from magcal_service.daemon.checkpoints.files import (
     MAGIC,
     SCHEMA,
+    SIGNED_MAGIC,
     Checkpoint,
     StateError,
     StateStore,
@@ -21,7 +22,7 @@ from magcal_service.daemon.checkpoints.files import (
     encode,
 )
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
+from magcal_service.errors import ConfigError, InputRefusedError
 from magcal_service.version import __version__
 
 CRAFT = default_craft("demo")
@@ -50,6 +51,52 @@ def store(tmp_path: Path) -> StateStore:
 
 def test_what_is_written_comes_back() -> None:
     assert decode(encode(checkpoint())) == checkpoint()
+
+
+KEY = bytes(range(32))
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "why"),
+    [
+        (KEY, None, "signed, and no key is configured"),
+        (None, KEY, "not signed, and a key is configured"),
+        (KEY, KEY[::-1], "damaged or forged: the signature of its"),
+    ],
+)
+def test_a_checkpoint_is_restored_with_the_key_that_signed_it_alone(
+    written: bytes | None, read: bytes | None, why: str
+) -> None:
+    assert decode(encode(checkpoint(), written), written) == checkpoint()
+    with pytest.raises(StateError, match=why):
+        decode(encode(checkpoint(), written), read)
+
+
+def test_a_signed_checkpoint_notices_every_changed_byte() -> None:
+    raw = encode(checkpoint(), KEY)
+    for place in (*range(len(SIGNED_MAGIC) + 32), len(raw) // 2, len(raw) - 1):
+        spoiled = bytearray(raw)
+        spoiled[place] ^= 1
+        with pytest.raises(StateError):
+            decode(bytes(spoiled), KEY)
+
+
+def test_a_store_signs_with_the_key_of_a_file_that_is_its_owners_alone(tmp_path: Path) -> None:
+    """A plain checkpoint that somebody put there is dropped, and the signed one before it is restored."""
+    key = tmp_path / "key"
+    key.write_text(KEY.hex())
+    key.chmod(0o644)
+    config = StateConfig(tmp_path / "state", keep=3, key=key)
+    with pytest.raises(ConfigError, match="its owner alone"):
+        StateStore(config, "demo")
+    key.chmod(0o600)
+    signed = StateStore(config, "demo")
+    signed.write(checkpoint(7))
+    StateStore(replace(config, key=None), "demo").write(checkpoint(9))
+    (_, planted), (_, own) = signed.newest()
+    assert str(planted) == "not signed, and a key is configured"
+    assert isinstance(own, Checkpoint)
+    assert own.samples == 7
 
 
 def test_every_changed_byte_is_noticed() -> None:
