@@ -17,6 +17,7 @@ from magcal_service.config.settings import (
     Config,
     CraftConfig,
     FilterConfig,
+    MagnetometerConfig,
     SensorConfig,
     SpinConfig,
     StateConfig,
@@ -56,12 +57,15 @@ def craft_of(recording: Recording, method: str | None = None) -> CraftConfig:
     steps_s = np.diff(np.unique(recording.time_ns)) * 1e-9
     period_s = float(np.median(steps_s)) if steps_s.size else 1.0
     ticks = TickConfig(gap_s=min(max(TickConfig().gap_s, 5.0 * period_s), TickConfig().step_confirm_s))
+    listed = (descriptor.magnetometer, *descriptor.beside) if descriptor.beside else ()
     return CraftConfig(
         CRAFT,
-        sensor=SensorConfig(noise_nt=descriptor.magnetometer.noise_nt),
+        sensor=SensorConfig(noise_nt=None if listed else descriptor.magnetometer.noise_nt),
         spin=spin,
         filter=FilterConfig(method=method or FilterConfig().method),
         ticks=ticks,
+        max_sources=max(CraftConfig(CRAFT).max_sources, len(listed)),
+        magnetometers=tuple(MagnetometerConfig(one.source, noise_nt=one.noise_nt) for one in listed),
     )
 
 

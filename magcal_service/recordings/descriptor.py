@@ -28,7 +28,7 @@ from magcal_service.wire.messages import Clock
 _VERSION = 1
 """Of the format: another one may give known keys another meaning, so it is refused."""
 
-_SESSION_BRINGS = ("time", "reference", "position", "channels")
+_SESSION_BRINGS = ("time", "reference", "position", "channels", "beside")
 """Sections that a recorded session makes superfluous."""
 
 
@@ -77,15 +77,21 @@ def _of_session(top: Table) -> dict[str, Any]:
         "reference": MagnitudeReference("magnitude_nt", FieldUnit.NT),
         "position": None,
         "channels": (),
+        "beside": (),
     }
 
 
 def _check_columns(top: Table, descriptor: Descriptor) -> None:
     """No axis is there twice, and a sensor is not its own reference: a fit of that is perfect and means nothing."""
-    measured = descriptor.magnetometer.columns
-    if len(set(measured)) != len(measured):
-        accepted = "three different columns are accepted: the sensor's x, y and z"
-        top.faults.append(Fault(f"{top.file}: magnetometer.columns", list(measured), accepted))
+    measured: list[str] = []
+    for key, one in (("magnetometer", descriptor.magnetometer), *(("beside", one) for one in descriptor.beside)):
+        if len(set(one.columns)) != len(one.columns) or set(one.columns) & set(measured):
+            accepted = "three different columns are accepted, the sensor's x, y and z, and none of another sensor's"
+            top.faults.append(Fault(f"{top.file}: {key}.columns", list(one.columns), accepted))
+        measured += one.columns
+    if descriptor.beside and len(set(descriptor.sources)) != 1 + len(descriptor.beside):
+        accepted = "each of several magnetometers needs a source of its own, [magnetometer] too"
+        top.faults.append(Fault(f"{top.file}: magnetometer.source", list(descriptor.sources), accepted))
     reference = descriptor.reference
     if isinstance(reference, VectorReference):
         own = sorted(set(reference.columns) & set(measured))

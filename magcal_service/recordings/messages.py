@@ -56,7 +56,9 @@ def messages(
     if telemetry:
         sequence = _sequence()
         makers += [stamp.channel(channel, sequence) for channel in recording.channels.values()]
-    makers.append(stamp.magnetometer(recording))
+    makers.append(stamp.magnetometer(recording.field_body_nt))
+    for name, vectors_nt in recording.further.items():
+        makers.append(_Stamp(craft, name, recording.clock).magnetometer(vectors_nt))
     for row, time_ns in enumerate(recording.time_ns.tolist()):
         for make in makers:
             message = make(row, time_ns)
@@ -85,12 +87,14 @@ class _Stamp:
     def __init__(self, craft: str, source: str, clock: Clock) -> None:
         self._craft, self._source, self._clock = craft, source, clock
 
-    def magnetometer(self, recording: Recording) -> Maker:
-        """Every row has a sample."""
+    def magnetometer(self, field_nt: FloatArray) -> Maker:
+        """Vectors (n, 3) [nT]; rows without one give none."""
         craft, source, clock, sequence = self._craft, self._source, self._clock, _sequence()
-        vectors = list(map(tuple, recording.field_body_nt.tolist()))
+        known, vectors = _complete(field_nt), list(map(tuple, field_nt.tolist()))
 
-        def make(row: int, time_ns: int) -> Message:
+        def make(row: int, time_ns: int) -> Message | None:
+            if not known[row]:
+                return None
             return MagnetometerSample(
                 craft=craft,
                 source=source,

@@ -46,6 +46,7 @@ def read_recording(
         return _read_session(path, None, craft, prefer, source)
     _refuse_undescribed(path)
     descriptor = load_descriptor(path)
+    source = source or descriptor.magnetometer.source or None
     if descriptor.session:
         return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer, source)
     if craft is not None and craft != descriptor.craft:
@@ -53,7 +54,10 @@ def read_recording(
         if descriptor.craft is not None:
             accepted = f"samples.craft says {descriptor.craft!r}; leave it out, or give that name"
         raise RecordingError([Fault(f"{path}: craft", craft, accepted)])
-    return read_described(descriptor)
+    if source is not None and source not in descriptor.sources:
+        accepted = f"{nearest(source, descriptor.sources)}" if descriptor.sources else "the log has one; leave it out"
+        raise RecordingError([Fault(f"{path}: source", source, accepted)])
+    return read_described(descriptor if source is None else descriptor.of_source(source))
 
 
 def is_session(path: Path) -> bool:
@@ -100,6 +104,7 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
     log = RowArrays(table)
     time_ns = log.times(descriptor.time)
     field_nt = log.field(descriptor)
+    further = {spec.source: log.further(spec) for spec in descriptor.beside}
     log.note_order(time_ns)
     position = log.position(descriptor.position)
     reference = log.reference(descriptor.reference, time_ns, position)
@@ -113,6 +118,9 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
         reference=reference,
         position=position,
         channels=channels,
+        source=descriptor.magnetometer.source,
+        others=tuple(further),
+        further=further,
         report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries)),
         lines=table.lines,
     ).select(log.kept)
@@ -124,6 +132,7 @@ def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
     """Every column the descriptor names, by the key that names it."""
     named: dict[str, tuple[str, ...]] = {"time.column": (descriptor.time.column,)} if descriptor.time.column else {}
     named["magnetometer.columns"] = descriptor.magnetometer.columns
+    named |= {f"beside.columns of {one.source}": one.columns for one in descriptor.beside}
     if isinstance(descriptor.reference, VectorReference):
         named["reference.columns"] = descriptor.reference.columns
     if isinstance(descriptor.reference, MagnitudeReference):

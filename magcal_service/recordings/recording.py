@@ -70,6 +70,7 @@ class Recording:
     beside: the same of magnetometers beside the craft's own, by source.
     source: whose samples the rows are, of a session; empty where the log does not say.
     others: other sources of samples of the same craft in the log.
+    further: their vectors in the same rows (n, 3) [nT], where the log is rows; NaN where a row has none.
     lines: (n,) line of the file of each row, from 1; None where the log has none.
     """
 
@@ -88,6 +89,7 @@ class Recording:
     beside: Mapping[str, dict[str, Any]] = field(default_factory=dict)
     source: str = ""
     others: tuple[str, ...] = ()
+    further: Mapping[str, FloatArray] = field(default_factory=dict)
     lines: IntArray | None = None
 
     @classmethod
@@ -186,6 +188,7 @@ class Recording:
             reference=Reference(reference.magnitude_nt[rows], vector_nt, reference.frame),
             position=None if position is None else Position(position.km[rows], position.frame),
             channels={name: Channel(c.spec, c.values[rows]) for name, c in self.channels.items()},
+            further={name: vectors[rows] for name, vectors in self.further.items()},
             stream=None,
             state=None,
             lines=None if self.lines is None else self.lines[rows],

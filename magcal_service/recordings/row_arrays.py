@@ -16,6 +16,7 @@ from magcal_service.recordings.specs import (
     CartesianPosition,
     Descriptor,
     GeodeticPosition,
+    MagnetometerSpec,
     MagnitudeReference,
     ModelReference,
     PositionSpec,
@@ -96,6 +97,14 @@ class RowArrays:
         spec = descriptor.magnetometer
         field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
         self._count("magnetometer", _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT), kept=False)
+        return field_nt
+
+    def further(self, spec: MagnetometerSpec) -> FloatArray:
+        """The vector of a further magnetometer (n, 3) [nT], NaN in rows that have none or one beyond 1 mT."""
+        field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
+        codes = _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT)
+        self._count(spec.source, codes, kept=True)
+        field_nt[codes > 0] = np.nan
         return field_nt
 
     def note_order(self, time_ns: IntArray) -> None:

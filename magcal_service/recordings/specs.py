@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
 from magcal_service.recordings.defects import Code
@@ -23,7 +24,7 @@ from magcal_service.recordings.reference_spec import (
     read_reference,
 )
 from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
-from magcal_service.typed_toml.keys import choice, number, section, special, text, texts
+from magcal_service.typed_toml.keys import choice, number, section, sections, special, text, texts
 from magcal_service.typed_toml.record import Reading
 from magcal_service.units import FieldUnit
 from magcal_service.wire.fields import NAME
@@ -107,13 +108,26 @@ class SamplesSpec:
     craft: str | None = special(_craft, None)
 
 
+def _source(reading: Reading, name: str) -> str:
+    """What the samples' source is called; empty where nothing is said."""
+    table = reading.table
+    if not table.has(name):
+        return ""
+    source = table.text(name, "")
+    if not NAME.fullmatch(source) or source == RESERVED_SOURCE:
+        accepted = f'1 to 32 of A-Z a-z 0-9 _ -, other than "{RESERVED_SOURCE}", are accepted'
+        table.refuse(name, table.content[name], accepted)
+    return source
+
+
 @dataclass(frozen=True, slots=True)
 class MagnetometerSpec:
-    """The measured vector's three columns, their unit, and the noise [nT, 1 sigma per axis] where stated."""
+    """The measured vector's three columns, their unit, the noise [nT, 1 sigma per axis] and the source where stated."""
 
     columns: tuple[str, ...] = texts(3)
     unit: FieldUnit = choice(FieldUnit)
     noise_nt: float | None = number(None, 1e-3, MAX_FIELD_NT, unit="nT")
+    source: str = special(_source, "")
 
 
 _SHORTEST_AXIS = 1e-6
@@ -176,6 +190,7 @@ class Descriptor:
     ----------
     path: the descriptor itself.
     samples: the log it describes, found beside the descriptor.
+    beside: further magnetometers of the same craft in the same rows.
     delimiter: what separates the cells of a row.
     craft: whose rows these are, or which craft of a recorded session, where the descriptor names it.
     accepted: likely defects that whoever wrote the descriptor has looked at and found to be none.
@@ -193,6 +208,20 @@ class Descriptor:
     craft: str | None = None
     platform: PlatformSpec | None = section(PlatformSpec, None)
     accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
+    beside: tuple[MagnetometerSpec, ...] = sections(MagnetometerSpec)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Sources of all magnetometers, where they are called anything."""
+        return tuple(one.source for one in (self.magnetometer, *self.beside) if one.source)
+
+    def of_source(self, source: str) -> Descriptor:
+        """The same log with another of its magnetometers in front; a spin is told in the first one's axes."""
+        chosen = next(one for one in (self.magnetometer, *self.beside) if one.source == source)
+        if chosen is self.magnetometer:
+            return self
+        others = (self.magnetometer, *(one for one in self.beside if one is not chosen))
+        return replace(self, magnetometer=chosen, beside=others, spin=None)
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.model import field_jacobian
+from magcal_service.model import STATE_SIZE, Array, field_jacobian, scalar_residual
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.wire.messages import Clock
@@ -45,6 +45,10 @@ class WitnessMemory:
     _squares_nt2: deque[float]
     _variances_nt2: deque[float]
     _was_quiet: bool
+    _runs: bool
+    _x: Array
+    _covariance: Array
+    _noise_nt: float
     _time_ns: int
     _clock: Clock
 
@@ -66,23 +70,41 @@ class Witness(Stateful, WitnessMemory):
         self._squares_nt2 = deque(maxlen=WINDOW)
         self._variances_nt2 = deque(maxlen=WINDOW)
         self._was_quiet = False  # it agreed with its reference for a whole window since the estimate began
+        self._runs = False  # the filter ran at the newest tick
+        self._x, self._covariance, self._noise_nt = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE)), 0.0
         self._time_ns = 0
         self._clock = Clock.ELAPSED
 
     def push(self, tick: Tick, outcome: TickOutcome, state: StateEstimate) -> None:
-        """Take a tick that was learned from: its mean residual, and how far that may be from zero."""
-        if outcome.phase is not Phase.RUNNING:
-            self._squares_nt2.clear()
-            self._variances_nt2.clear()
-            self._was_quiet = False
+        """Take a tick that was learned from: its mean residual, and how far that may be from zero.
+
+        Where the filter has found itself contradicted and collects a new start, the estimate before is held against
+        what follows, until there is another.
+        """
+        residual_nt = outcome.residual_nt
+        if outcome.phase is Phase.RUNNING:
+            if not self._runs:
+                self._begin()
+            self._runs = True
+            self._x, self._covariance, self._noise_nt = state.x, state.covariance, state.noise_nt
+        elif self._noise_nt > 0.0:
+            self._runs = False
+            residual_nt = scalar_residual(self._x, tick.field_body_nt, tick.reference_magnitude_nt)
+        else:
             return
         field_nt = tick.field_body_nt[-1]
         along = field_nt @ field_jacobian(field_nt) / max(float(np.linalg.norm(field_nt)), 1.0)
-        noise_nt2 = max(state.noise_nt, 1e-9) ** 2 / len(tick.times_s)
-        self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ state.covariance @ along)))
-        self._squares_nt2.append(float(np.mean(outcome.residual_nt)) ** 2)
+        noise_nt2 = max(self._noise_nt, 1e-9) ** 2 / len(tick.times_s)
+        self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ self._covariance @ along)))
+        self._squares_nt2.append(float(np.mean(residual_nt)) ** 2)
         self._time_ns, self._clock = tick.time_ns, tick.clock
         self._was_quiet = self._was_quiet or self.is_quiet
+
+    def _begin(self) -> None:
+        """There is another estimate: what was seen was of the one before."""
+        self._squares_nt2.clear()
+        self._variances_nt2.clear()
+        self._was_quiet = False
 
     @property
     def _level(self) -> float:

@@ -13,10 +13,20 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").re
 EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", [0, 2, 3, 4])
 def test_each_example_of_the_page_is_accepted(tmp_path: Path, number: int) -> None:
     (tmp_path / "log.toml").write_text(EXAMPLES[number])
     assert load_descriptor(tmp_path / "log.toml").samples.parent == tmp_path
+
+
+def test_the_further_magnetometer_of_the_page_is_accepted(tmp_path: Path) -> None:
+    """It stands in place of the one of the smallest description."""
+    head, _, rest = EXAMPLES[0].partition("[magnetometer]")
+    reference = "[reference]" + rest.partition("[reference]")[2]
+    (tmp_path / "log.toml").write_text(head + EXAMPLES[1] + reference)
+    descriptor = load_descriptor(tmp_path / "log.toml")
+    assert descriptor.sources == ("mag1", "mag2")
+    assert descriptor.of_source("mag2").magnetometer.noise_nt == 120.0
 
 
 def test_the_page_names_every_unit_of_a_channel() -> None:

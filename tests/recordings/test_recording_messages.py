@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.errors import RecordingError
 from magcal_service.recordings import messages as module
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording
@@ -16,7 +17,7 @@ from magcal_service.wire.messages import (
     ReferenceSample,
     TelemetrySample,
 )
-from tests.recordings.recording_logs import descriptor, row, write_log
+from tests.recordings.recording_logs import MAGNETOMETER, descriptor, row, write_log
 
 CHANNELS = '[channels]\nheat = { column = "temp", unit = "degC" }\nat = { columns = ["q0", "q1"] }\n'
 POSITION = '[position]\ncolumns = ["x", "y", "z"]\nunit = "km"\nframe = "eci"\n'
@@ -104,3 +105,41 @@ def test_the_numbers_of_a_message_are_plain_python_floats(tmp_path: Path) -> Non
     sample = next(m for m in messages(read_recording(write_log(tmp_path))) if isinstance(m, MagnetometerSample))
     assert [type(value) for value in sample.field_body_nt] == [float] * 3
     assert not isinstance(sample.field_body_nt[0], np.floating)
+
+
+TWO = (
+    MAGNETOMETER
+    + 'source = "mag1"\n[[beside]]\nsource = "mag2"\ncolumns = ["x", "y", "z"]\nunit = "nT"\nnoise_nt = 7.0\n'
+)
+
+
+def test_further_magnetometers_of_a_row_are_sent_with_their_own_source(tmp_path: Path) -> None:
+    """One that a row has no vector of is not sent, and counted; --source puts it in front."""
+    path = write_log(tmp_path, descriptor(magnetometer=TWO), [row(1700000000), row(1700000001, y=""), row(1700000002)])
+    recording = read_recording(path)
+    sent = [one for one in messages(recording) if isinstance(one, MagnetometerSample)]
+    assert [one.source for one in sent] == ["mag1", "mag2", "mag1", "mag1", "mag2"]
+    assert sent[1].field_body_nt == (6800.0, 100.0, -200.0)
+    assert [(one.part, one.kept) for one in recording.report.entries] == [("mag2", True)]
+    other = read_recording(path, source="mag2")
+    assert (other.source, other.others, other.descriptor.magnetometer.noise_nt) == ("mag2", ("mag1",), 7.0)
+    assert other.field_body_nt.tolist() == [[6800.0, 100.0, -200.0]] * 2
+    with pytest.raises(RecordingError, match="source: 'mag3' is refused; did you mean 'mag"):
+        read_recording(path, source="mag3")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        ('source = "mag1"\n', "", "magnetometer.source"),
+        ('source = "mag1"', 'source = "mag2"', "magnetometer.source"),
+        ('source = "mag1"', 'source = "magcal"', "magnetometer.source"),
+        ('["x", "y", "z"]', '["mx", "y", "z"]', "beside.columns"),
+    ],
+)
+def test_further_magnetometers_are_refused_by_what_is_wrong(
+    tmp_path: Path, before: str, after: str, fault: str
+) -> None:
+    path = write_log(tmp_path, descriptor(magnetometer=TWO.replace(before, after)))
+    with pytest.raises(RecordingError, match=fault):
+        read_recording(path)

@@ -34,9 +34,9 @@ class Sensor:
         self.witness, self.noise_nt, self._rng = Witness(), noise_nt, np.random.default_rng(seed)
 
     def second(self, k: int, seen_nt: float, phase: Phase = Phase.RUNNING) -> None:
-        field, magnitude = np.array([[2e4, 1e4, 3e4]]), np.array([4e4])
+        residual, field = np.array([seen_nt + self.noise_nt * self._rng.standard_normal()]), np.array([[2e4, 1e4, 3e4]])
+        magnitude = np.linalg.norm(field, axis=1) - residual
         tick = Tick(k, np.array([float(k)]), field, magnitude, time_ns=k * 10**9, clock=Clock.UTC)
-        residual = np.array([seen_nt + self.noise_nt * self._rng.standard_normal()])
         self.witness.push(tick, TickOutcome(phase, residual, 1), estimate(self.noise_nt))
 
 
@@ -102,12 +102,23 @@ def test_it_lasts_until_the_residual_has_agreed_for_a_whole_window() -> None:
     for k in range(300):
         first.second(k, 0.0)
         starting = 110 <= k < 160  # the filter has found itself contradicted and collects a new start
-        second.second(k, 800.0 * (80 <= k < 110), Phase.STARTING if starting else Phase.RUNNING)
+        second.second(k, 800.0 * (80 <= k < 160), Phase.STARTING if starting else Phase.RUNNING)
         second.witness.judge([first.witness])
         local.append(second.witness.local)
     assert local.index(True) in range(85, 100)
     assert all(local[100:189])
     assert not any(local[195:])
+
+
+def test_an_estimate_that_the_filter_has_given_up_is_held_against_what_follows() -> None:
+    """A magnet may contradict the filter before ten ticks have passed."""
+    first, second = Sensor(100.0, 1), Sensor(100.0, 2)
+    for k in range(100):
+        first.second(k, 0.0)
+        second.second(k, 450.0 * (k >= 60), Phase.STARTING if k >= 66 else Phase.RUNNING)
+        second.witness.judge([first.witness])
+        assert not (second.witness.local and k < 66)
+    assert second.witness.local
 
 
 def test_white_noise_is_never_loud() -> None:
