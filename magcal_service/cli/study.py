@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from magcal_service.cli.common import DONE, Parser, add_executor, executor_of, methods_text
+from magcal_service.errors import ConfigError, Fault
 
 
 def add_study(parser: Parser) -> None:
@@ -22,6 +23,10 @@ def add_study(parser: Parser) -> None:
     parser.add_argument("--methods", default="", metavar="A,B", help="of those below (default: the study's own)")
     parser.more = methods_text
     parser.add_argument("--duration-s", type=int, metavar="S", help="length of a flight (default: the study's own)")
+    parser.add_argument("--scenarios", default="", metavar="A,B", help="of integrity, only these (default: all)")
+    parser.add_argument(
+        "--noises", default="", metavar="NT,NT", help="of integrity, per axis (default: the study's own)"
+    )
     folders = (
         "of recordings' descriptors, for reality (default: ../shared/data; to one alone, `cases` beside it), or of "
         "concealed cases, for concealed"
@@ -31,13 +36,25 @@ def add_study(parser: Parser) -> None:
     parser.set_defaults(command=_study)
 
 
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    """Numbers with commas between; raises ConfigError for what is none."""
+    try:
+        return tuple(float(one) for one in text.split(",") if one)
+    except ValueError:
+        raise ConfigError([Fault(option, text, "numbers with commas between are accepted, such as 100,300")]) from None
+
+
 def _study(options: argparse.Namespace) -> int:
     from magcal_service.studies import run_study, save
     from magcal_service.studies.study import Request
 
     methods = tuple(name for name in options.methods.split(",") if name)
     folders = tuple(options.recordings)
-    request = Request(options.runs, options.seed, executor_of(options), methods, options.duration_s, folders)
+    scenarios = tuple(name for name in options.scenarios.split(",") if name)
+    noises = _numbers("--noises", options.noises)
+    request = Request(
+        options.runs, options.seed, executor_of(options), methods, options.duration_s, folders, scenarios, noises
+    )
     report = run_study(options.name, request)
     print(report.markdown(), end="")
     save(report, options.json, options.out)

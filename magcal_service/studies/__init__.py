@@ -26,6 +26,9 @@ MOST_RUNS = 1_000_000
 SHORTEST_S, LONGEST_S = 300, 1_000_000
 """Flights [s]: a start takes minutes; eleven days are beyond what the orbits without drag are true for."""
 
+LEAST_NOISE_NT, MOST_NOISE_NT = 1.0, 5000.0
+"""Noise per axis [nT]: finer than any sensor on a small craft, and a tenth of the field."""
+
 
 @cache
 def studies() -> tuple[Study, ...]:
@@ -55,6 +58,13 @@ def run_study(name: str, request: Request) -> Report:
         find_method(method)
     if request.runs is not None and not 2 <= request.runs <= MOST_RUNS:
         raise ConfigError([Fault("--runs", request.runs, f"2 to {MOST_RUNS} runs are accepted: one has no scatter")])
+    for scenario in request.scenarios:
+        if scenario not in study.scenarios:
+            raise ConfigError([Fault("--scenarios", scenario, nearest(scenario, study.scenarios))])
+    for noise in request.noises_nt:
+        if not LEAST_NOISE_NT <= noise <= MOST_NOISE_NT:
+            accepted = f"{LEAST_NOISE_NT:g} to {MOST_NOISE_NT:g} nT are accepted"
+            raise ConfigError([Fault("--noises", noise, accepted)])
     if request.seed < 0:
         raise ConfigError([Fault("--seed", request.seed, "a whole number from 0 on is accepted")])
     if request.duration_s is not None and not SHORTEST_S <= request.duration_s <= LONGEST_S:
@@ -70,12 +80,21 @@ def run_study(name: str, request: Request) -> Report:
 
 def _refuse_strange(study: Study, request: Request) -> None:
     """Raise ``ConfigError`` for every argument that this kind of study has no use for."""
-    faults = []
+    faults: list[Fault] = []
+    few = {
+        "--scenarios": ",".join(request.scenarios) or None,
+        "--noises": ",".join(f"{noise:g}" for noise in request.noises_nt) or None,
+    }
+    if not study.takes_recordings and not study.scenarios:
+        takers = ", ".join(one.name for one in studies() if one.scenarios)
+        accepted = f"the study {study.name} has no scenarios; leave it out, or take one that has: {takers}"
+        faults = [Fault(option, value, accepted) for option, value in few.items() if value is not None]
     if study.takes_recordings:
         given = {
             "--runs": request.runs,
             "--methods": ",".join(request.methods) or None,
             "--duration-s": request.duration_s,
+            **few,
         }
         accepted = f"the study {study.name} takes recordings and draws no flights; leave it out"
         faults = [Fault(option, value, accepted) for option, value in given.items() if value is not None]
@@ -84,7 +103,7 @@ def _refuse_strange(study: Study, request: Request) -> None:
         accepted = (
             f"the study {study.name} draws its flights itself; leave it out, or take a study of recordings: {takers}"
         )
-        faults = [Fault("--recordings", " ".join(map(str, request.recordings)), accepted)]
+        faults.append(Fault("--recordings", " ".join(map(str, request.recordings)), accepted))
     if faults:
         raise ConfigError(faults)
 
@@ -115,4 +134,8 @@ def _command(study: Study, request: Request) -> str:
         parts += ["--methods", ",".join(request.methods)]
     if request.duration_s is not None:
         parts += ["--duration-s", str(request.duration_s)]
+    if request.scenarios:
+        parts += ["--scenarios", ",".join(request.scenarios)]
+    if request.noises_nt:
+        parts += ["--noises", ",".join(f"{noise:g}" for noise in request.noises_nt)]
     return " ".join(parts)

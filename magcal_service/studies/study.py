@@ -22,6 +22,7 @@ class Request:
     methods: names of the estimators to compare, where the study compares any; empty: its default.
     duration_s: length of a flight [s]; None: the study's default.  Shorter ones give a quick result.
     recordings: folders with descriptors, for a study of recordings; empty: its default.
+    scenarios, noises_nt: which of its scenarios and noises [nT], for a study that has some; empty: all.
     """
 
     runs: int | None
@@ -30,6 +31,8 @@ class Request:
     methods: tuple[str, ...] = ()
     duration_s: int | None = None
     recordings: tuple[Path, ...] = ()
+    scenarios: tuple[str, ...] = ()
+    noises_nt: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +44,14 @@ class Study:
     name, summary: what it is called, and one line about it.
     runs: its usual number of Monte-Carlo runs; 0: it draws none, but takes recordings.
     run: how it is done.
+    scenarios: names of the scenarios it can be asked for; empty where it has none.
     """
 
     name: str
     summary: str
     runs: int
     run: Callable[[Request], Findings]
+    scenarios: tuple[str, ...] = ()
 
     @property
     def takes_recordings(self) -> bool:

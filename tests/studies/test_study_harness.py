@@ -210,7 +210,9 @@ def test_a_file_that_cannot_be_written_is_refused_by_name(tmp_path) -> None:
 
 def test_every_study_of_the_contract_is_found() -> None:
     names = {study.name for study in studies()}
-    assert names == {"concealed", "table2", "convergence", "noise", "window", "step", "spin-rates", "reality"}
+    assert names == {
+        "concealed", "table2", "convergence", "integrity", "noise", "window", "step", "spin-rates", "reality",
+    }  # fmt: skip
 
 
 def test_an_unknown_study_is_refused_with_the_nearest() -> None:
@@ -225,6 +227,8 @@ def test_an_unknown_study_is_refused_with_the_nearest() -> None:
         (Request(5, -1, HERE), "--seed"),
         (Request(5, 1, HERE, duration_s=10), "--duration-s"),
         (Request(5, 1, HERE, ("ufk",)), "method"),
+        (Request(5, 1, HERE, scenarios=("clean",)), "--scenarios"),
+        (Request(5, 1, HERE, noises_nt=(100.0,)), "take one that has: integrity"),
     ],
 )
 def test_a_request_that_means_nothing_is_refused_before_it_runs(request_: Request, field: str) -> None:

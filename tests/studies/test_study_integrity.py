@@ -14,7 +14,7 @@ from magcal_service.studies.unseen import scenarios
 from magcal_service.studies.unseen.flight import Heard, Sent, begin
 from magcal_service.studies.unseen.motion import SPIN_RPM, Motion
 from magcal_service.studies.unseen.scenarios import SCENARIOS, Group
-from magcal_service.studies.unseen.score import EDGES_NT, scored
+from magcal_service.studies.unseen.score import EDGES_NT, Asked, scored
 from tests.many.here import HERE
 
 pytest.importorskip("ppigrf")
@@ -24,6 +24,10 @@ SHORT_S = 120
 
 def sent(motion: Motion = Motion.SPIN) -> Sent:
     return begin(motion, 10.0, SHORT_S, np.random.SeedSequence(3))
+
+
+def asked(scenario: str, noise_nt: float) -> Asked:
+    return Asked(scenario, "spin", noise_nt, 10, (1,))
 
 
 def heard(**changes: object) -> Heard:
@@ -79,6 +83,26 @@ def test_a_clean_flight_has_no_alarm_and_a_pause_counts_for_five_seconds() -> No
     assert found.heard_s == 9 + 5
 
 
+def test_rates_are_of_the_time_with_a_protection_level_and_a_flight_counts_once() -> None:
+    """Two flights misled for 3 s each, of 6 s trusted; a third has no level: 2 events of 12 s; 6.2958 at 95 %."""
+    bare = scored(heard(protection_nt=np.full(10, np.nan)), since_s=5.0)
+    made = [(asked("step_200", 20.0), scored(heard(), since_s=5.0))] * 2 + [(asked("step_200", 100.0), bare)]
+    figures = integrity._figures(made, 3)
+    assert figures["trusted [s]"] == 18.0
+    assert figures["trusted with a protection level [s]"] == 12.0
+    assert figures["flights that misled, per second of that time"] == 2 / 12
+    assert figures["the same, at most (95%)"] == pytest.approx(6.2958 / 12, abs=1e-4)
+
+
+def test_a_warning_is_told_by_noise_with_how_many_came() -> None:
+    late = scored(heard(time_s=60.0 * np.arange(10.0)), since_s=0.0)
+    never = scored(heard(doubtful=np.zeros(10, dtype=bool)), since_s=0.0)
+    made = [(asked("step_200", 20.0), late), (asked("step_200", 20.0), never), (asked("step_200", 100.0), never)]
+    table = integrity.warnings([*made, (asked("clean", 20.0), never)])
+    assert table.columns[2:] == ("20 nT of noise", "100 nT of noise")
+    assert [row[2:] for row in table.rows] == [("8 in 1 of 2", "not, of 1")]
+
+
 @pytest.mark.parametrize(("events", "limit"), [(0, 2.9957), (1, 4.7439), (5, 10.5130)])
 def test_the_upper_limit_is_that_of_a_poisson_law(events: int, limit: float) -> None:
     """Half of the quantile of chi square with 2 (k + 1) degrees of freedom: tables, e.g. PDG 2022, table 40.3."""
@@ -116,12 +140,11 @@ def test_a_scenario_changes_what_is_sent(name: str) -> None:
 
 
 def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {name: SCENARIOS[name] for name in ("clean", "scaled_5")}
-    monkeypatch.setattr(integrity, "SCENARIOS", few)
-    monkeypatch.setattr(integrity, "NOISES_NT", (100.0,))
+    few = ("clean", "scaled_5")
     monkeypatch.setattr(integrity, "Motion", (Motion.SPIN,))
-    findings = integrity.run(Request(2, 1, HERE, duration_s=400))
+    findings = integrity.run(Request(2, 1, HERE, duration_s=400, scenarios=few, noises_nt=(100.0,)))
     assert findings.figures["flights"] == 4
+    assert [row[0] for row in findings.tables[1].rows] == list(few)
     parts = {row[0]: row[1] for row in findings.tables[0].rows}
     assert parts == {"clean": 2, "all that can be seen": 2, "what nothing can show": 2}
     assert {scenarios.SCENARIOS[name].group for name in few} == {Group.CLEAN, Group.REFERENCE}

@@ -52,7 +52,7 @@ class Fared:
     misled_s: trusted, and the error beyond protection and ``COVERED_SIGMA``; of what has a protection level.
     worst_nt: largest error while trusted, worst_beyond_nt: by how much it was beyond protection and sigma, at the most.
     trusted_at_s: first trusted; NaN where never.  ``bound_nt``: 3 sigma of the worst bias axis after 1.5 orbits.
-    alarm_s: from the hazard's beginning to the first doubt that follows trust, or to none; NaN where none came.
+    alarm_s: from the hazard's beginning to the first doubt; NaN where none came.
     near_ratio: protection over the error just before the alarm, by the median; NaN where nothing is known.
     diagram: trusted seconds by class of error (rows) and of protection (columns), both of ``EDGES_NT``.
     reasons: of doubts, most frequent first.
