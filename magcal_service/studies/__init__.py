@@ -56,8 +56,10 @@ def run_study(name: str, request: Request) -> Report:
     _refuse_strange(study, request)
     for method in request.methods:
         find_method(method)
-    if request.runs is not None and not 2 <= request.runs <= MOST_RUNS:
-        raise ConfigError([Fault("--runs", request.runs, f"2 to {MOST_RUNS} runs are accepted: one has no scatter")])
+    least = 1 if study.scenarios else 2
+    if request.runs is not None and not least <= request.runs <= MOST_RUNS:
+        why = "" if study.scenarios else ": one has no scatter"
+        raise ConfigError([Fault("--runs", request.runs, f"{least} to {MOST_RUNS} runs are accepted{why}")])
     for scenario in request.scenarios:
         if scenario not in study.scenarios:
             raise ConfigError([Fault("--scenarios", scenario, nearest(scenario, study.scenarios))])

@@ -31,6 +31,9 @@ from magcal_service.studies.unseen.score import (
 NOISES_NT: Final = (20.0, 100.0, 300.0, 1000.0)
 """Noise per axis [nT]: a good magnetoresistive part to a phone's."""
 
+MOTIONS: Final = tuple(Motion)
+"""How the craft turn."""
+
 DURATION_S: Final = 9000
 """Length of a flight [s]: one and a half orbits, after which a clean one should be trusted."""
 
@@ -52,7 +55,8 @@ def run(request: Request) -> Findings:
         )
         for name in request.scenarios or SCENARIOS
         for noise in noises
-        for index, motion in enumerate(Motion)
+        for index, motion in enumerate(MOTIONS)
+        if motion is Motion.SPIN or not SCENARIOS[name].spinning
         for number in range(request.runs or STUDY.runs)
     ]
     pieces = [Piece(f"{one.scenario}, {one.motion}, {one.noise_nt:g} nT", fly, one) for one in asked]
@@ -71,7 +75,7 @@ def run(request: Request) -> Findings:
         settings={
             "scenarios": len(request.scenarios or SCENARIOS),
             "noises [nT]": ", ".join(f"{noise:g}" for noise in noises),
-            "motions": ", ".join(Motion),
+            "motions": ", ".join(MOTIONS),
             "flight [s]": duration_s,
         },
         notes=_NOTES,
@@ -187,7 +191,7 @@ def _warned(fared: Sequence[Fared]) -> str | None:
 
 def _settings(flights: Sequence[Flight]) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for motion in Motion:
+    for motion in MOTIONS:
         for noise in _noises(flights):
             own = [one for one in observable(flights) if (one[0].motion, one[0].noise_nt) == (str(motion), noise)]
             clean = [fared for asked, fared in own if asked.scenario == "clean"]
@@ -266,7 +270,7 @@ def _panels(flights: Sequence[Flight]) -> tuple[Panel, ...]:
     """Error over protection while trusted (a Stanford diagram by its quantiles), for each motion."""
     return tuple(
         _diagram(motion, [fared for asked, fared in observable(flights) if asked.motion == str(motion)])
-        for motion in Motion
+        for motion in MOTIONS
     )
 
 

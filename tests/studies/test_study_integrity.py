@@ -135,13 +135,21 @@ def test_a_scenario_changes_what_is_sent(name: str) -> None:
     assert np.array_equal(clean.x, spoiled.x)
     arrays = ("disturbance_nt", "gain", "noise", "reference_nt", "reference_sent", "sample_sent", "sample_ns")
     changed = any(not np.array_equal(getattr(clean, one), getattr(spoiled, one)) for one in arrays)
-    changed |= bool(spoiled.post) or spoiled.config != clean.config
+    changed |= bool(spoiled.post) or spoiled.step_nt > 0.0 or spoiled.config != clean.config
     assert changed == (name != "clean")
+
+
+def test_a_warmth_follows_light_by_twenty_minutes() -> None:
+    """From 0.6 in light, a third of the way to 1 is gone after 487 s: 1200 s times the logarithm of 3 / 2."""
+    flight = begin(Motion.TUMBLE, 10.0, 600, np.random.SeedSequence(3))
+    SCENARIOS["heat_1000"].spoil(flight)
+    warm = np.linalg.norm(flight.disturbance_nt, axis=1) / np.linalg.norm([0.6, -0.48, 0.64])
+    assert warm[[0, 486]] == pytest.approx([600.0, 733.4], abs=0.5)
 
 
 def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPatch) -> None:
     few = ("clean", "scaled_5")
-    monkeypatch.setattr(integrity, "Motion", (Motion.SPIN,))
+    monkeypatch.setattr(integrity, "MOTIONS", (Motion.SPIN,))
     findings = integrity.run(Request(2, 1, HERE, duration_s=400, scenarios=few, noises_nt=(100.0,)))
     assert findings.figures["flights"] == 4
     assert [row[0] for row in findings.tables[1].rows] == list(few)

@@ -40,6 +40,7 @@ class Sent:
     sample_sent: (n,) whether a sample is sent.
     sample_ns: (n,) what its time is off by [ns].
     config: the craft's configuration.
+    step_nt: of the readings' rounding, a part of the noise; 0 where they are not rounded [nT].
     post: what the sensor makes of its readings (n, 3), after noise.
     """
 
@@ -56,6 +57,7 @@ class Sent:
     sample_sent: NDArray[np.bool_]
     sample_ns: NDArray[np.int64]
     config: CraftConfig
+    step_nt: float = 0.0
     post: list[Callable[[Array], Array]] = field(default_factory=list)
 
     @property
@@ -129,6 +131,8 @@ def hear(sent: Sent) -> Heard:
     noisefree = sent.readings(np.zeros_like(sent.noise))
     for change in sent.post:
         measured, noisefree = change(measured), change(noisefree)
+    if sent.step_nt:
+        measured = np.round(measured / sent.step_nt) * sent.step_nt
     pipeline = Pipeline(sent.config)
     rows: list[tuple[float, ...]] = []
     reasons: dict[str, int] = {}

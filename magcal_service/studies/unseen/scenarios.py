@@ -14,11 +14,21 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.studies.unseen.flight import Sent, reconfigured
+from magcal_service.studies.unseen.faults import (
+    HALF,
+    clipped,
+    clock,
+    corrupted,
+    dead,
+    held_readings,
+    other_axis,
+    spin,
+    stuck,
+    told,
+    turned_axes,
+)
+from magcal_service.studies.unseen.flight import Sent
 from magcal_service.studies.unseen.motion import field_eci_nt
-
-HALF: Final = 0.5
-"""Share of a flight after which what happens once happens: an orbit or nearly so has been trusted then."""
 
 _HOUR_S: Final = 3600.0
 _ORBIT_S: Final = 5740.0
@@ -48,6 +58,7 @@ class Scenario:
     says: what is done, in a few words.
     spoil: does it.
     since: share of the flight from which on it is there; 1 for what is clean.
+    spinning: it means something for a craft that spins only.
     unobservable: nothing that is sent could show it (docs/trust.md): it counts for no promise.
     """
 
@@ -56,6 +67,7 @@ class Scenario:
     spoil: Callable[[Sent], None]
     since: float = 0.0
     unobservable: bool = False
+    spinning: bool = False
 
 
 def _nothing(_: Sent) -> None:
@@ -71,7 +83,7 @@ def _spikes(sent: Sent) -> None:
 
 
 def _rounded(sent: Sent) -> None:
-    sent.post.append(lambda field: np.asarray(np.round(field / 50.0) * 50.0))
+    sent.step_nt = 50.0
 
 
 def _gaps(sent: Sent) -> None:
@@ -143,6 +155,12 @@ def _glitches(sent: Sent) -> None:
     sent.reference_nt[at] += 15_000.0 * _X
 
 
+def _doubled_reference(sent: Sent) -> None:
+    """Two sources of one name take turns, the other one a minute behind in place."""
+    index = np.arange(len(sent.reference_nt))
+    sent.reference_nt[:] = sent.reference_nt[np.maximum(index - 60 * (index % 2), 0)]
+
+
 def _rough_reference(sent: Sent) -> None:
     sent.reference_nt += sent.rng.normal(0.0, 100.0, sent.reference_nt.shape)
 
@@ -206,6 +224,19 @@ def _panels(size: float) -> Callable[[Sent], Array]:
     return course
 
 
+def _warmed(size: float) -> Callable[[Sent], Array]:
+    """Follows light with a time constant of 20 minutes, as a box on a cold plate does."""
+
+    def course(sent: Sent) -> Array:
+        light, warm = _in_light(1.0)(sent), np.empty(len(sent.time_s))
+        level = 0.6
+        for index, lit in enumerate(light.tolist()):
+            warm[index] = level = level + (lit - level) / 1200.0
+        return size * warm
+
+    return course
+
+
 def _cubic(sent: Sent) -> None:
     sent.post.append(lambda field: np.asarray(field * (1.0 - 4e-12 * field**2)))
 
@@ -214,66 +245,6 @@ def _sheared(sent: Sent) -> None:
     late = sent.late(HALF)[:, None] > 0.0
     shear = np.eye(3) + np.array([[0.0, 0.01, 0.0], [0.01, 0.0, 0.0], [0.0, 0.0, 0.0]])
     sent.post.append(lambda field: np.where(late, field @ shear, field))
-
-
-# Sensor and settings
-
-
-def _turned_axes(matrix: Array) -> Callable[[Sent], None]:
-    def spoil(sent: Sent) -> None:
-        late = sent.late(HALF)[:, None] > 0.0
-        sent.post.append(lambda field: np.where(late, field @ matrix.T, field))
-
-    return spoil
-
-
-def _stuck(axes: list[int]) -> Callable[[Sent], None]:
-    def spoil(sent: Sent) -> None:
-        first = int(np.argmax(sent.late(HALF) > 0.0))
-
-        def hold(field: Array) -> Array:
-            held = field.copy()
-            held[first:, axes] = field[first, axes]
-            return held
-
-        sent.post.append(hold)
-
-    return spoil
-
-
-def _clipped(sent: Sent) -> None:
-    sent.post.append(lambda field: np.asarray(np.clip(field, -25_000.0, 25_000.0)))
-
-
-def _held_readings(sent: Sent) -> None:
-    index = np.arange(len(sent.noise))
-    sent.post.append(lambda field: np.asarray(field[index - index % 4]))
-
-
-def _clock(seconds: float) -> Callable[[Sent], None]:
-    def spoil(sent: Sent) -> None:
-        sent.sample_ns += (sent.late(HALF) * seconds * 1e9).astype(np.int64)
-
-    return spoil
-
-
-def _spin(factor: float) -> Callable[[Sent], None]:
-    def spoil(sent: Sent) -> None:
-        if sent.config.spin is not None:
-            sent.config = reconfigured(sent.config, spin={"rate_rpm": factor * sent.config.spin.rate_rpm})
-
-    return spoil
-
-
-def _other_axis(sent: Sent) -> None:
-    sent.config = reconfigured(sent.config, spin={"axis": (0.05, 0.0, 0.99875)})
-
-
-def _told(factor: float) -> Callable[[Sent], None]:
-    def spoil(sent: Sent) -> None:
-        sent.config = reconfigured(sent.config, sensor={"noise_nt": factor * sent.noise_nt})
-
-    return spoil
 
 
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
@@ -297,6 +268,9 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         "above_50": Scenario(Group.REFERENCE, "50 km too high", _displaced(0.0, 50.0)),
         "rough_reference": Scenario(Group.REFERENCE, "100 nT of noise on it", _rough_reference),
         "glitches": Scenario(Group.REFERENCE, "three glitches of 15 uT", _glitches),
+        "doubled_reference": Scenario(
+            Group.REFERENCE, "every other one of where the craft was a minute before", _doubled_reference
+        ),
         "held_reference": Scenario(Group.REFERENCE, "each held for a minute", _held_reference),
         "frozen_reference": Scenario(Group.REFERENCE, "repeats from half of the flight on", _frozen_reference, HALF),
         "no_reference": Scenario(Group.REFERENCE, "none from half of the flight on", _no_reference, HALF),
@@ -311,6 +285,8 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         "drift_500": Scenario(Group.BIAS, "a drift of 500 nT/h", _field(_drift(500.0))),
         "orbit_100": Scenario(Group.BIAS, "100 nT with the orbit", _field(_wave(100.0))),
         "orbit_500": Scenario(Group.BIAS, "500 nT with the orbit", _field(_wave(500.0))),
+        "heat_300": Scenario(Group.BIAS, "300 nT of warmth that follows light by 20 min", _field(_warmed(300.0))),
+        "heat_1000": Scenario(Group.BIAS, "1000 nT of warmth that follows light by 20 min", _field(_warmed(1000.0))),
         "wave_600": Scenario(Group.BIAS, "100 nT with a period of 10 min", _field(_wave(100.0, 600.0))),
         "gain_step_01": Scenario(Group.GAIN, "a step of 0.1 % on one axis at half", _gained(_step(1e-3)), HALF),
         "gain_step_05": Scenario(Group.GAIN, "a step of 0.5 % on one axis at half", _gained(_step(5e-3)), HALF),
@@ -327,18 +303,21 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         "payload": Scenario(Group.CURRENT, "300 nT for every other minute", _field(_duty(300.0, 120.0))),
         "passes": Scenario(Group.CURRENT, "400 nT for 10 min of every 90", _field(_duty(400.0, 5400.0, 0.11))),
         "torquer": Scenario(Group.CURRENT, "5 uT for 2 s of every 30", _field(_duty(5000.0, 30.0, 2.0 / 30.0))),
-        "swapped": Scenario(Group.SENSOR, "x and y change places at half", _turned_axes(np.stack([_Y, _X, _Z])), HALF),
-        "flipped": Scenario(Group.SENSOR, "x is turned round at half", _turned_axes(np.diag([-1.0, 1.0, 1.0])), HALF),
-        "stuck": Scenario(Group.SENSOR, "one vector from half on", _stuck([0, 1, 2]), HALF),
-        "stuck_axis": Scenario(Group.SENSOR, "z stays from half on", _stuck([2]), HALF),
-        "clipped": Scenario(Group.SENSOR, "nothing beyond 25 uT", _clipped),
-        "held_readings": Scenario(Group.SENSOR, "each reading four times", _held_readings),
-        "clock_jump": Scenario(Group.SENSOR, "sample times 40 s ahead from half on", _clock(40.0), HALF),
-        "wrong_sense": Scenario(Group.SETTINGS, "the spin's sense is stated wrongly", _spin(-1.0)),
-        "wrong_rate": Scenario(Group.SETTINGS, "the spin's rate is stated 5 % too high", _spin(1.05)),
-        "wrong_axis": Scenario(Group.SETTINGS, "the spin's axis is stated 3 deg off", _other_axis),
-        "noise_third": Scenario(Group.SETTINGS, "noise_nt is a third of the noise", _told(1.0 / 3.0)),
-        "noise_thrice": Scenario(Group.SETTINGS, "noise_nt is three times the noise", _told(3.0)),
+        "swapped": Scenario(Group.SENSOR, "x and y change places at half", turned_axes(np.stack([_Y, _X, _Z])), HALF),
+        "flipped": Scenario(Group.SENSOR, "x is turned round at half", turned_axes(np.diag([-1.0, 1.0, 1.0])), HALF),
+        "stuck": Scenario(Group.SENSOR, "one vector from half on", stuck([0, 1, 2]), HALF),
+        "stuck_axis": Scenario(Group.SENSOR, "z stays from half on", stuck([2]), HALF),
+        "dead_axis": Scenario(Group.SENSOR, "z reads 0 from half on", dead, HALF),
+        "corrupted": Scenario(Group.SENSOR, "one reading in ten points anywhere", corrupted),
+        "clipped": Scenario(Group.SENSOR, "nothing beyond 25 uT", clipped),
+        "held_readings": Scenario(Group.SENSOR, "each reading four times", held_readings),
+        "clock_ahead": Scenario(Group.SENSOR, "sample times 40 s ahead from half on", clock(40.0), HALF),
+        "clock_back": Scenario(Group.SENSOR, "sample times 40 s behind from half on", clock(-40.0), HALF),
+        "wrong_sense": Scenario(Group.SETTINGS, "the spin's sense is stated wrongly", spin(-1.0), spinning=True),
+        "wrong_rate": Scenario(Group.SETTINGS, "the spin's rate is stated 5 % too high", spin(1.05), spinning=True),
+        "wrong_axis": Scenario(Group.SETTINGS, "the spin's axis is stated 3 deg off", other_axis, spinning=True),
+        "noise_third": Scenario(Group.SETTINGS, "noise_nt is a third of the noise", told(1.0 / 3.0)),
+        "noise_thrice": Scenario(Group.SETTINGS, "noise_nt is three times the noise", told(3.0)),
     }
 )
 """Every scenario, by name."""
