@@ -39,7 +39,7 @@ def heard(**changes: object) -> Heard:
         sigma_nt=np.full(10, 4.0),
         protection_nt=np.full(10, 30.0),
         trusted=(time_s >= 2.0) & (time_s < 8.0),
-        doubtful=time_s >= 8.0,
+        doubt_s=np.array([8.0, 9.0]),
         bias_sigma_nt=np.full(10, 5.0),
         reasons={"drifting_residual": 1, "model_doubtful": 5},
     )
@@ -95,8 +95,8 @@ def test_rates_are_of_the_time_with_a_protection_level_and_a_flight_counts_once(
 
 
 def test_a_warning_is_told_by_noise_with_how_many_came() -> None:
-    late = scored(heard(time_s=60.0 * np.arange(10.0)), since_s=0.0)
-    never = scored(heard(doubtful=np.zeros(10, dtype=bool)), since_s=0.0)
+    late = scored(heard(doubt_s=np.array([480.0])), since_s=0.0)
+    never = scored(heard(doubt_s=np.zeros(0)), since_s=0.0)
     made = [(asked("step_200", 20.0), late), (asked("step_200", 20.0), never), (asked("step_200", 100.0), never)]
     table = integrity.warnings([*made, (asked("clean", 20.0), never)])
     assert table.columns[2:] == ("20 nT of noise", "100 nT of noise")

@@ -85,8 +85,9 @@ class Heard:
     error_nt: length of the vector's error, but for the sample's own noise [nT].
     sigma_nt: 1 sigma of that by the estimate's covariance, along the error [nT].
     protection_nt: as published; NaN where none was.
-    trusted, doubtful: whether the verdict was that.
+    trusted: whether the verdict was that.
     bias_sigma_nt: largest 1 sigma of the bias [nT].
+    doubt_s: (k,) times at which a vector or an estimate was doubtful: a sensor that is stuck has no vectors.
     reasons: distinct reasons that were given while doubtful, by how many estimates.
     """
 
@@ -95,8 +96,8 @@ class Heard:
     sigma_nt: Array
     protection_nt: Array
     trusted: NDArray[np.bool_]
-    doubtful: NDArray[np.bool_]
     bias_sigma_nt: Array
+    doubt_s: Array
     reasons: dict[str, int]
 
 
@@ -135,6 +136,7 @@ def hear(sent: Sent) -> Heard:
         measured = np.round(measured / sent.step_nt) * sent.step_nt
     pipeline = Pipeline(sent.config)
     rows: list[tuple[float, ...]] = []
+    doubts: list[float] = []
     reasons: dict[str, int] = {}
     latest: Estimate | None = None
     for index, time_ns in enumerate(sent.track.time_ns.tolist()):
@@ -144,6 +146,8 @@ def hear(sent: Sent) -> Heard:
             continue
         sample = _sample(index, time_ns + int(sent.sample_ns[index]), measured[index])
         for message in pipeline.handle(sample):
+            if isinstance(message, CalibratedVector | Estimate) and message.verdict is Verdict.DOUBTFUL:
+                doubts.append(float(sent.time_s[index]))
             if isinstance(message, CalibratedVector):
                 rows.append(_row(sent, index, message, latest, measured[index] - noisefree[index], noisefree[index]))
             elif isinstance(message, Estimate):
@@ -151,16 +155,16 @@ def hear(sent: Sent) -> Heard:
                 if message.verdict is Verdict.DOUBTFUL:
                     for reason in message.reasons:
                         reasons[reason] = reasons.get(reason, 0) + 1
-    return _heard(rows, reasons)
+    return _heard(rows, doubts, reasons)
 
 
 def _row(
     sent: Sent, index: int, vector: CalibratedVector, estimate: Estimate | None, noise: Array, noisefree: Array
 ) -> tuple[float, ...]:
-    time_s, verdict = float(sent.time_s[index]), vector.verdict
-    flags = (float(verdict is Verdict.TRUSTED), float(verdict is Verdict.DOUBTFUL))
+    time_s = float(sent.time_s[index])
+    trusted = float(vector.verdict is Verdict.TRUSTED)
     if estimate is None:
-        return (time_s, np.nan, np.nan, np.nan, *flags, np.nan)
+        return (time_s, np.nan, np.nan, np.nan, trusted, np.nan)
     gain = np.eye(3) + d_matrix(np.array([0.0, 0.0, 0.0, *estimate.D]))
     error = np.array(vector.field_body_nt) - gain @ noise - sent.field_nt[index]
     size = float(np.linalg.norm(error))
@@ -169,7 +173,7 @@ def _row(
     sigma = float(np.sqrt(max(along @ covariance @ along, 0.0)))
     published = getattr(vector, "protection_nt", None)
     bias = float(np.sqrt(np.diagonal(covariance)[:3].max()))
-    return (time_s, size, sigma, np.nan if published is None else published, *flags, bias)
+    return (time_s, size, sigma, np.nan if published is None else published, trusted, bias)
 
 
 def _matrix(upper: tuple[float, ...]) -> Array:
@@ -182,10 +186,10 @@ def _matrix(upper: tuple[float, ...]) -> Array:
 _UPPER: Final = np.triu_indices(STATE_SIZE)
 
 
-def _heard(rows: list[tuple[float, ...]], reasons: dict[str, int]) -> Heard:
-    table = np.array(rows).reshape(-1, 7)
-    time_s, error, sigma, protection, trusted, doubtful, bias = table.T
-    return Heard(time_s, error, sigma, protection, trusted > 0.5, doubtful > 0.5, bias, reasons)
+def _heard(rows: list[tuple[float, ...]], doubts: list[float], reasons: dict[str, int]) -> Heard:
+    table = np.array(rows).reshape(-1, 6)
+    time_s, error, sigma, protection, trusted, bias = table.T
+    return Heard(time_s, error, sigma, protection, trusted > 0.5, bias, np.array(doubts), reasons)
 
 
 def _reference(index: int, time_ns: int, field_nt: Array) -> ReferenceSample:

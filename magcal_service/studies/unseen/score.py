@@ -117,8 +117,8 @@ def _alarm(heard: Heard, since_s: float) -> float:
     """Time of the first doubt from ``since_s`` on [s]; NaN where none came."""
     if math.isinf(since_s):
         return math.nan
-    found = np.flatnonzero(heard.doubtful & (heard.time_s >= since_s))
-    return float(heard.time_s[found[0]]) if len(found) else math.nan
+    later = heard.doubt_s[heard.doubt_s >= since_s]
+    return float(later.min()) if len(later) else math.nan
 
 
 def _near(heard: Heard, alarm_s: float) -> float:
