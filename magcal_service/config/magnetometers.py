@@ -16,7 +16,7 @@ from magcal_service.wire.messages import Message
 MAGNETOMETERS: Final = "magnetometers"
 """Counter of a status: how many magnetometers of the craft have one, where there are several."""
 
-_SENSOR = ("noise_nt", "range_nt", "axis_stuck_s")
+_SENSOR = ("noise_nt", "range_nt", "axis_stuck_s", "stuck_samples")
 _FILTER = ("prior_bias_nt", "prior_D", "process_noise_bias_nt", "process_noise_D")
 
 

@@ -30,11 +30,21 @@ def load_config(path: Path, methods: Collection[str] = ()) -> Config:
     return read_config(open_toml(path, ConfigError), methods)
 
 
+def _list_sensors(top: Table) -> None:
+    """``[[craft.sensor]]``, each with its source, are the craft's magnetometers; ``[craft.sensor]`` what they share."""
+    crafts = top.content.get("craft")
+    for craft in crafts if isinstance(crafts, list) else ():
+        listed = craft.get("sensor") if isinstance(craft, dict) else None
+        if isinstance(listed, list) and "magnetometer" not in craft:
+            craft["magnetometer"] = craft.pop("sensor")
+
+
 def read_config(top: Table, methods: Collection[str] = ()) -> Config:
     """Build a ``Config`` from a parsed file; parameters and errors as for ``load_config``."""
     version = top.number("version", required=True)
     if version not in (None, VERSION):
         top.refuse("version", version, f"{VERSION} is accepted")
+    _list_sensors(top)
     config = read_record(top, Config, context={"methods": methods, "names": set()})
     if top.faults:
         raise ConfigError(top.faults)

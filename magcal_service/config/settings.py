@@ -20,6 +20,7 @@ from magcal_service.typed_toml.keys import (
     number,
     numbers,
     optional_numbers,
+    optional_whole,
     section,
     special,
     text,
@@ -283,7 +284,7 @@ class MagnetometerConfig:
     Parameters
     ----------
     source: the source of its samples.
-    noise_nt, range_nt, axis_stuck_s: as in ``SensorConfig``.
+    noise_nt, range_nt, axis_stuck_s, stuck_samples: as in ``SensorConfig``.
     prior_bias_nt, prior_D, process_noise_bias_nt, process_noise_D: as in ``FilterConfig``.
     spin: in this sensor's own axes; None: the craft's where it is the first that is listed, else none.
     physics: compensated live for this one; None: the craft's where it is the first that is listed, else none.
@@ -293,6 +294,7 @@ class MagnetometerConfig:
     noise_nt: float | None = number(None, 0.01, 100_000.0, unit="nT")
     range_nt: float | None = number(None, 1000.0, 1e6, unit="nT")
     axis_stuck_s: float | None = number(None, 5.0, 86_400.0, unit="s")
+    stuck_samples: int | None = optional_whole(3, 100_000, unit="samples")
     prior_bias_nt: float | None = number(None, 1.0, 200_000.0, unit="nT")
     prior_D: float | None = number(None, 1e-4, 1.0)
     process_noise_bias_nt: Vector | None = optional_numbers(3, 0.0, 1000.0, unit="nT/sqrt(s)")
@@ -337,7 +339,7 @@ class CraftConfig:
     ticks: TickConfig = defaulted_section(TickConfig)
     trust: TrustConfig = defaulted_section(TrustConfig)
     physics: PhysicsConfig | None = special(physics_setting, None)
-    max_sources: int = whole(4, 1, MOST_SOURCES, unit="sources")
+    max_sources: int = whole(8, 1, MOST_SOURCES, unit="sources")
     magnetometers: tuple[MagnetometerConfig, ...] = special(_magnetometers, (), name="magnetometer")
     hears: str = ""
     source: str = ""

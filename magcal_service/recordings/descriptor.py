@@ -47,6 +47,7 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
     top.integer("version", _VERSION, minimum=_VERSION, maximum=_VERSION)
     if not top.has("version"):
         top.refuse("version", "missing", f"required: version = {_VERSION}")
+    _list_magnetometers(top)
     section = top.table("samples", required=True) or Table({}, top.file, "samples", [])
     samples = read_record(section, SamplesSpec)
     given: dict[str, Any] = {
@@ -63,6 +64,15 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
     if top.faults:
         raise RecordingError(top.faults)
     return descriptor
+
+
+def _list_magnetometers(top: Table) -> None:
+    """``[[magnetometer]]`` as the first of them and those ``beside`` it."""
+    if top.has("beside"):
+        top.refuse("beside", "given", "each magnetometer is a table [[magnetometer]] with its source")
+    listed = top.content.get("magnetometer")
+    if isinstance(listed, list) and listed and all(isinstance(one, dict) for one in listed):
+        top.content = {**top.content, "magnetometer": listed[0], "beside": listed[1:]}
 
 
 def _of_session(top: Table) -> dict[str, Any]:
@@ -84,13 +94,14 @@ def _of_session(top: Table) -> dict[str, Any]:
 def _check_columns(top: Table, descriptor: Descriptor) -> None:
     """No axis is there twice, and a sensor is not its own reference: a fit of that is perfect and means nothing."""
     measured: list[str] = []
-    for key, one in (("magnetometer", descriptor.magnetometer), *(("beside", one) for one in descriptor.beside)):
+    for number, one in enumerate((descriptor.magnetometer, *descriptor.beside)):
+        key = f"magnetometer[{number}]" if descriptor.beside else "magnetometer"
         if len(set(one.columns)) != len(one.columns) or set(one.columns) & set(measured):
             accepted = "three different columns are accepted, the sensor's x, y and z, and none of another sensor's"
             top.faults.append(Fault(f"{top.file}: {key}.columns", list(one.columns), accepted))
         measured += one.columns
     if descriptor.beside and len(set(descriptor.sources)) != 1 + len(descriptor.beside):
-        accepted = "each of several magnetometers needs a source of its own, [magnetometer] too"
+        accepted = "each of several magnetometers needs a source of its own"
         top.faults.append(Fault(f"{top.file}: magnetometer.source", list(descriptor.sources), accepted))
     reference = descriptor.reference
     if isinstance(reference, VectorReference):

@@ -132,7 +132,7 @@ def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
     """Every column the descriptor names, by the key that names it."""
     named: dict[str, tuple[str, ...]] = {"time.column": (descriptor.time.column,)} if descriptor.time.column else {}
     named["magnetometer.columns"] = descriptor.magnetometer.columns
-    named |= {f"beside.columns of {one.source}": one.columns for one in descriptor.beside}
+    named |= {f"magnetometer.columns of {one.source}": one.columns for one in descriptor.beside}
     if isinstance(descriptor.reference, VectorReference):
         named["reference.columns"] = descriptor.reference.columns
     if isinstance(descriptor.reference, MagnitudeReference):

@@ -23,6 +23,7 @@ __all__ = [
     "numbers",
     "optional_choice",
     "optional_numbers",
+    "optional_whole",
     "section",
     "sections",
     "special",
@@ -85,6 +86,16 @@ def whole(default: int, minimum: int, maximum: int, **options: Unpack[Options]) 
         return reading.table.integer(name, default, minimum=minimum, maximum=maximum)
 
     return _declare(read, default, Limits(minimum, maximum), options)
+
+
+def optional_whole(minimum: int, maximum: int, **options: Unpack[Options]) -> Any:
+    """A whole number within [minimum, maximum]; None where the key is absent."""
+
+    def read(reading: Reading, name: str) -> int | None:
+        table = reading.table
+        return table.integer(name, minimum, minimum=minimum, maximum=maximum) if table.has(name) else None
+
+    return _declare(read, None, Limits(minimum, maximum), options)
 
 
 def flag(default: bool, **options: Unpack[Options]) -> Any:

@@ -88,6 +88,7 @@ source = "mag2"
 noise_nt = 50.0
 range_nt = 90000.0
 axis_stuck_s = 80.0
+stuck_samples = 12
 prior_bias_nt = 4000.0
 prior_D = 0.3
 process_noise_bias_nt = [0.4, 0.5, 0.6]
@@ -164,8 +165,8 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                 max_sources=3,
                 magnetometers=(
                     MagnetometerConfig(
-                        "mag2", 50.0, 90000.0, 80.0, 4000.0, 0.3, (0.4, 0.5, 0.6), (6e-6, 5e-6, 4e-6, 3e-6, 2e-6, 1e-6),
-                        SpinConfig((1.0, 0.0, 0.0), 7.0),
+                        "mag2", 50.0, 90000.0, 80.0, 12, 4000.0, 0.3,
+                        (0.4, 0.5, 0.6), (6e-6, 5e-6, 4e-6, 3e-6, 2e-6, 1e-6), SpinConfig((1.0, 0.0, 0.0), 7.0),
                     ),
                 ),
             ),
@@ -176,6 +177,21 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         health=HealthConfig("127.0.0.1:9464", 60.0),
     )  # fmt: skip
     assert load(tmp_path, FULL) == expected
+
+
+def test_sensors_with_sources_are_the_magnetometers_of_a_craft(tmp_path: Path) -> None:
+    """An array of tables in place of the one that they share."""
+    path = tmp_path / "magcal.toml"
+    path.write_text(
+        'version = 1\n[[craft]]\nname = "pair"\n[[craft.sensor]]\nsource = "a"\nnoise_nt = 20.0\n'
+        '[[craft.sensor]]\nsource = "b"\nstuck_samples = 5\n'
+    )
+    (craft,) = load_config(path).crafts
+    assert craft.sensor == SensorConfig()
+    assert craft.magnetometers == (MagnetometerConfig("a", 20.0), MagnetometerConfig("b", stuck_samples=5))
+    path.write_text(path.read_text().replace('source = "b"\n', ""))
+    with pytest.raises(ConfigError, match="source"):
+        load_config(path)
 
 
 def test_the_full_file_differs_from_the_default_in_every_setting(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ CRAFT = CraftConfig(
 
 LISTED = (
     MagnetometerConfig("mag1"),
-    MagnetometerConfig("mag2", 50.1, process_noise_bias_nt=(0.1, 0.2, 0.3), spin=SpinConfig()),
+    MagnetometerConfig("mag2", 50.1, stuck_samples=7, process_noise_bias_nt=(0.1, 0.2, 0.3), spin=SpinConfig()),
 )
 
 

@@ -108,8 +108,8 @@ def test_the_numbers_of_a_message_are_plain_python_floats(tmp_path: Path) -> Non
 
 
 TWO = (
-    MAGNETOMETER
-    + 'source = "mag1"\n[[beside]]\nsource = "mag2"\ncolumns = ["x", "y", "z"]\nunit = "nT"\nnoise_nt = 7.0\n'
+    MAGNETOMETER.replace("[magnetometer]", "[[magnetometer]]")
+    + 'source = "mag1"\n[[magnetometer]]\nsource = "mag2"\ncolumns = ["x", "y", "z"]\nunit = "nT"\nnoise_nt = 7.0\n'
 )
 
 
@@ -134,12 +134,12 @@ def test_further_magnetometers_of_a_row_are_sent_with_their_own_source(tmp_path:
         ('source = "mag1"\n', "", "magnetometer.source"),
         ('source = "mag1"', 'source = "mag2"', "magnetometer.source"),
         ('source = "mag1"', 'source = "magcal"', "magnetometer.source"),
-        ('["x", "y", "z"]', '["mx", "y", "z"]', "beside.columns"),
+        ('["x", "y", "z"]', '["mx", "y", "z"]', "magnetometer[1].columns"),
     ],
 )
 def test_further_magnetometers_are_refused_by_what_is_wrong(
     tmp_path: Path, before: str, after: str, fault: str
 ) -> None:
     path = write_log(tmp_path, descriptor(magnetometer=TWO.replace(before, after)))
-    with pytest.raises(RecordingError, match=fault):
+    with pytest.raises(RecordingError, match=re.escape(fault)):
         read_recording(path)

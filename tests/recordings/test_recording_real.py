@@ -98,7 +98,7 @@ def test_a_recording_of_18000_rows_of_15_columns_is_read_in_well_under_a_second(
     )
     best_s = np.inf
     for _ in range(3):  # the best of three, since the machine may be busy with something else
-        before_s = time.perf_counter()
+        before_s = time.process_time()
         read_recording(path)
-        best_s = min(best_s, time.perf_counter() - before_s)
+        best_s = min(best_s, time.process_time() - before_s)
     assert best_s < 1.0
