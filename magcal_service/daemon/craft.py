@@ -27,7 +27,7 @@ from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
 from magcal_service.watch.witness import Witness
-from magcal_service.wire.messages import Clock, Estimate, MagnetometerSample, Message
+from magcal_service.wire.messages import Clock, Estimate, MagnetometerSample, Message, Verdict
 
 WATCHED: Final = {
     Reason.MODEL_DOUBTFUL,
@@ -210,7 +210,7 @@ class Craft(Stateful, CraftMemory):
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self._learned_from(tick)
         self.monitor.observe(tick, outcome, state)
-        self.witness.push(tick, outcome, state)
+        self.witness.push(tick, outcome, state, trusted=self.trust.verdict is Verdict.TRUSTED)
         self._watch_model(tick)
         self._count(outcome)
 

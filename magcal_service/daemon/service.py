@@ -405,7 +405,9 @@ def _check_directories(config: Config) -> None:
     if config.record is not None and config.record.directory.exists():
         check_state_directory(config.record.directory)
     if config.state is not None:
-        for folder in (config.state.directory, *(config.state.directory / craft.name for craft in config.crafts)):
+        crafts = [config.state.directory / craft.name for craft in config.crafts]
+        beside = [folder for craft in crafts if craft.is_dir() for folder in sorted(craft.iterdir()) if folder.is_dir()]
+        for folder in (config.state.directory, *crafts, *beside):
             check_way(folder)
             if folder.exists():
                 check_state_directory(folder)

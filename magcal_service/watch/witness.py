@@ -69,14 +69,17 @@ class Witness(Stateful, WitnessMemory):
         self.local = False
         self._squares_nt2 = deque(maxlen=WINDOW)
         self._variances_nt2 = deque(maxlen=WINDOW)
-        self._was_quiet = False  # it agreed with its reference for a whole window since the estimate began
+        self._was_quiet = False  # it was trusted when it last agreed with its reference for a whole window
         self._runs = False  # the filter ran at the newest tick
         self._x, self._covariance, self._noise_nt = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE)), 0.0
         self._time_ns = 0
         self._clock = Clock.ELAPSED
 
-    def push(self, tick: Tick, outcome: TickOutcome, state: StateEstimate) -> None:
+    def push(self, tick: Tick, outcome: TickOutcome, state: StateEstimate, *, trusted: bool) -> None:
         """Take a tick that was learned from: its mean residual, and how far that may be from zero.
+
+        ``trusted``: nothing was wrong with the estimate before this tick.  Only from such a one a disturbance stands
+        out: where the reference is wrong, the estimates of several magnetometers are wrong in different ways.
 
         Where the filter has found itself contradicted and collects a new start, the estimate before is held against
         what follows, until there is another.
@@ -98,7 +101,8 @@ class Witness(Stateful, WitnessMemory):
         self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ self._covariance @ along)))
         self._squares_nt2.append(float(np.mean(residual_nt)) ** 2)
         self._time_ns, self._clock = tick.time_ns, tick.clock
-        self._was_quiet = self._was_quiet or self.is_quiet
+        if self.is_quiet:
+            self._was_quiet = trusted
 
     def _begin(self) -> None:
         """There is another estimate: what was seen was of the one before."""
@@ -130,7 +134,7 @@ class Witness(Stateful, WitnessMemory):
     def _would_see(self, other: Witness) -> bool:
         """Whether what the other sees would make this one loud as well, which is quiet at the same time."""
         together = self._clock is other._clock and abs(self._time_ns - other._time_ns) <= _TOGETHER_NS
-        if not (together and self.is_quiet):
+        if not (together and self.is_quiet and self._was_quiet):
             return False
         excess_nt2 = np.array(other._squares_nt2) - np.array(other._variances_nt2)
         here = 1.0 + excess_nt2 / float(np.median(self._variances_nt2))

@@ -32,12 +32,13 @@ class Sensor:
 
     def __init__(self, noise_nt: float, seed: int) -> None:
         self.witness, self.noise_nt, self._rng = Witness(), noise_nt, np.random.default_rng(seed)
+        self.trusted = True
 
     def second(self, k: int, seen_nt: float, phase: Phase = Phase.RUNNING) -> None:
         residual, field = np.array([seen_nt + self.noise_nt * self._rng.standard_normal()]), np.array([[2e4, 1e4, 3e4]])
         magnitude = np.linalg.norm(field, axis=1) - residual
         tick = Tick(k, np.array([float(k)]), field, magnitude, time_ns=k * 10**9, clock=Clock.UTC)
-        self.witness.push(tick, TickOutcome(phase, residual, 1), estimate(self.noise_nt))
+        self.witness.push(tick, TickOutcome(phase, residual, 1), estimate(self.noise_nt), trusted=self.trusted)
 
 
 def told(noises_nt: list[float], courses: list[Course], seconds: int = 60, quiet: int = 2 * WINDOW) -> dict[int, int]:
@@ -83,6 +84,18 @@ def test_nothing_else_is_called_local(noises_nt: list[float], courses: list[Cour
 def test_a_residual_that_never_was_quiet_names_nothing() -> None:
     """The noise that is configured may be too small, or physics be missing from the beginning."""
     assert told([100.0, 100.0], [nothing, constant(600.0)], quiet=0) == {}
+
+
+@pytest.mark.parametrize("doubtful", [0, 1])
+def test_an_estimate_that_is_not_trusted_neither_names_nor_witnesses(doubtful: int) -> None:
+    """Where the reference is wrong, estimates are wrong in different ways."""
+    sensors = [Sensor(100.0, 1), Sensor(100.0, 2)]
+    sensors[doubtful].trusted = False
+    for k in range(120):
+        sensors[0].second(k, 0.0)
+        sensors[1].second(k, 800.0 * (k >= 60))
+        sensors[1].witness.judge([sensors[0].witness])
+        assert not sensors[1].witness.local
 
 
 def test_one_that_has_fallen_silent_is_no_witness() -> None:

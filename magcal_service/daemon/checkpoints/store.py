@@ -16,12 +16,13 @@ from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, Stat
 from magcal_service.daemon.containment import contained, told
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.errors import InputRefusedError
 from magcal_service.snapshot import SnapshotError
 from magcal_service.version import __version__
 
 log = logging.getLogger("magcal")
 
-MISFITS: Final = (SnapshotError, StateError, np.linalg.LinAlgError, ValueError)
+MISFITS: Final = (SnapshotError, StateError, InputRefusedError, np.linalg.LinAlgError, ValueError)
 """What a state that does not fit may raise while it is restored."""
 
 
@@ -126,10 +127,10 @@ class Checkpoints:
         return self.counters["state.writes"] > before
 
     def _save(self, pipeline: Pipeline, accepted: int) -> None:
-        store = self._store(pipeline)
         try:
+            store = self._store(pipeline)
             store.write(self._checkpoint(pipeline, store))
-        except OSError as error:
+        except (OSError, InputRefusedError) as error:  # the latter: its folder cannot be made
             self._failed(error)
             return
         self._saved[pipeline.label] = accepted
@@ -138,10 +139,10 @@ class Checkpoints:
 
     def save_named(self, pipeline: Pipeline, name: str) -> str:
         """Write one under a name; why that failed, empty where it did not."""
-        store = self._store(pipeline)
         try:
+            store = self._store(pipeline)
             store.write_named(name, self._checkpoint(pipeline, store))
-        except OSError as error:
+        except (OSError, InputRefusedError) as error:  # the latter: its folder cannot be made
             self._failed(error)
             return f"not written: {self.trouble}"
         except StateError as error:
@@ -175,9 +176,9 @@ class Checkpoints:
             state=pipeline.export_state(),
         )
 
-    def _failed(self, error: OSError) -> None:
+    def _failed(self, error: OSError | InputRefusedError) -> None:
         self.counters["state.failed"] += 1
-        trouble = error.strerror or str(error)
+        trouble = (error.strerror if isinstance(error, OSError) else None) or str(error)
         if trouble != self.trouble:
             log.error("a checkpoint could not be written: %s", trouble)
         self.trouble = trouble
