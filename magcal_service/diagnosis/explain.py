@@ -130,6 +130,7 @@ class Search(Screen):
             scene = self.problem.scene
             moved_nt = float(np.sqrt(np.mean((clean - scene.calibrated_nt) ** 2)))
             problem = replace(self.problem, scene=scene.recalibrated(clean, measured))
+            self.look_at(problem, ())  # forms and columns of the vectors before go before there are new ones
             self.look_at(problem, self.forms(problem))
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
             fit = solve(

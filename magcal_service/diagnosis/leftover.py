@@ -80,7 +80,7 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
     """Every family's part in the residual of a fit, the best first."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    beside = _Beside(replace(search), fit, space)
+    beside = _Beside(replace(search, hypotheses=()), fit, space)
     line_hz = _line(search, fit, space, sigma)
     families = [(shape, beside.products(shape)) for shape in shapes(search.problem, phase, line_hz)]
     cost = math.log(max(len(families), 1))

@@ -45,6 +45,9 @@ _OF_LINES: Final = ("frequency", "period")
 _WORTH_REFINING: Final = 0.3
 """Of the best evidence on the grids: what has less there does not come first by being refined."""
 
+_MOST_KEPT_BYTES: Final = 64_000_000
+"""Of columns that are kept: all of a catalogue on five hours, a third of what three hundred channels bring."""
+
 _MOST_KNOWN: Final = 3  # sets of numbers that a hypothesis was at its best with, kept for when it is a rival
 
 
@@ -77,6 +80,7 @@ class Screen:
     whitening: Array = field(default_factory=lambda: np.zeros(0))
     spin_hz: float | None = None
     _cache: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+    _units: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
     _known: dict[str, list[Array]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -84,7 +88,7 @@ class Screen:
 
     def look_at(self, problem: Problem, hypotheses: Sequence[Hypothesis]) -> None:
         """Continue with another problem and its hypotheses; rows of the one before are discarded."""
-        self.problem, self.hypotheses, self._cache = problem, hypotheses, {}
+        self.problem, self.hypotheses, self._cache, self._units = problem, hypotheses, {}, {}
         names = [hypothesis.effect for hypothesis in hypotheses]
         self._forms = {name: names.count(name) for name in set(names)}  # what choosing the best of them costs
 
@@ -109,16 +113,20 @@ class Screen:
         return Workspace(self.white(residual), self.white(columns))
 
     def rows_of(self, hypothesis: Hypothesis, theta: Array, fit: Fit) -> Array | None:
-        """White columns of a hypothesis (m, k); those without nonlinear numbers are kept."""
-        if not hypothesis.nonlinear and id(hypothesis) in self._cache:
-            return self._cache[id(hypothesis)]
-        rows = self.problem.rows(hypothesis.columns(theta), fit.unit)
-        if rows is None or not np.isfinite(rows).all():
-            return None
-        rows = self.white(rows)
-        if not hypothesis.nonlinear:
-            self._cache[id(hypothesis)] = rows
-        return rows
+        """White columns of a hypothesis (m, k); without nonlinear numbers those of the first fit asked about, kept."""
+        if hypothesis.nonlinear:
+            return self._made(hypothesis, theta, fit.unit)
+        number = id(hypothesis)
+        if number not in self._cache:
+            rows = self._made(hypothesis, theta, self._units.setdefault(number, fit.unit))
+            if rows is None or sum(kept.nbytes for kept in self._cache.values()) + rows.nbytes > _MOST_KEPT_BYTES:
+                return rows
+            self._cache[number] = rows
+        return self._cache[number]
+
+    def _made(self, hypothesis: Hypothesis, theta: Array, unit: Array) -> Array | None:
+        rows = self.problem.rows(hypothesis.columns(theta), unit)
+        return None if rows is None or not np.isfinite(rows).all() else self.white(rows)
 
     def _rows(self, columns: Columns, fit: Fit) -> Array:
         rows = self.problem.rows(columns, fit.unit)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import screen
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import _Beside, _transients, largest_product
 from magcal_service.diagnosis.linear import Workspace
@@ -169,3 +170,17 @@ def test_a_term_whose_driver_is_recorded_stays() -> None:
 
 def test_a_recorded_driver_beyond_its_physics_is_not_taken() -> None:
     assert taken(driven(SLOW, "channel:t", largest_nt=50.0)) == ["inferred:light"]
+
+
+@pytest.mark.parametrize("room", [0, 10**9])
+def test_columns_are_those_of_the_first_fit_kept_or_made_again(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that how many a search has room for decides nothing; looking at other vectors begins anew."""
+    monkeypatch.setattr(screen, "_MOST_KEPT_BYTES", room)
+    search, fit, _ = small(vector=False, field_nt=np.zeros((SMALL, 3)))
+    plain = Hypothesis("one", "none", lambda _: along_axes(np.ones(SMALL)), (Block("nt", "nT"),))
+    later = SimpleNamespace(unit=UNIT[::-1])
+    asked = [search.rows_of(plain, np.zeros(0), one) for one in (fit, later)]  # type: ignore[arg-type]
+    assert all(np.array_equal(rows, UNIT) for rows in asked)
+    assert (asked[0] is asked[1]) == (room > 0)
+    search.look_at(search.problem, ())
+    assert np.array_equal(search.rows_of(plain, np.zeros(0), later), UNIT[::-1])  # type: ignore[arg-type]
