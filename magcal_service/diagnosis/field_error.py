@@ -101,9 +101,11 @@ class Lines:
 
     def less(self, rows: Array, values: Array) -> Array:
         """Rows (n, k) less values (q, k) carried on."""
-        result = np.array(rows, dtype=np.float64)
+        result = np.empty(rows.shape)
         for stretch in self._stretches:
-            result[stretch.rows] -= stretch.weights @ values[stretch.values]
+            part = result[stretch.rows]
+            np.matmul(stretch.weights, values[stretch.values], out=part)
+            np.subtract(rows[stretch.rows], part, out=part)
         return result
 
     def gathered(self, rows: Array) -> Array:
