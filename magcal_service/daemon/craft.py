@@ -23,6 +23,7 @@ from magcal_service.model import Array
 from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.ticks.rejection import Rejection
+from magcal_service.trust.hazards import Hazard
 from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
 from magcal_service.trust.reasons import Reason
 from magcal_service.watch.residual_watch import ModelWatch
@@ -209,7 +210,9 @@ class Craft(Stateful, CraftMemory):
         self._note_phase(self._state, state)
         self._state, self._learned_s = state, float(tick.times_s[-1])
         self._learned_from(tick)
+        seen = self.monitor.protector.seen
         self.monitor.observe(tick, outcome, state)
+        self._note_hazard(seen, self.monitor.protector.seen)
         self.witness.push(tick, outcome, state, trusted=self.trust.verdict is Verdict.TRUSTED)
         self._watch_model(tick)
         self._count(outcome)
@@ -222,6 +225,12 @@ class Craft(Stateful, CraftMemory):
             self.note("restarted", "the samples contradicted the estimate")
         if before.phase is Phase.STARTING and now.phase is Phase.RUNNING:
             self.note("started", f"the start passed every gate after {now.samples} samples")
+
+    def _note_hazard(self, before: Hazard | None, now: Hazard | None) -> None:
+        if now is not None and before is None:
+            self.note("hazard_seen", f"the residual goes as with {now}, beyond chance")
+        elif now is None and before is not None:
+            self.note("hazard_gone", "no hazard is seen any more")
 
     def _watch_model(self, tick: Tick) -> None:
         """Give a tick to the watch once the estimate has settled; a finding that comes, goes or changes is reported."""

@@ -6,6 +6,7 @@ Live links, recordings and the simulator all use it, so what is verified on one 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -212,14 +213,19 @@ class Pipeline(CompensatingCraft, PipelineMemory):
     @property
     def model_doubt(self) -> str:
         """What the model seems to leave out, and the command to run; empty where nothing is found."""
-        found = self.watch.finding
-        return "" if found is None else f"model doubtful: {found}; run: magcal diagnose RECORDING"
+        found, hazard = self.watch.finding, self.monitor.protector.seen
+        if found is None and hazard is None:
+            return ""
+        what = f"not named yet, goes as with {hazard}" if found is None else f"{found}"
+        return f"model doubtful: {what}; run: magcal diagnose RECORDING"
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
         """Health of this craft; ``counters`` are the link's, added to the craft's."""
         own = Counter({"running": int(self._state.phase is Phase.RUNNING), "restarts": self._state.restarts})
         if self.compensation is not None:
             own["compensating"] = int(self.compensates)
+        if self.trust.protection_nt is not None:
+            own["protection_nt"] = math.ceil(self.trust.protection_nt)
         stamp = self._stamp(self.last_time_ns, self._clock)
         counted = self.ticks.counters + self.counters + own + counters
         return status_message(stamp, uptime_s, self.trust, counted, self.summary())

@@ -112,7 +112,7 @@ class Replay(NineErrors):
     @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
-        return REMEDIES[self.reasons[0]] if self.reasons else ""
+        return REMEDIES[Reason.RECORDING_DOUBTFUL] if self.inspection.open else self.pipeline.trust.remedy
 
     @property
     def published(self) -> Published | None:
@@ -137,6 +137,8 @@ class Replay(NineErrors):
         return {
             "verdict": str(self.verdict),
             "reasons": [str(reason) for reason in self.reasons],
+            "protection_nt": self.pipeline.trust.protection_nt,
+            "protection_by": self.pipeline.trust.protection_by,
             "estimates": self.estimates,
             "bias_nt": self.bias_nt.tolist(),
             "D": self.D.tolist(),

@@ -85,11 +85,13 @@ class Look:
     Parameters
     ----------
     level: the protection level.
-    seen: the hazard with the largest evidence beyond the alarm, with that evidence [nats] for ``nt``; or None.
+    seen: the hazard with the largest evidence beyond the alarm; None where there is none.
+    evidence: the largest of all, in units of the alarm's.
     """
 
     level: Level
-    seen: Level | None
+    seen: Hazard | None
+    evidence: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,18 +122,20 @@ def look(data: Accumulated, settings: TrustConfig) -> Look | None:
         return None
     raised = _raised(data)
     jacobian = field_jacobian(data.newest[:, 1:4]) * sums.UNIT
-    level, seen = Level(settings.disturbance_nt, Hazard.BIAS_STEP.value), None  # a step that has just occurred
+    level = Level(settings.disturbance_nt, Hazard.BIAS_STEP)  # a step that has just occurred
+    seen, evidence = None, 0.0
     for group in _groups(data, rest, settings.disturbance_nt):
         columns = group.squares.shape[-1]
         gain = float(sums.gains(group.squares, group.products, square, samples).max()) / raised
-        if gain > alarm_gain(ALARM_NATS, columns) and (seen is None or gain > seen.nt):
-            seen = Level(gain, group.hazard.value)
+        if gain / alarm_gain(ALARM_NATS, columns) > evidence:
+            evidence = gain / alarm_gain(ALARM_NATS, columns)
+            seen = group.hazard if evidence > 1.0 else None
         noncentrality = raised * smallest_seen(ALARM_NATS, columns, samples)
         visible = group.squares * (samples / square)
         off_nt = float(worst(visible, noncentrality, group.largest, jacobian @ group.errors).max())
         if not off_nt <= level.nt:
-            level = Level(min(off_nt, MAX_RESULT_FIELD_NT), group.hazard.value)
-    return Look(level, seen)
+            level = Level(min(off_nt, MAX_RESULT_FIELD_NT), group.hazard)
+    return Look(level, seen, evidence)
 
 
 def _groups(data: Accumulated, rest: Array, own_nt: float) -> Iterator[_Group]:

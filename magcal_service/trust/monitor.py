@@ -21,7 +21,7 @@ from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
-from magcal_service.trust.hazards import REMEDY, Hazard
+from magcal_service.trust.hazards import REMEDY
 from magcal_service.trust.protector import Protector
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.kinds import MAX_REASONS
@@ -304,10 +304,10 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         if level is None:
             return Trust(verdict, reasons, REMEDIES[reasons[0]] if reasons else "")
         if reasons and reasons[0] is Reason.UNPROTECTED:
-            remedy = REMEDY[Hazard(level.by)]
+            remedy = REMEDY[level.by]
         else:
             remedy = REMEDIES[reasons[0]] if reasons else ""
-        return Trust(verdict, reasons, remedy, level.nt, level.by)
+        return Trust(verdict, reasons, remedy, level.nt, str(level.by))
 
     def _before_start(self, estimate: StateEstimate) -> Trust:
         reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []

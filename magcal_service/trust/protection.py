@@ -17,6 +17,7 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.residuals import log_tail
+from magcal_service.trust.hazards import Hazard
 
 MISSED_SIGMA: Final = 3.0
 """Sigmas of the test between the alarm and the smallest hazard that counts as seen: it is missed once in 740."""
@@ -36,7 +37,7 @@ class Level:
     """
 
     nt: float
-    by: str
+    by: Hazard
 
 
 @cache

@@ -1,7 +1,7 @@
 """A craft's protection level, kept up to date tick by tick, and the test that its hazards have to pass unseen.
 
-Sums go back to the filter's start.  They are looked at every 64 ticks at first and every 320 later: each hazard is
-tested there, and what would not have been seen by that test is what the level allows for.
+Sums go back to the filter's start.  They are looked at every 64 ticks at first, every 320 later, and when a chunk's
+residual is large: each hazard is tested there, and what that test would not have seen is what the level allows for.
 """
 
 from __future__ import annotations
@@ -26,8 +26,14 @@ from magcal_service.trust.protection import Level
 FREE_CHUNKS: Final = 16
 """Chunks during which the sums are made anew at the newest estimate: what comes later is linear to a few nT."""
 
+EARLY_CHUNKS: Final = 48
+"""Chunks after each of which there is a look: for 51 minutes at 1 Hz the response to a late reference changes fast."""
+
 _SAME_SIZE: Final = 3
 """Blocks of one size; beyond, the two oldest become one of twice the size, so a step's age is known to a third."""
+
+_ROUGH_SIGMA: Final = 3.5
+"""By how much a chunk's mean square has to exceed the usual one to be looked at: once in a day by chance."""
 
 _DIRECTIONS: Final = 24
 """Samples whose vectors the level holds for: three of each of the newest eight chunks, ten minutes at 1 Hz."""
@@ -38,7 +44,8 @@ class ProtectorMemory:
     """What of ``Protector`` outlives a restart, saved and restored whole."""
 
     level: Level | None
-    seen: Level | None
+    seen: Hazard | None
+    evidence: float
     _restarts: int
     _rows: list[tuple[float, ...]]
     _history: list[tuple[float, ...]]
@@ -68,7 +75,8 @@ class Protector(Stateful, ProtectorMemory):
     Attributes
     ----------
     level: the protection level; None while unknown.
-    seen: the hazard with the largest evidence beyond the alarm at the last look, with that evidence [nats]; or None.
+    seen: the hazard with the largest evidence beyond the alarm at the last look; None where there is none.
+    evidence: the largest of all hazards at the last look, in units of the alarm's.
     """
 
     def __init__(self, config: CraftConfig) -> None:
@@ -88,6 +96,7 @@ class Protector(Stateful, ProtectorMemory):
 
     def _begin(self) -> None:
         self.level = self.seen = None
+        self.evidence = 0.0
         self._rows, self._history, self._sizes, self._directions = [], [], [], []
         self._ticks = self._samples = self._used = self._chunks = 0
         self._x = np.zeros(STATE_SIZE)
@@ -111,7 +120,6 @@ class Protector(Stateful, ProtectorMemory):
             and {one.shape for one in self._blocks} <= {(STATE_SIZE + 1, STATE_SIZE + 1)}
             and {one.shape for one in self._steps} <= {(STATE_SIZE, sums.STEADY)}
             and (self._information is not None or not count)
-            and all(level is None or level.by in set(Hazard) for level in (self.level, self.seen))
         )
         if not sound:
             raise SnapshotError(f"{where}: sums, blocks and rows don't belong together")
@@ -198,8 +206,14 @@ class Protector(Stateful, ProtectorMemory):
         self._rows.clear()
         self._merge()
         self._keep_directions(rows)
-        if free or self._chunks % LOOK_CHUNKS == 0:
+        early = self._chunks <= EARLY_CHUNKS
+        if early or self._chunks % LOOK_CHUNKS == 0 or self._is_rough(own, used):
             self._look()
+
+    def _is_rough(self, own: Array, used: int) -> bool:
+        """Whether a chunk's residual is larger than noise makes it: something has just begun, and is looked at now."""
+        usual = float(self._sums[-1, -1]) / max(self._used, 1)
+        return float(own[-1, -1]) > (1.0 + _ROUGH_SIGMA * math.sqrt(2.0 / CHUNK)) * usual * used
 
     def _respond(self, own: Array, weight: float, middle_s: float, estimate: StateEstimate) -> None:
         """What the filter has made of a chunk, whose sums are ``own`` (33, 33); a step may have begun with it."""
@@ -276,7 +290,8 @@ class Protector(Stateful, ProtectorMemory):
             spin_rad_s=self._spin_rad_s,
         )
         found = look(data, self.config.trust)
-        self.level, self.seen = (None, None) if found is None else (found.level, found.seen)
+        if found is not None:
+            self.level, self.seen, self.evidence = found.level, found.seen, found.evidence
 
 
 def _information(estimate: StateEstimate) -> Array:

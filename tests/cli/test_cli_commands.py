@@ -23,8 +23,8 @@ from tests.cli.cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """900 s of the paper's scenario: enough to be trusted."""
-    return record_simulation(Simulation(load_scenario("paper"), 4, 900.0), tmp_path_factory.mktemp("good"))
+    """1400 s of the paper's scenario: enough to be trusted."""
+    return record_simulation(Simulation(load_scenario("paper"), 4, 1400.0), tmp_path_factory.mktemp("good"))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_a_short_recording_is_done_and_not_trusted_with_reason_and_remedy(comman
 def test_a_replay_writes_a_row_for_every_tick(good: Path, tmp_path: Path) -> None:
     run("replay", good, "--out", tmp_path / "rows.csv")
     lines = (tmp_path / "rows.csv").read_text().splitlines()
-    assert (lines[0], len(lines)) == (",".join(COLUMNS), 901)
+    assert (lines[0], len(lines)) == (",".join(COLUMNS), 1401)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_the_json_says_what_is_true(result: dict[str, object]) -> None:
     assert isinstance(sigma, dict)
     errors = [abs(a - b) / s for a, b, s in zip(bias, (5000.0, 3000.0, 4000.0), sigma["bias_nt"], strict=True)]
     assert max(errors) < 4.0
-    assert (result["method"], result["trusted"], result["samples"], result["ticks"]) == ("ukf", True, 900, 900)
+    assert (result["method"], result["trusted"], result["samples"], result["ticks"]) == ("ukf", True, 1400, 1400)
     residual = result["residual_rms_nt"]
     assert isinstance(residual, dict)
     assert residual["noise_floor"] == 300.0

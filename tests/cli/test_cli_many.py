@@ -23,7 +23,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("recordings")
     made = [
         record_simulation(Simulation(load_scenario("paper"), 4, seconds), folder / name)
-        for name, seconds in (("good", 900.0), ("short", 100.0))
+        for name, seconds in (("good", 1400.0), ("short", 100.0))
     ]
     broken = folder / "broken" / made[0].name
     broken.parent.mkdir()

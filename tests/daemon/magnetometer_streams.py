@@ -8,13 +8,13 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service.config.settings import CraftConfig, SensorConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, TrustConfig
 from magcal_service.wire.messages import MagnetometerSample, Message
 from sim_sensor.beside import Magnet
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
-PAIR = CraftConfig("pair", sensor=SensorConfig(noise_nt=100.0))
+PAIR = CraftConfig("pair", sensor=SensorConfig(noise_nt=100.0), trust=TrustConfig(protection_nt=1e5))
 MAGNET_S = 700.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 import urllib.request
 from pathlib import Path
@@ -26,7 +27,7 @@ def configured(folder: Path, port: int, metrics: int) -> Path:
 def test_a_daemon_is_asked_and_found_healthy_once_its_estimate_is_sound(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """3 before the start, 0 once it is trusted; in words, as JSON, as metrics and as log lines."""
+    """3 before the start, 0 afterwards, though not protected yet; in words, as JSON, as metrics and as log lines."""
     port, metrics = free_port(), free_port()
     config = configured(tmp_path, port, metrics)
     with daemon(config) as process, Node(f"zenoh:tcp/127.0.0.1:{port}") as node:
@@ -38,10 +39,14 @@ def test_a_daemon_is_asked_and_found_healthy_once_its_estimate_is_sound(
         node.until_accepted(900)
         assert main(["status", "--link", f"zenoh:tcp/127.0.0.1:{port}", "--json", "--timeout", "60"]) == 0
         told = json.loads(capsys.readouterr().out)
-        assert (told["healthy"], told["craft"]["paper"]["verdict"]) == (True, "trusted")
+        assert (told["healthy"], told["craft"]["paper"]["verdict"]) == (True, "converging")
+        assert re.search(r"\(unprotected\), protected to \d+ nT \(reference_late\)", told["craft"]["paper"]["text"])
+        assert told["craft"]["paper"]["counters"]["protection_nt"] > 350
         assert told["craft"]["paper"]["counters"]["tick_late_p99_us"] > 0
         with urllib.request.urlopen(f"http://127.0.0.1:{metrics}/metrics", timeout=60.0) as answer:
-            assert b'magcal_samples_total{craft="paper",outcome="accepted"}' in answer.read()
+            text = answer.read()
+        assert b'magcal_samples_total{craft="paper",outcome="accepted"}' in text
+        assert b'magcal_protection_tesla{craft="paper",hazard="reference_late"} ' in text
         assert process.stop() == 0
     lines = [json.loads(line) for line in process.log.read_text().splitlines()]
     summaries = [line["health"] for line in lines if "health" in line]

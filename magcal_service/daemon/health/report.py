@@ -139,6 +139,13 @@ class Health:
             for effect in (("none",) if found is None else found.effects)
         ]
         metrics.add("model_doubt_nats", "gauge", "Evidence for what the model leaves out, by its looks.", doubts)
+        levels: list[tuple[Labels, float]] = [
+            (_whose(craft) | {"hazard": str(craft.trust.protection_by)}, 1e-9 * craft.trust.protection_nt)
+            for craft in crafts
+            if craft.trust.protection_nt is not None
+        ]
+        text = "How far a vector may be off by what would not have been seen yet, by what sets it."
+        metrics.add("protection_tesla", "gauge", text, levels)
         for name, text, value in gauges:
             each: list[tuple[Labels, float]] = [(_whose(craft), value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)

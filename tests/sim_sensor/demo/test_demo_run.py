@@ -58,7 +58,7 @@ def text_of(shown: Console) -> str:
 
 @pytest.fixture(scope="module")
 def real_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[Wire, tuple[int, str, Path]]:
-    """The paper's first 1200 s through ``magcal run`` over each link: exit code, what was shown, the folder."""
+    """The paper's first 1400 s through ``magcal run`` over each link: exit code, what was shown, the folder."""
     runs = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
@@ -66,7 +66,7 @@ def real_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[Wire, tuple[int,
         patch.setattr("sim_sensor.view.plots.plot_residual", lambda *_: None)
         for wire in Wire:
             shown, out = console(terminal=wire is Wire.ZENOH), tmp_path_factory.mktemp(wire.value)
-            runs[wire] = (run_demo(Plan(wire, "paper", 0.0, 1, out, 1200.0), shown), text_of(shown), out)
+            runs[wire] = (run_demo(Plan(wire, "paper", 0.0, 1, out, 1400.0), shown), text_of(shown), out)
     return runs
 
 
@@ -80,12 +80,12 @@ def test_the_daemon_finds_all_nine_errors_over_a_real_link(
 
 @pytest.mark.parametrize("wire", list(Wire))
 def test_every_sample_is_answered_and_used(real_runs: dict[Wire, tuple[int, str, Path]], wire: Wire) -> None:
-    assert "1200 sent, 1200 answered, 0 unanswered, 1200 used" in real_runs[wire][1]
+    assert "1400 sent, 1400 answered, 0 unanswered, 1400 used" in real_runs[wire][1]
 
 
 def test_both_links_lead_to_the_same_estimates_bit_for_bit(real_runs: dict[Wire, tuple[int, str, Path]]) -> None:
     ticks = [(out / "ticks.csv").read_bytes() for _, _, out in real_runs.values()]
-    assert len(ticks[0].splitlines()) == 1201
+    assert len(ticks[0].splitlines()) == 1401
     assert ticks[0] == ticks[1]
 
 

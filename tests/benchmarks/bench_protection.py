@@ -1,0 +1,108 @@
+"""What protection levels cost, and how seldom their test is wrong.
+
+    python -m tests.benchmarks.bench_protection cost
+    python -m tests.benchmarks.bench_protection false-alarms --flights 40
+
+The first gives each tick of the paper's flight to the filter and to two monitors in turn, one with protection levels
+and one without.  The second flies the paper's craft at drawn spin directions with nothing wrong, and prints the largest
+evidence of a flight beside the alarm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig, TrustConfig
+from magcal_service.estimators.ukf import Ukf
+from magcal_service.ticks.assembler import Tick
+from magcal_service.trust import hazard_look
+from magcal_service.trust.hazard_look import ALARM_NATS
+from magcal_service.trust.monitor import TrustMonitor
+from magcal_service.trust.protection import alarm_gain
+from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.simulation import Simulation
+
+FLIGHT_S = 9000.0
+NOISES_NT = (20.0, 100.0, 300.0)
+
+
+def ticks(noise_nt: float, seed: int, towards: np.ndarray | None = None) -> Iterator[Tick]:
+    """The paper's flight at 1 Hz."""
+    scenario = load_scenario("paper")
+    spin = scenario.spin
+    if towards is not None:
+        x, y, z = (towards / np.linalg.norm(towards)).tolist()
+        spin = replace(spin, direction_eci=(x, y, z))
+    scenario = replace(scenario, spin=spin, sensor=replace(scenario.sensor, noise_nt=(noise_nt,) * 3))
+    block = Simulation(scenario, seed, FLIGHT_S).arrays()
+    magnitude = np.linalg.norm(block.true_eci_nt, axis=1)
+    for row, eci in enumerate(block.true_eci_nt):
+        yield Tick(row, np.array([float(row)]), block.measured_nt[row : row + 1], magnitude[row : row + 1], eci[None])
+
+
+def craft(noise_nt: float, *, protection: bool) -> CraftConfig:
+    """What its operator configures."""
+    trust = TrustConfig(protection=protection)
+    return CraftConfig("paper", SensorConfig(noise_nt=noise_nt), SpinConfig(rate_rpm=7.5), trust=trust)
+
+
+def cost() -> None:
+    """Print the time of a tick in the filter, and in the monitor with protection levels and without [us]."""
+    ukf = Ukf(craft(300.0, protection=True))
+    monitors = [TrustMonitor(craft(300.0, protection=protection)) for protection in (False, True)]
+    spent = []
+    for tick in ticks(300.0, 1):
+        marks = [time.thread_time()]
+        outcome, state = ukf.handle(tick), ukf.estimate()
+        marks.append(time.thread_time())
+        for monitor in monitors:
+            monitor.observe(tick, outcome, state)
+            monitor.judge(state)
+            marks.append(time.thread_time())
+        spent.append(np.diff(marks))
+    filtered, without, within = 1e6 * np.array(spent[1000:]).T
+    for name, figure in (("median", np.median), ("mean", np.mean)):
+        own, bare, protected = (float(figure(one)) for one in (filtered, without, within))
+        ratio = (own + protected) / (own + bare)
+        print(f"{name}: filter {own:.0f}, monitor {bare:.1f}, protected {protected:.1f} us; a tick {ratio:.2f} times")
+    print(f"the slowest tick in 320, with a look: {1e-3 * float(np.quantile(within, 1.0 - 0.5 / 320.0)):.1f} ms")
+
+
+def false_alarms(flights: int) -> None:
+    """Print the largest evidence of clean flights in units of the alarm's."""
+    largest, alarms, levels = [], 0, []
+    for number in range(flights):
+        rng = np.random.default_rng([number, 3])
+        noise_nt = NOISES_NT[number % len(NOISES_NT)]
+        config = craft(noise_nt, protection=True)
+        ukf, monitor = Ukf(config), TrustMonitor(config)
+        worst, told = 0.0, False
+        for tick in ticks(noise_nt, number, rng.standard_normal(3)):
+            monitor.observe(tick, ukf.handle(tick), ukf.estimate())
+            worst, told = max(worst, monitor.protector.evidence), told or monitor.protector.seen is not None
+        largest.append(worst)
+        alarms += told
+        level = monitor.protector.level
+        levels.append(np.nan if level is None else level.nt)
+    print(f"{flights} flights of {FLIGHT_S:.0f} s: {alarms} with an alarm; evidence of a flight over the alarm's:")
+    print(
+        f"median {np.median(largest):.2f}, largest {max(largest):.2f}; level at the end {np.nanmedian(levels):.0f} nT"
+    )
+    print(f"alarm from {ALARM_NATS:.1f} nats of significance: {alarm_gain(ALARM_NATS, 1):.1f} of gain by one column")
+    print(f"false alarms a year by the threshold: at most {hazard_look.FALSE_PER_YEAR:g}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("cost", "false-alarms"))
+    parser.add_argument("--flights", type=int, default=30, help="flights for the false alarms (default 30)")
+    options = parser.parse_args()
+    if options.what == "cost":
+        cost()
+    else:
+        false_alarms(options.flights)
