@@ -15,7 +15,7 @@ that reject it):
 ``stuck``              the same vector for ``stuck_samples`` samples: rejected from then on, until it changes.
 ``time_behind``        more than ``late_s`` behind: rejected; the third in a row that agree is a ``clock_step``
                        backwards.
-``time_ahead``         more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is accepted, a
+``time_ahead``         more than ``step_confirm_s`` ahead: rejected; the third in a row that agree is believed, a
                        century ahead as a ``clock_step``.
 ``gap``                more than ``gap_s`` after its predecessor: accepted; nothing is carried over the gap.
 ``clock_changed``      other clock (UTC or elapsed) than the samples before: rejected; the third is a ``clock_step``.
@@ -225,18 +225,30 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         if self._clock is None:
             self._anchor(sample, 0)
         elapsed_ns = sample.time_ns - self._base_ns
-        if sample.clock is not self._clock:
-            return self._vote(sample, Rejection.CLOCK_CHANGED)
-        if elapsed_ns > self._newest_ns + self._jump_ns or elapsed_ns > LONGEST_NS:
-            return self._vote(sample, Rejection.TIME_AHEAD)
-        if elapsed_ns < self._newest_ns - self._late_ns:
-            return self._vote(sample, Rejection.TIME_BEHIND)
-        if sample.time_ns in self._recent:
+        strange = self._strange_time(sample, elapsed_ns)
+        if strange is not None:
+            rejection = self._vote(sample, strange)
+            if rejection is not None:
+                return rejection
+            elapsed_ns = sample.time_ns - self._base_ns
+        elif sample.time_ns in self._recent:
             return Rejection.DOUBLED
-        if elapsed_ns < self._closed_ns:
+        elif elapsed_ns < self._closed_ns:
             return Rejection.LATE
-        if self._is_crowded(elapsed_ns):
+        elif self._is_crowded(elapsed_ns):
             return Rejection.CROWDED
+        return self._sensor_fault(sample, elapsed_ns)
+
+    def _strange_time(self, sample: MagnetometerSample, elapsed_ns: int) -> Rejection | None:
+        """What is to be confirmed of a sample's time."""
+        if sample.clock is not self._clock:
+            return Rejection.CLOCK_CHANGED
+        if elapsed_ns > self._newest_ns + self._jump_ns or elapsed_ns > LONGEST_NS:
+            return Rejection.TIME_AHEAD
+        return Rejection.TIME_BEHIND if elapsed_ns < self._newest_ns - self._late_ns else None
+
+    def _sensor_fault(self, sample: MagnetometerSample, elapsed_ns: int) -> Rejection | None:
+        """What is wrong with the sensor; asked after an outage and a step of the clock as well."""
         if self._is_stuck(sample):
             return Rejection.STUCK
         if self.sensor.range_nt is not None and max(map(abs, sample.field_body_nt)) >= self.sensor.range_nt:
@@ -253,12 +265,12 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         return self._same >= self.sensor.stuck_samples
 
     def _vote(self, sample: MagnetometerSample, reason: Rejection) -> Rejection | None:
-        """Reject a sample whose time does not fit; the third of a rising series moves the clock and is accepted."""
+        """Reject a sample whose time does not fit; the third of a rising series moves the clock and is believed."""
         if self._votes:
             before, time_ns = self._votes[-1]
             if before is not reason or not 0 < sample.time_ns - time_ns <= self._gap_ns:
                 self._votes.clear()
-        self._votes.append((reason, sample.time_ns))
+        self._votes = [*self._votes[1 - _AGREEING :], (reason, sample.time_ns)]
         if len(self._votes) < _AGREEING:
             return reason
         if reason is not Rejection.TIME_AHEAD or sample.time_ns - self._base_ns > FURTHEST_NS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -127,6 +129,22 @@ def test_a_tick_with_its_reference_closes_with_the_next_second() -> None:
 def test_a_sample_just_before_the_first_one_is_still_in_its_tick() -> None:
     ticks, counters = play([reference(-1), sample(0.0), sample(-0.2), reference(1), sample(1)])
     assert (counters["out_of_order"], ticks[0].times_s.tolist()) == (1, [-0.2, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("step", "z", "reason", "taken"), [(0.0, 3.0, Rejection.STUCK, 2), (1.0, 50_000.0, Rejection.SATURATED, 0)]
+)
+def test_a_fault_of_the_sensor_lasts_beyond_the_time_after_which_a_jump_is_confirmed(
+    step: float, z: float, reason: Rejection, taken: int
+) -> None:
+    """30 s of it, where a jump of 10 s has to be confirmed: the third to agree is believed in its time, and faulty."""
+    target = assembler(TickConfig(step_confirm_s=10.0), SensorConfig(stuck_samples=3, range_nt=50_000.0))
+    assert target.add(sample(0)) is None
+    answers = [target.add(replace(sample(second), field_body_nt=(step * second, 2.0, z))) for second in range(1, 31)]
+    unconfirmed = [Rejection.TIME_AHEAD] * 2
+    assert answers == [None] * taken + [reason] * 10 + unconfirmed + [reason] * (18 - taken)
+    assert target.add(sample(31)) is None
+    assert target.counters["clock_step"] == 0
 
 
 def test_a_stuck_sensor_is_believed_again_when_it_changes() -> None:
