@@ -88,6 +88,11 @@ def observable(flights: Iterable[Flight]) -> list[Flight]:
     return [one for one in flights if not SCENARIOS[one[0].scenario].unobservable]
 
 
+def promised(flights: Iterable[Flight]) -> list[Flight]:
+    """Those that the protection level has to hold."""
+    return [one for one in flights if SCENARIOS[one[0].scenario].promised]
+
+
 def upper_limit(events: int) -> float:
     """Largest mean of a Poisson law under which so few events are not rarer than 1 - ``CONFIDENCE``."""
     low, high = 0.0, 10.0 + 10.0 * events
@@ -132,7 +137,12 @@ def _summary(flights: Sequence[Flight]) -> Table:
     seen = observable(flights)
     clean = [one for one in seen if SCENARIOS[one[0].scenario].group is Group.CLEAN]
     hidden = [one for one in flights if SCENARIOS[one[0].scenario].unobservable]
-    parts = {"clean": clean, "all that can be seen": seen, "what nothing can show": hidden}
+    parts = {
+        "clean": clean,
+        "what protection promises to hold": promised(flights),
+        "all that can be seen": seen,
+        "what nothing can show": hidden,
+    }
     rows = tuple((name, *_counts(part)) for name, part in parts.items())
     return Table("Trusted and wrong", ("scenarios", *_COUNTED), rows)
 
@@ -225,13 +235,14 @@ def _worst(flights: Sequence[Flight]) -> Table:
     misled = sorted((one for one in flights if one[1].misled_s > 0.0), key=lambda one: -one[1].misled_s)
     rows = [
         (
-            asked.scenario, asked.motion, asked.noise_nt, ", ".join(map(str, asked.seed)), fared.misled_s,
+            asked.scenario, "yes" if SCENARIOS[asked.scenario].promised else "no",
+            asked.motion, asked.noise_nt, ", ".join(map(str, asked.seed)), fared.misled_s,
             fared.worst_nt, fared.worst_beyond_nt, "yes" if SCENARIOS[asked.scenario].unobservable else "no",
         )
         for asked, fared in misled[:_MOST_LISTED]
     ]  # fmt: skip
     columns = (
-        "scenario", "motion", "noise [nT]", "seed", "misled [s]", "largest error while trusted [nT]",
+        "scenario", "promised", "motion", "noise [nT]", "seed", "misled [s]", "largest error while trusted [nT]",
         "beyond protection and sigma by [nT]", "unobservable",
     )  # fmt: skip
     return Table(f"Flights that misled ({len(misled)})", columns, tuple(rows))
@@ -244,7 +255,9 @@ def _figures(flights: Sequence[Flight], asked: int) -> dict[str, Cell]:
     seen = observable(flights)
     trusted_s = _sum(seen, lambda one: one.trusted_s)
     protected_s = trusted_s - _sum(seen, lambda one: one.unprotected_s)
-    events = sum(one.misled_s > 0.0 for _, one in seen)
+    held = promised(flights)
+    held_s = _sum(held, lambda one: one.trusted_s - one.unprotected_s)
+    events, broken = (sum(one.misled_s > 0.0 for _, one in part) for part in (seen, held))
     clean = [fared for one, fared in flights if one.scenario == "clean" and fared.bound_nt < SHARP_NT]
     ratios = _median(fared.near_ratio for _, fared in seen)
     return {
@@ -258,6 +271,11 @@ def _figures(flights: Sequence[Flight], asked: int) -> dict[str, Cell]:
         "share of that time that misled": _sum(seen, lambda one: one.misled_s) / protected_s if protected_s else None,
         "flights that misled, per second of that time": events / protected_s if protected_s else None,
         f"the same, at most ({CONFIDENCE:.0%})": upper_limit(events) / protected_s if protected_s else None,
+        "of what protection promises to hold: such time [s]": held_s,
+        "of it misled [s]": _sum(held, lambda one: one.misled_s),
+        "flights that misled against the promise": broken,
+        "of those, per second of such time": broken / held_s if held_s else None,
+        f"that rate, at most ({CONFIDENCE:.0%})": upper_limit(broken) / held_s if held_s else None,
         "protection over error before an alarm, median": ratios,
         f"clean, bound under {SHARP_NT:g} nT: flights": len(clean),
         "of them trusted by 1.5 orbits": (
@@ -301,7 +319,8 @@ _NOTES: Final = (
     f"{WRONG_NT:g} nT and {WRONG_SIGMA:g} sigma of the estimate.  Misled: trusted, and the error beyond the published "
     f"protection and {COVERED_SIGMA:g} sigma.  Unprotected: trusted without a protection level.",
     "Every flight counts as one event at the most: its seconds are not independent.  Rates are of the time that is "
-    "trusted and has a protection level; their upper limit is Poisson's, one-sided.  What nothing can show (a "
+    "trusted and has a protection level; their upper limit is Poisson's, one-sided.  What protection promises to hold "
+    "is one hazard of docs/integrity.md, no larger than told there, and clean flights.  What nothing can show (a "
     "reference that is scaled) is listed and counts for no promise.",
     "Warned: a doubtful verdict after the hazard's beginning, whatever its reason.  Protection over error is the "
     f"median of the last {BEFORE_ALARM_S:g} s before it, while trusted: the hazard is just below detection then.",

@@ -92,6 +92,10 @@ def test_rates_are_of_the_time_with_a_protection_level_and_a_flight_counts_once(
     assert figures["trusted with a protection level [s]"] == 12.0
     assert figures["flights that misled, per second of that time"] == 2 / 12
     assert figures["the same, at most (95%)"] == pytest.approx(6.2958 / 12, abs=1e-4)
+    assert figures["flights that misled against the promise"] == 2
+    beyond = integrity._figures([(asked("step_1000", 20.0), scored(heard(), since_s=5.0))], 1)
+    assert beyond["flights that misled"] == 1
+    assert beyond["flights that misled against the promise"] == 0
 
 
 def test_a_warning_is_told_by_noise_with_how_many_came() -> None:
@@ -154,5 +158,7 @@ def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPa
     assert findings.figures["flights"] == 4
     assert [row[0] for row in findings.tables[1].rows] == list(few)
     parts = {row[0]: row[1] for row in findings.tables[0].rows}
-    assert parts == {"clean": 2, "all that can be seen": 2, "what nothing can show": 2}
+    assert parts == {
+        "clean": 2, "what protection promises to hold": 2, "all that can be seen": 2, "what nothing can show": 2,
+    }  # fmt: skip
     assert {scenarios.SCENARIOS[name].group for name in few} == {Group.CLEAN, Group.REFERENCE}
