@@ -19,16 +19,19 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig, TrustConfig
 from magcal_service.estimators.ukf import Ukf
+from magcal_service.model import BIAS
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_look
 from magcal_service.trust.hazard_look import ALARM_NATS
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.protection import alarm_gain
+from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
 FLIGHT_S = 9000.0
 NOISES_NT = (20.0, 100.0, 300.0)
+SHARP_NT = 50.0
 
 
 def ticks(noise_nt: float, seed: int, towards: np.ndarray | None = None) -> Iterator[Tick]:
@@ -75,7 +78,7 @@ def cost() -> None:
 
 def false_alarms(flights: int) -> None:
     """Print the largest evidence of clean flights in units of the alarm's."""
-    largest, alarms, levels = [], 0, []
+    largest, alarms, levels, sharp = [], 0, [], []
     for number in range(flights):
         rng = np.random.default_rng([number, 3])
         noise_nt = NOISES_NT[number % len(NOISES_NT)]
@@ -89,10 +92,14 @@ def false_alarms(flights: int) -> None:
         alarms += told
         level = monitor.protector.level
         levels.append(np.nan if level is None else level.nt)
+        state = ukf.estimate()
+        if 3.0 * np.sqrt(state.covariance.diagonal()[BIAS].max()) < SHARP_NT:
+            sharp.append(monitor.judge(state).verdict is Verdict.TRUSTED)
     print(f"{flights} flights of {FLIGHT_S:.0f} s: {alarms} with an alarm; evidence of a flight over the alarm's:")
     print(
         f"median {np.median(largest):.2f}, largest {max(largest):.2f}; level at the end {np.nanmedian(levels):.0f} nT"
     )
+    print(f"trusted at the end: {sum(sharp)} of {len(sharp)} whose bias is known to {SHARP_NT:.0f} nT, 3 sigma")
     print(f"alarm from {ALARM_NATS:.1f} nats of significance: {alarm_gain(ALARM_NATS, 1):.1f} of gain by one column")
     print(f"false alarms a year by the threshold: at most {hazard_look.FALSE_PER_YEAR:g}")
 
