@@ -248,7 +248,7 @@ def _worst(flights: Sequence[Flight]) -> Table:
     return Table(f"Flights that misled ({len(misled)})", columns, tuple(rows))
 
 
-_MOST_LISTED: Final = 40
+_MOST_LISTED: Final = 40  # a page of them; the JSON of a smaller run has the rest
 
 
 def _figures(flights: Sequence[Flight], asked: int) -> dict[str, Cell]:

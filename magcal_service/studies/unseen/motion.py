@@ -14,13 +14,14 @@ from magcal_service.geomagnetic import WGS84_A_KM, igrf_eci_nt
 from magcal_service.model import Array
 from magcal_service.studies.flights import EARTH_GM_KM3_S2, START_UTC_NS
 
-ALTITUDE_KM: Final = 550.0
+ALTITUDE_KM: Final = 550.0  # where most of them fly
 INCLINATION_RAD: Final = math.radians(97.6)
 """A sun-synchronous orbit, as most small craft have."""
 
 SPIN_RPM: Final = 3.0
 SPIN_AXIS: Final = (0.0, 0.0, 1.0)
 _SPIN_ECI: Final = (0.4, -0.7, 0.59)
+"""A slow spin about z, of an axis that is neither along nor across the orbit's plane; a choice."""
 
 _TUMBLE_RAD_S: Final = (0.021, 0.0043)
 """About an axis of the body, and about one of inertial space: 1.2 and 0.25 deg/s, as after a detumbling."""

@@ -32,6 +32,7 @@ from magcal_service.studies.unseen.motion import field_eci_nt
 
 _HOUR_S: Final = 3600.0
 _ORBIT_S: Final = 5740.0
+"""An hour, and an orbit at 550 km [s]."""
 _X, _Y, _Z = np.eye(3)
 _ONE_SIDE: Final = np.array([0.6, -0.48, 0.64])
 
