@@ -18,8 +18,8 @@ ALTITUDE_KM: Final = 550.0  # where most of them fly
 INCLINATION_RAD: Final = math.radians(97.6)
 """A sun-synchronous orbit, as most small craft have."""
 
-SPIN_RPM: Final = 3.0
-SPIN_AXIS: Final = (0.0, 0.0, 1.0)
+SPIN_RPM: Final = 3.0  # as craft spin that are stabilised by it, and slow enough to be sampled every 4 s
+SPIN_AXIS: Final = (0.0, 0.0, 1.0)  # the axis that most of them spin about
 _SPIN_ECI: Final = (0.4, -0.7, 0.59)
 """A slow spin about z, of an axis that is neither along nor across the orbit's plane; a choice."""
 

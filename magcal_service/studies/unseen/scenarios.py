@@ -30,7 +30,7 @@ from magcal_service.studies.unseen.faults import (
 from magcal_service.studies.unseen.flight import Sent
 from magcal_service.studies.unseen.motion import field_eci_nt
 
-_HOUR_S: Final = 3600.0
+_HOUR_S: Final = 3600.0  # seconds
 _ORBIT_S: Final = 5740.0
 """An hour, and an orbit at 550 km [s]."""
 _X, _Y, _Z = np.eye(3)
