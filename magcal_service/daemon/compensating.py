@@ -244,6 +244,8 @@ class CompensatingCraft(Craft, CompensatingMemory):
             except InputRefusedError as error:
                 raise SnapshotError(f"{where}._physics: {error}") from None
         if isinstance(saved, dict) and saved.get("settling") is not None and self.settling is None:
+            if self.compensation is None or self.plain is None:
+                raise SnapshotError(f"{where}.settling: there is no physics.toml whose start could be waited for")
             self._settle()
         super().restore_state(saved, where, given)
 

@@ -27,7 +27,9 @@ def told(error: Exception) -> str:
 
 @contextmanager
 def contained(pipeline: Pipeline, doing: str, message: Message | None = None) -> Iterator[None]:
-    """Within, whatever is raised is logged, with its traceback where it is new, and the craft begins anew.
+    """Within, whatever is raised is logged, with its traceback the first time, and the craft begins anew.
+
+    A kind of error while the same is done is logged the first time, the 10th, the 100th and so on, with its count.
 
     Parameters
     ----------
@@ -39,5 +41,11 @@ def contained(pipeline: Pipeline, doing: str, message: Message | None = None) ->
         yield
     except Exception as error:  # whatever it is, it is this craft's alone
         cause = f"{told(error)}, while {doing}"
-        log.error("%s: failed: %s; it begins anew", pipeline.config.name, cause, exc_info=cause != pipeline.failure)
+        kind = f"{type(error).__name__}, while {doing}"
+        pipeline.failures[kind] += 1
+        times = pipeline.failures[kind]
+        if times == 1:
+            log.error("%s: failed: %s; it begins anew", pipeline.config.name, cause, exc_info=True)
+        elif set(str(times)[1:]) == {"0"} and str(times)[0] == "1":
+            log.error("%s: failed: %s, for the %dth time; it begins anew", pipeline.config.name, cause, times)
         pipeline.begin_anew(cause, message)

@@ -63,11 +63,13 @@ class Pipeline(CompensatingCraft, PipelineMemory):
     ----------
     heard: the source of its samples; empty until one was accepted, where the configuration names none.
     failure: why it last began anew by itself; empty where it never did.
+    failures: how often it did since the daemon has started, by kind of error and what was being done.
     """
 
     def __init__(self, config: CraftConfig) -> None:
         super().__init__(config)
         self.failure = ""
+        self.failures: Counter[str] = Counter()
         self.heard = config.hears
         self._left_out = []  # digests of messages at which it failed
 
@@ -109,7 +111,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         if self._process_noise is not None:
             fresh.set_process_noise(*self._process_noise)
         fresh.frozen, fresh._sequence, fresh._events = self.frozen, self._sequence, self._events
-        fresh.heard = self.heard
+        fresh.heard, fresh.failures = self.heard, self.failures
         fresh.first_time_ns, fresh.last_time_ns, fresh._clock = self.first_time_ns, self.last_time_ns, self._clock
         fresh._left_out = self._left_out if message is None else [*self._left_out, _digest(message)][-_MOST_LEFT_OUT:]
         vars(self).update(vars(fresh))

@@ -19,6 +19,7 @@ from magcal_service.daemon.containment import contained
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
+from magcal_service.snapshot import SnapshotError
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message, Status
 from tests.daemon.pipeline_streams import handle_all, paper, quick_craft
@@ -111,14 +112,16 @@ def test_what_it_failed_at_is_left_out_where_it_comes_again_after_a_restart_too(
     assert sum(told in event for event in events) == 1
 
 
-def test_a_failure_that_goes_on_is_logged_with_its_traceback_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failure_that_goes_on_is_logged_the_first_time_and_at_powers_of_ten(caplog: pytest.LogCaptureFixture) -> None:
     pipeline = Pipeline(CRAFTS[0])
     with caplog.at_level(logging.ERROR, "magcal"):
-        for error in (KeyError("a"), KeyError("a"), ValueError("b\x1b[31m\n" + 300 * "c")):
+        for error in [*(KeyError(number) for number in range(120)), ValueError("b\x1b[31m\n" + 300 * "c")]:
             with contained(pipeline, "trying"):
                 raise error
-    assert [record.exc_info is not None for record in caplog.records if record.exc_info is not False] == [True, True]
-    assert pipeline.counters["failed"] == 3
+    assert [bool(record.exc_info) for record in caplog.records] == [True, False, False, True]
+    assert [" time;" in record.getMessage() for record in caplog.records] == [False, True, True, False]
+    assert "KeyError: 99, while trying, for the 100th time; it begins anew" in caplog.text
+    assert pipeline.counters["failed"] == 121
     assert pipeline.failure == f"ValueError: b[31m {142 * 'c'}, while trying"
 
 
@@ -191,3 +194,9 @@ def test_a_checkpoint_that_raises_whatever_gives_way_to_the_one_before(
         assert service.pipelines["sick"].ticks.counters["accepted"] == 50
         (event, *_) = [one.text for one in node.receive(0.0) if isinstance(one, Status)]
     assert "state_dropped (checkpoint 0000000002.state: ZeroDivisionError: planted" in event
+
+
+def test_a_checkpoint_that_waits_for_the_start_of_no_physics_file_is_refused_by_name() -> None:
+    saved = Pipeline(CRAFTS[0]).export_state()
+    with pytest.raises(SnapshotError, match=r"state\.settling: there is no physics\.toml"):
+        Pipeline(CRAFTS[0]).restore_state(saved | {"settling": {}})
