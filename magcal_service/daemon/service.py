@@ -26,6 +26,7 @@ from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.status_round import StatusRound
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
@@ -111,6 +112,7 @@ class Service:
         self._left_out: set[str] = set()  # craft of which it was told that messages are left out
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
+        self._round = StatusRound()
         self._schedule = Schedule(math.inf if config.state is None else config.state.period_s)
 
     def shut_down(self) -> None:
@@ -140,7 +142,7 @@ class Service:
     def _received(self) -> list[Message]:
         """The messages received; the waiting time is recorded."""
         began_s = time.monotonic()
-        messages = self.link.receive(WAIT_S)
+        messages = self.link.receive(0.0 if self._round.pending else WAIT_S)
         self.health.lateness.polled(began_s)
         return messages
 
@@ -170,7 +172,10 @@ class Service:
             if self.link.exhausted and not messages:
                 break
             if status.due():
-                self.publish_status()
+                self._tell_daemon()
+                self._round.begin(self.pipelines)
+            for name in self._round.turn():
+                self._publish_status(self.pipelines[name])
             if summary.due():
                 self.log_health()
             if watchdog.due():
@@ -300,9 +305,13 @@ class Service:
 
     def publish_status(self) -> None:
         """Send each craft's status, and put the rows written so far on disk."""
-        self._tell_alone()
         for pipeline in self.pipelines.values():
             self._publish_status(pipeline)
+        self._tell_daemon()
+
+    def _tell_daemon(self) -> None:
+        """Renew what is told once for all craft."""
+        self._tell_alone()
         self._publish_metrics()
         self._to_disk(EstimateCsv.flush)
 

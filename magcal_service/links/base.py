@@ -41,7 +41,8 @@ class Link(abc.ABC):
     ``counters`` counts by kind: ``received``, ``sent``, ``dropped``, ``overflow``, ``up``, ``down``,
     ``refused.<reason>`` (the reasons of ``wire.messages.REFUSALS`` and ``wire.framing``, and ``unknown_craft``),
     ``unsendable.<reason>``, and the sums of ``sources()``: ``lost``, ``doubled``, ``late``, ``restarted``.  A link
-    that dies reconnects by itself with back-off; what is sent meanwhile is counted as ``dropped``.
+    that dies reconnects by itself with back-off; what is sent meanwhile is counted as ``dropped``.  ``overflows`` has
+    ``overflow`` by craft, of those that are served, where the link shares its queue among them.
 
     Parameters
     ----------
@@ -62,6 +63,7 @@ class Link(abc.ABC):
         self.counters: Counter[str] = Counter(
             dict.fromkeys(("received", "sent", "dropped", "overflow", "up", "down"), 0)
         )
+        self.overflows: Counter[str] = Counter(dict.fromkeys(sorted(self.crafts), 0))
         # What a peer can make this end remember: beyond it, invented names are served but not remembered.
         self.most_sources = 1024 + 32 * len(self.crafts)
         self._strangers: list[str] = []

@@ -17,6 +17,7 @@ import zenoh
 from zenoh import ext, handlers
 
 from magcal_service.config.address import LinkAddress
+from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
@@ -28,7 +29,7 @@ from magcal_service.links.zenoh_log import DENIALS, watch
 from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_rules
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.keys import ROOT, encoding_of, group_of, key_of
-from magcal_service.wire.kinds import Kind, kind_of
+from magcal_service.wire.kinds import KINDS, Kind, kind_of
 from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links.zenoh")
@@ -68,7 +69,7 @@ class ZenohLink(Link):
             self.counters.update(dict.fromkeys((f"denied.{name}" for name in DENIALS), 0))
             watch(self._count, address.text, has_rules(self._config))
         self._inbox: FairInbox[zenoh.Sample] = FairInbox(
-            self._settings.queue, lambda: self._count("overflow"), crafts, TURN if role is Role.SERVICE else None
+            self._settings.queue, self._overflowed, crafts, TURN if role is Role.SERVICE else None
         )
         self._rate = RateLimit(self._settings.rate, float(self._settings.queue))
         self._board = PresenceBoard(self._count)
@@ -80,6 +81,7 @@ class ZenohLink(Link):
         self._held: list[object] = []  # declarations live as long as they are referred to
         self._publishers: dict[str, ext.AdvancedPublisher] = {}
         self._announced: set[str] = set()
+        self._keys: dict[str, zenoh.KeyExpr] = {}
         self._transports: set[str] = set()
         self._transports_lock = threading.Lock()
         if self._settings.listen:
@@ -165,7 +167,7 @@ class ZenohLink(Link):
             # Not express: each such message takes one of 16 places, so that a burst is dropped in silence when zenoh's
             # own threads get no processor for 50 ms.  Without, it shares places, and is as quick where there is room.
             if publisher is None:  # a publisher drops what it is given before it knows of a router's subscribers
-                self._session.put(key, payload, encoding=encoding_of(kind))
+                self._session.put(self._declared(self._session, key), payload, encoding=encoding_of(kind))
             else:
                 publisher.put(payload)
         except zenoh.ZError as error:
@@ -186,6 +188,12 @@ class ZenohLink(Link):
                 publisher_detection=True,
             )
         return self._publishers.get(key)
+
+    def _declared(self, session: zenoh.Session, key: str) -> zenoh.KeyExpr | str:
+        """A key that zenoh has looked up once: among a thousand craft it would be looked up for each message."""
+        if key not in self._keys and len(self._keys) < self.most_sources:
+            self._keys[key] = session.declare_keyexpr(key)
+        return self._keys.get(key, key)
 
     def _announce(self, session: zenoh.Session, craft: str) -> None:
         if craft not in self._announced and len(self._announced) < self.most_sources:
@@ -209,6 +217,12 @@ class ZenohLink(Link):
             same_craft = key.startswith(f"{ROOT}/{message.craft}/")
             self._count("refused.wrong_key" if same_craft else "refused.wrong_craft")
             return None
+        if key not in self._keys and message.craft in self.crafts:
+            with (
+                self._lock
+            ):  # zenoh then knows where the next one of this key goes, even from a node without a publisher
+                if self._session is not None:
+                    self._declared(self._session, key)
         return message
 
     def _arrived(self, sample: zenoh.Sample) -> None:
@@ -220,6 +234,11 @@ class ZenohLink(Link):
             self._count("refused.too_fast")
         else:
             self._inbox.put(sample, craft, source)
+
+    def _overflowed(self, craft: str) -> None:
+        self._count("overflow")
+        if craft:
+            self.overflows[craft] += 1
 
     def _transport(self, event: zenoh.TransportEvent) -> None:
         self._connection(str(event.transport.zid), event.kind == zenoh.SampleKind.PUT)
@@ -281,6 +300,7 @@ class ZenohLink(Link):
         if self.role is Role.SERVICE:  # nodes that are present already send missed messages again
             for craft in self.crafts:
                 self._joining.begin(craft, time.monotonic())
+            self._prepare(session)
         names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
         if not names or self._settings.listen:  # at a listening end, what is addressed to nobody is counted as well
             names = [f"{ROOT}/*"]
@@ -290,6 +310,14 @@ class ZenohLink(Link):
             self._held.append(presence)
         for craft in sorted(self.crafts):  # after the subscriptions: an end that is seen alive also receives
             self._announce(session, craft)
+
+    def _prepare(self, session: zenoh.Session) -> None:
+        """Declare the publishers of all craft now: with a thousand craft each takes a millisecond, which a vector
+        would wait for."""
+        for craft in sorted(self.crafts):
+            for kind in KINDS:
+                if kind.name in _KEPT_RESULTS:
+                    self._publisher(session, f"{ROOT}/{craft}/{group_of(kind)}/{kind.name}/{RESERVED_SOURCE}", kind)
 
     def _subscriptions(self, session: zenoh.Session, name: str) -> list[object]:
         arrived = _direct(self._arrived)
@@ -321,6 +349,7 @@ class ZenohLink(Link):
         self._held.clear()
         self._publishers.clear()
         self._announced.clear()
+        self._keys.clear()
         if session is not None and not session.is_closed():
             session.close()  # type: ignore[no-untyped-call]
         for other in tuple(self._transports):

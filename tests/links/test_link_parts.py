@@ -47,14 +47,14 @@ def test_other_tokens_are_ignored(key: str) -> None:
 
 
 def test_an_empty_inbox_waits_for_as_long_as_it_may() -> None:
-    inbox: FairInbox[int] = FairInbox(10, lambda: None)
+    inbox: FairInbox[int] = FairInbox(10, lambda _: None)
     begun_s = time.monotonic()
     assert inbox.drain(0.1) == []
     assert 0.1 <= time.monotonic() - begun_s < SOON_S
 
 
 def test_an_inbox_that_waits_wakes_with_the_first_item() -> None:
-    inbox: FairInbox[int] = FairInbox(10, lambda: None)
+    inbox: FairInbox[int] = FairInbox(10, lambda _: None)
     timer = threading.Timer(0.05, inbox.put, (1,))
     timer.start()
     begun_s = time.monotonic()
@@ -65,7 +65,7 @@ def test_an_inbox_that_waits_wakes_with_the_first_item() -> None:
 
 def test_an_inbox_that_was_flooded_and_drained_has_all_its_room_again() -> None:
     gone: list[None] = []
-    inbox: FairInbox[int] = FairInbox(3, lambda: gone.append(None))
+    inbox: FairInbox[int] = FairInbox(3, lambda _: gone.append(None))
     for item in range(8):
         inbox.put(item)
     assert inbox.drain(0.0) == [5, 6, 7]

@@ -1,0 +1,1 @@
+"""Scenarios of load on a running daemon; ``tests.benchmarks.bench_load`` runs them."""
