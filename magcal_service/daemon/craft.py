@@ -190,11 +190,13 @@ class Craft(Stateful, CraftMemory):
         elif self.frozen:
             self.counters["ticks_frozen"] += 1
             self.monitor.observe_frozen()
+            self.monitor.witness.observe(tick, self._state)
             self._thawed = True
         else:
             if self._thawed:  # what lies before the freeze is as far away as after a gap
                 self._thawed, tick = False, replace(tick, after_gap=True)
             self._learn(tick)
+        self.monitor.observe_held(self.ticks.held_factor)
         self.trust = self.monitor.judge(self._state)
         return self._estimate(tick.time_ns, tick.clock)
 
@@ -204,7 +206,9 @@ class Craft(Stateful, CraftMemory):
             outcome, state = learned(self.estimator, tick)
         except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
+            witness = self.monitor.witness
             self.reset()
+            self.monitor.witness = witness  # of the samples, whatever the estimate
             self.note("estimator_failed", f"{error}; it starts anew")
             return
         self._note_phase(self._state, state)

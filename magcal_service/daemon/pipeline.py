@@ -210,6 +210,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
             state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
         if self.model_doubt:
             state += f"{self.model_doubt}; "
+        state += "".join(f"{seen}; " for seen in self.monitor.seen.values())
         return f"{state}{self.trust.verdict}{reasons}{self.trust.protection}, {self.ticks.counters['ticks']} ticks"
 
     @property

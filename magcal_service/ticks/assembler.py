@@ -25,8 +25,9 @@ that reject it):
                        changes.
 ``zero``               all three components are 0, as of a sensor that has not measured yet: rejected.
 ``crowded``            its second holds ``_MOST_IN_TICK`` samples already: rejected.
-``held``               the vector of the sample before, where noise would have changed each axis: the sensor had no
-                       new one; it is calibrated, but not used by the estimator.
+``held``               the vector of the sample before, where noise would have changed each axis, or all axes move
+                       on together after repeats: the sensor had no new one; it is calibrated, but not used by the
+                       estimator.
 ``no_reference``       no reference at its time when its tick closes: it is calibrated, but not used by the estimator.
 =====================  ===============================================================================================
 
@@ -47,6 +48,7 @@ from magcal_service.config.settings import SensorConfig, TickConfig
 from magcal_service.model import Array
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.axis_watch import AxisWatch
+from magcal_service.ticks.held_watch import HeldWatch
 from magcal_service.ticks.rate_track import RateTrack
 from magcal_service.ticks.reference_track import ReferenceTrack
 from magcal_service.ticks.rejection import Rejection
@@ -114,6 +116,7 @@ class TickAssemblerMemory:
     _same: int
     _last_field: Vector | None
     _axes: AxisWatch
+    _held: HeldWatch
     _done: list[Tick]
 
 
@@ -150,6 +153,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self._same = 0
         self._last_field = None
         self._axes = AxisWatch(round(sensor.axis_stuck_s * SECOND_NS), sensor.stuck_samples, sensor.noise_nt)
+        self._held = HeldWatch()
         self._done = []
 
     @property
@@ -161,6 +165,15 @@ class TickAssembler(Stateful, TickAssemblerMemory):
     def newest_s(self) -> float:
         """Elapsed time of the newest accepted sample [s]."""
         return self._newest_ns * 1e-9
+
+    @property
+    def _repeats_are_held(self) -> bool:
+        return self._axes.is_fine or self._held.is_held
+
+    @property
+    def held_factor(self) -> float:
+        """Samples to a reading of the sensor, where it holds each for several; else 1."""
+        return self._held.factor if self._repeats_are_held else 1.0
 
     def elapsed_s(self, sample: MagnetometerSample) -> float:
         """Time of a sample that was taken since the first one [s], as its tick has it."""
@@ -206,7 +219,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         elif elapsed_ns - self._newest_ns > self._gap_ns:
             self.counters["gap"] += 1
         self._newest_ns = max(self._newest_ns, elapsed_ns)
-        if self._same > 1 and self._axes.is_fine:
+        self._held.push(sample.field_body_nt)
+        if self._same > 1 and self._repeats_are_held:
             self.counters["held"] += 1
         else:
             insort(self._open, (elapsed_ns, corrected), key=_elapsed)

@@ -24,6 +24,8 @@ from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.hazards import REMEDY
 from magcal_service.trust.protector import Protector
 from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.witness import DOUBTS, Witness
+from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
 
@@ -59,7 +61,9 @@ class _Levels:
     eigenvalues: Final = (0.5, 2.0)  # of I + D
     aliasing_turn: Final = 0.04  # of a turn, distance of the phase step from 0 or a half
     noise_share: Final = 0.05  # noise over |H|; the covariance is found short beyond it
-    magnitude_spread: Final = 0.005  # std of |H| over its mean
+    magnitude_spread: Final = 0.005  # of |H| over its median, by ``ReferenceSense``
+    noise_ratio: Final = (0.6, 1.6)  # of the noise seen to the noise told; 300 residuals give it to 4 %: seldom
+    held_factor: Final = 1.1  # samples to a reading; one repeat in ten is no sensor that holds its readings
     silent_s: Final = 60.0  # without a reference or with a stuck sensor
     coverage_ticks: Final = 12_000  # two orbits: by then every direction has occurred that will
 
@@ -118,7 +122,7 @@ class TrustMonitorMemory:
     _block_spread_nt2: float
     _blocks: deque[float]
     _block_ratio: float
-    _magnitude: Moments
+    witness: Witness
     _square: float
     _last_sample_s: float | None
     _aliased: float
@@ -132,6 +136,7 @@ class TrustMonitorMemory:
     _frozen: bool
     _unchecked_s: float
     protector: Protector
+    _held_factor: float
 
 
 class TrustMonitor(Stateful, TrustMonitorMemory):
@@ -159,7 +164,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._block_spread_nt2 = 0.0  # what the estimate's error may add to the present block's mean
         self._blocks = deque(maxlen=_Levels.blocks)
         self._block_ratio = 0.0
-        self._magnitude = Moments()
+        self.witness = Witness(self.config)
         self._square = 0.0
         self._last_sample_s = None
         self._aliased = 0.0
@@ -173,6 +178,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._frozen = False
         self._unchecked_s = 0.0
         self.protector.reset()
+        self._held_factor = 1.0
 
     @property
     def residual_rms_nt(self) -> float:
@@ -194,6 +200,29 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         """White noise level of the newest residuals [nT], 0 while there are too few."""
         return self._floor_nt
 
+    @property
+    def seen(self) -> dict[Reason, str]:
+        """What was seen of each reason that has figures of its own, in words."""
+        seen = dict(self.witness.said)
+        if self._held_factor > _Levels.held_factor:
+            seen[Reason.HELD_READINGS] = f"each reading comes {self._held_factor:.1f} times"
+        noise_nt = self._misstated_noise_nt()
+        if noise_nt:
+            seen[Reason.NOISE_MISSTATED] = f"noise is {noise_nt:.0f} nT, stated are {self.config.sensor.noise_nt:g} nT"
+        return seen
+
+    def _misstated_noise_nt(self) -> float:
+        """What the noise is, where ``sensor.noise_nt`` is told far too small or too large [nT]; 0 where it is not.
+
+        Too small by the white part of the residual, which no missing physics raises; too large by all of it.
+        """
+        told_nt, (low, high) = self.config.sensor.noise_nt, _Levels.noise_ratio
+        if told_nt is None or self._since_start < _Levels.memory_ticks or not self._floor_nt:
+            return 0.0
+        if self._floor_nt > high * told_nt:
+            return self._floor_nt
+        return self.residual_rms_nt if self.residual_rms_nt < low * told_nt else 0.0
+
     def observe(self, tick: Tick, outcome: TickOutcome, estimate: StateEstimate) -> None:
         """Update the statistics with one tick."""
         if estimate.restarts != self._restarts:
@@ -205,7 +234,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._ticks += 1
         self._unpaired_s = self._unchecked_s = 0.0
         self._frozen = False
-        self._magnitude.add(tick.reference_magnitude_nt)
+        self.witness.observe(tick, estimate)
         self._observe_sampling(tick)
         if outcome.phase is not Phase.RUNNING or not outcome.used + outcome.rejected:
             return
@@ -255,6 +284,10 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._unpaired_s = 0.0
         self._frozen = True
 
+    def observe_held(self, factor: float) -> None:
+        """How many samples there are to a reading of the sensor."""
+        self._held_factor = factor
+
     def observe_driver(self, missing: bool) -> None:
         """Whether an effect that is to be compensated could not be, for want of its driver."""
         self._driver_missing = missing
@@ -302,30 +335,42 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _trust(self, verdict: Verdict, reasons: tuple[Reason, ...]) -> Trust:
         level = self.protector.level
         if level is None:
-            return Trust(verdict, reasons, REMEDIES[reasons[0]] if reasons else "")
+            return Trust(verdict, reasons, self._remedy(reasons[0]) if reasons else "")
         if reasons and reasons[0] is Reason.UNPROTECTED:
             remedy = REMEDY[level.by]
         else:
-            remedy = REMEDIES[reasons[0]] if reasons else ""
+            remedy = self._remedy(reasons[0]) if reasons else ""
         return Trust(verdict, reasons, remedy, level.nt, str(level.by))
 
     def _before_start(self, estimate: StateEstimate) -> Trust:
         reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
         if estimate.waiting_for:
             reasons.append(reason_of(estimate.waiting_for))
-        reasons += [*self._silence(), Reason.COLLECTING]
-        return Trust(Verdict.NOT_STARTED, tuple(reasons), REMEDIES[reasons[0]])
+        reasons += [*self._witnessed(), *self._silence(), Reason.COLLECTING]
+        return Trust(Verdict.NOT_STARTED, tuple(reasons), self._remedy(reasons[0]))
 
     def _information(self) -> set[Reason]:
         """Reasons that are reported but do not make the estimate doubtful by themselves."""
         short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
-        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN, Reason.COMPENSATION_STOPPED} | short
+        told = {Reason.HELD_READINGS, Reason.NOISE_MISSTATED}
+        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN, Reason.COMPENSATION_STOPPED} | told | short
 
     def _silence(self) -> list[Reason]:
         silent = [Reason.NO_REFERENCE] if self._unpaired_s > 0.0 else []
         frozen = [Reason.FROZEN] if self._frozen else []
         stopped = [Reason.COMPENSATION_STOPPED] if self._compensation_stopped else []
         return [*silent, *([] if self._fault is None else [self._fault]), *frozen, *stopped]
+
+    def _witnessed(self) -> list[Reason]:
+        return [reason for reason in DOUBTS if reason in self.witness.said]
+
+    def _told(self) -> list[Reason]:
+        return [reason for reason in (Reason.HELD_READINGS, Reason.NOISE_MISSTATED) if reason in self.seen]
+
+    def _remedy(self, reason: Reason) -> str:
+        """What to do about a reason, with what was seen where that is more than the reason says."""
+        seen = self.seen.get(reason, "")
+        return fitting(f"{seen}: {REMEDIES[reason]}" if seen else REMEDIES[reason])
 
     def _is_aliased(self) -> bool:
         return self._aliased > 0.5 and self._ticks >= 30
@@ -353,14 +398,14 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             (Reason.DRIVER_MISSING, self._driver_missing),
             (Reason.SPIN_ALIASING, self._is_aliased()),
             (Reason.SPIN_CONTRADICTED, estimate.spin_given_up),
-            (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self._magnitude.mean),
+            (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self.witness.reference.mean_nt),
             (
                 Reason.CONSTANT_REFERENCE,
-                self._magnitude.std < levels.magnitude_spread * self._magnitude.mean
+                self.witness.reference.spread_nt < levels.magnitude_spread * self.witness.reference.mean_nt
                 and self._ticks >= levels.memory_ticks,
             ),
         )
-        return [reason for reason, bad in questions if bad] + self._silence()
+        return self._witnessed() + [reason for reason, bad in questions if bad] + self._silence() + self._told()
 
     def _unfinished(self, estimate: StateEstimate) -> list[Reason]:
         settings = self.config.trust
@@ -380,32 +425,3 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _is_protected(self) -> bool:
         level = self.protector.level
         return level is not None and level.nt <= self.config.trust.protection_nt
-
-
-@dataclass(init=False, repr=False, eq=False)
-class MomentsMemory:
-    """What of ``Moments`` outlives a restart, saved and restored whole."""
-
-    mean: float
-    _count: int
-    _sum: float
-
-
-class Moments(Stateful, MomentsMemory):
-    """Running mean and standard deviation (Welford 1962)."""
-
-    def __init__(self) -> None:
-        self._count, self.mean, self._sum = 0, 0.0, 0.0
-
-    def add(self, values: Array) -> None:
-        """Add values of any number."""
-        for value in values.tolist():
-            self._count += 1
-            delta = value - self.mean
-            self.mean += delta / self._count
-            self._sum += delta * (value - self.mean)
-
-    @property
-    def std(self) -> float:
-        """Standard deviation, 0 before two values."""
-        return math.sqrt(self._sum / (self._count - 1)) if self._count > 1 else 0.0

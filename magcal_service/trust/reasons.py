@@ -35,6 +35,12 @@ class Reason(StrEnum):
     FROZEN = "frozen"
     STALE = "stale"
     RECORDING_DOUBTFUL = "recording_doubtful"
+    AXES_CHANGED = "axes_changed"
+    SPIN_DISAGREES = "spin_disagrees"
+    RATE_DISAGREES = "rate_disagrees"
+    REFERENCE_HELD = "reference_held"
+    HELD_READINGS = "held_readings"
+    NOISE_MISSTATED = "noise_misstated"
 
 
 REMEDIES: Final = {
@@ -72,6 +78,16 @@ REMEDIES: Final = {
     Reason.STALE: "the estimate has met no sample for more than an orbit: resume, or look after sensor and reference",
     Reason.RECORDING_DOUBTFUL: "the recording itself is in doubt: answer in its descriptor what was found on it "
     "(magcal inspect shows it)",
+    Reason.AXES_CHANGED: "the vector jumped as no turn explains and no outlier does, so vectors are in other axes than "
+    "before: check the sensor's driver and what restarted, correct the axes, then reset",
+    Reason.SPIN_DISAGREES: "the field does not turn as [craft.spin] says: check its axis and the sign and size of "
+    "rate_rpm, and the signs and order of the sensor's axes",
+    Reason.RATE_DISAGREES: "gyro and magnetometer turn differently: check signs, order and units of both sensors' axes",
+    Reason.REFERENCE_HELD: "the reference repeats while time goes on: check that its source gets new positions, and "
+    "its rate",
+    Reason.HELD_READINGS: "the sensor has new readings more seldom than samples come; repeats are not learned from: "
+    "send each reading once",
+    Reason.NOISE_MISSTATED: "the residual's noise is not sensor.noise_nt: set it to what was measured, or leave it out",
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
     Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it is not compensated any more: diagnose a "
     "recording of today and load its physics.toml",

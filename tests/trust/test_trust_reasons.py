@@ -291,7 +291,8 @@ def test_a_restarted_estimator_is_doubted_until_it_has_settled() -> None:
     verdicts = []
     for index in range(1000, 1400):
         outcome = TickOutcome(Phase.RUNNING, np.zeros(1), 1, 0, 1.0, 1)
-        monitor.observe(Tick(index, np.array([float(index)]), np.ones((1, 3)), np.array([4e4])), outcome, again)
+        tick = Tick(index, np.array([float(index)]), np.ones((1, 3)), np.array([4e4 + 1e3 * (-1.0) ** index]))
+        monitor.observe(tick, outcome, again)
         verdicts.append(monitor.judge(again).verdict)
     assert verdicts == [Verdict.DOUBTFUL] * 299 + [Verdict.TRUSTED] * 101
 
