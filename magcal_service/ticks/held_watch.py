@@ -18,6 +18,12 @@ _FEWEST: Final = 10
 _OFTENER: Final = 5.0
 """Times oftener than chance lets three axes of this resolution repeat their values together."""
 
+_LEARNT: Final = 256
+"""Vectors from which the resolution is learnt: it is a property of the sensor."""
+
+_COMPARED: Final = 8
+"""Vectors before it that each is compared with."""
+
 _MOST: Final = 1024
 """Samples after which all counts are halved: the newest thousand or two decide."""
 
@@ -30,6 +36,8 @@ class HeldWatchMemory:
     _last: Vector | None
     _pending: int
     _resolution: list[float]
+    _learning: int
+    _seen: list[Vector]
     _samples: float
     _repeats: float
     _held: float
@@ -49,7 +57,9 @@ class HeldWatch(Stateful, HeldWatchMemory):
         self.is_held = False
         self._last = None
         self._pending = 0  # repeats since the vector last changed
-        self._resolution = [0.0] * 3  # smallest change of each axis [nT]
+        self._resolution = [0.0] * 3  # smallest difference of two values of each axis [nT]
+        self._learning = _LEARNT  # vectors from which the resolution is still to be learnt
+        self._seen = []  # the newest of them
         self._samples = self._repeats = self._held = self._moves = 0.0
         self._still = [0.0] * 3  # moves in which an axis kept its value
 
@@ -68,14 +78,14 @@ class HeldWatch(Stateful, HeldWatchMemory):
             self._pending += 1
             self._repeats += 1.0
             return
+        if self._learning:
+            self._learn_resolution(field_nt)
         together = True
         self._moves += 1.0
         for axis in range(3):
             step = abs(field_nt[axis] - last[axis])
             if step == 0.0:
                 self._still[axis] += 1.0
-            elif not 0.0 < self._resolution[axis] <= step:
-                self._resolution[axis] = step
             together = together and step >= 1.9 * self._resolution[axis] > 0.0
         if self._pending:
             if together:
@@ -84,6 +94,16 @@ class HeldWatch(Stateful, HeldWatchMemory):
             self._judge()
         if self._samples >= _MOST:
             self._halve()
+
+    def _learn_resolution(self, field_nt: Vector) -> None:
+        self._learning -= 1
+        for axis in range(3):
+            apart = [abs(field_nt[axis] - other[axis]) for other in self._seen if other[axis] != field_nt[axis]]
+            if apart and not 0.0 < self._resolution[axis] <= min(apart):
+                self._resolution[axis] = min(apart)
+        self._seen.append(field_nt)
+        if len(self._seen) > _COMPARED or not self._learning:
+            del self._seen[: 1 if self._learning else _COMPARED + 1]
 
     def _judge(self) -> None:
         chance = 1.0

@@ -39,10 +39,13 @@ _MEMORY: Final = 128
 """Predictions from which factors and usual miss are known."""
 
 _FEWEST: Final = 60
-"""Predictions before any is judged: two factors and a quantile are known to a tenth."""
+"""Predictions before any is judged: two factors and a median are known to a tenth."""
 
-_QUANTILE: Final = 0.9
-"""Of the misses' squares, what is taken as usual; one outlier in ten leaves it as it is."""
+_USUAL: Final = 2.6
+"""Times the median of the misses' squares, what is taken as usual: nine in ten Gaussian ones are below.
+
+An outlier spoils three predictions, so that one sample in ten spoils a third: the median bears it.
+"""
 
 _SUSPECT: Final = 9.0
 """Times the usual square from which a miss is suspected: 7.5 sigma of Gaussian ones."""
@@ -154,7 +157,7 @@ class AxesWatch(Stateful, AxesWatchMemory):
         self._seen += 1
         self._misses.append(miss)
         if self._seen <= _FEWEST or self._seen % 8 == 0:
-            self._usual = sorted(self._misses)[int(_QUANTILE * (len(self._misses) - 1))]
+            self._usual = _USUAL * sorted(self._misses)[len(self._misses) // 2]
         weight = 1.0 if self._seen <= 10 or miss <= 4.0 * self._usual else 4.0 * self._usual / miss
         keep = 1.0 - weight / min(self._seen + 1, _MEMORY)
         d0, d1, d2 = d

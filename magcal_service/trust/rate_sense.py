@@ -36,8 +36,8 @@ _FEWEST: Final = 120
 _EVERY: Final = 20
 """Steps between two comparisons."""
 
-_WRONG: Final = 0.6
-"""Share of the vector's change that the gyro as it is misses at least where it is wrong."""
+_WRONG: Final = 0.3
+"""Share of the vector's change that the gyro as it is misses at least where it is wrong: 30 degrees."""
 
 _RIGHT: Final = 0.15
 """Share that the named one misses at most."""
@@ -117,7 +117,7 @@ class RateSense(Stateful, RateSenseMemory):
         missed = self._change - 2.0 * turns @ self._right + np.einsum("pi,ij,pj->p", turns, self._normal, turns)
         shares = missed / max(self._change, 1e-9)
         best = float(shares.min())
-        if shares[SAME] < _WRONG or best > _RIGHT:
+        if shares[SAME] < max(_WRONG, _APART * best) or best > _RIGHT:
             return ""
-        near = np.flatnonzero(shares <= max(_APART * best, _RIGHT)).tolist()
+        near = np.flatnonzero((shares <= max(_APART * best, _RIGHT)) & (shares < shares[SAME])).tolist()
         return f"the gyro's axes do not fit the vector's turn, they would with {any_of(near)}"

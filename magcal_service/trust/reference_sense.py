@@ -121,7 +121,8 @@ class ReferenceSense(Stateful, ReferenceSenseMemory):
         if len(self._holds) < _HOLDS:
             return 0.0
         pace = sorted(step / held for _, held, step in self._holds)[_HOLDS // 2]
-        resolution = min(step for _, _, step in self._holds)
+        steps = sorted(step for _, _, step in self._holds)
+        resolution = min([steps[0], *_apart(steps)])
         return seconds if pace * seconds > max(_MISSED * self._value, _COARSE * resolution) else 0.0
 
     def _step(self) -> float:
@@ -130,7 +131,12 @@ class ReferenceSense(Stateful, ReferenceSenseMemory):
         counts = sorted(count for count, _, _ in self._holds)
         steps = sorted(step for _, _, step in self._holds)
         usual = steps[_HOLDS // 2]
-        apart = [b - a for a, b in itertools.pairwise(steps) if b - a > 1e-6 * usual]
+        apart = _apart(steps)
         if counts[_HOLDS // 4] < _STEP_TICKS or not apart or min(apart) > _FINE * usual:
             return 0.0
         return usual
+
+
+def _apart(steps: list[float]) -> list[float]:
+    """Differences between sorted steps [nT] that are more than the last bits."""
+    return [b - a for a, b in itertools.pairwise(steps) if b - a > 1e-6 * b]
