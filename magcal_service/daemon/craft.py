@@ -37,6 +37,10 @@ WATCHED: Final = {
     Reason.DRIFTING_RESIDUAL,
     Reason.MANY_REJECTED,
     Reason.SPIN_CONTRADICTED,
+    Reason.SPIN_DISAGREES,
+    Reason.RATE_DISAGREES,
+    Reason.HELD_READINGS,
+    Reason.NOISE_MISSTATED,
     Reason.UNPROTECTED,
 }
 """Reasons under which a window of the watch may begin: it may explain them, or lessen them."""
