@@ -9,7 +9,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from magcal_service.config.settings import CraftConfig
@@ -22,9 +22,11 @@ from magcal_service.errors import DecodeError
 from magcal_service.estimators.interface import Phase
 from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.time_window import is_usable
+from magcal_service.trust.vector_gate import strays
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import (
+    CalibratedVector,
     Command,
     CommandReply,
     MagnetometerSample,
@@ -33,6 +35,7 @@ from magcal_service.wire.messages import (
     ReferenceSample,
     Status,
     TelemetrySample,
+    Verdict,
 )
 
 CarriedOut = Callable[[Command, "Pipeline"], CommandReply | None]
@@ -185,7 +188,18 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         self.heard = self.heard or sample.source
         self.first_time_ns = self.first_time_ns or sample.time_ns
         self.last_time_ns, self._clock = sample.time_ns, sample.clock
-        return [calibrated_vector(sample, self._state, self._covariance(), self.trust, self._unknown())]
+        return [self._gated(calibrated_vector(sample, self._state, self._covariance(), self.trust, self._unknown()))]
+
+    def _gated(self, vector: CalibratedVector) -> CalibratedVector:
+        """A trusted vector as it is; doubtful where it is an old reading, or not as long as the field was just now."""
+        if vector.verdict is not Verdict.TRUSTED:
+            return vector
+        if not self.ticks.repeats:
+            newest = self.ticks.references.newest(vector.clock)
+            if newest is None or not strays(vector, newest[1], abs(vector.time_ns - newest[0]) * 1e-9):
+                return vector
+            self.counters["strayed"] += 1
+        return replace(vector, verdict=Verdict.DOUBTFUL)
 
     def _command(self, command: Command) -> CommandReply:
         """Carry out a command of the craft; an unknown one is refused."""

@@ -171,6 +171,11 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         return self._axes.is_fine or self._held.is_held
 
     @property
+    def repeats(self) -> bool:
+        """Whether the newest sample is only the reading before it again, held by the sensor."""
+        return self._same > 1 and self._repeats_are_held
+
+    @property
     def held_factor(self) -> float:
         """Samples to a reading of the sensor, where it holds each for several; else 1."""
         return self._held.factor if self._repeats_are_held else 1.0
@@ -220,7 +225,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
             self.counters["gap"] += 1
         self._newest_ns = max(self._newest_ns, elapsed_ns)
         self._held.push(sample.field_body_nt)
-        if self._same > 1 and self._repeats_are_held:
+        if self.repeats:
             self.counters["held"] += 1
         else:
             insort(self._open, (elapsed_ns, corrected), key=_elapsed)

@@ -133,6 +133,10 @@ class ReferenceTrack(Stateful, ReferenceTrackMemory):
         if len(times) > _MOST:
             del times[0], self._found[0]
 
+    def newest(self, clock: Clock) -> tuple[int, float] | None:
+        """Time [ns] and length [nT] of the newest sample on a clock; None where there is none."""
+        return (self._times[-1], self._found[-1].magnitude_nt) if self._times and clock is self._clock else None
+
     def due_ns(self, clock: Clock) -> int | None:
         """When the next reference is due by the interval of the last two; None where none is to be expected."""
         if clock is not self._clock:

@@ -51,6 +51,20 @@ def messages(end_s: int, first_s: int = BEGIN_S) -> list[Message]:
     return list(flight()[2 * first_s : 2 * end_s])
 
 
+def test_a_vector_that_is_not_as_long_as_the_field_leaves_as_doubtful() -> None:
+    """One that is a third too long is told at once, the vectors before and after it are trusted; it is counted."""
+    pipeline = Pipeline(craft())
+    pipeline.restore_state(trusted_state())
+    found = []
+    for message in messages(BEGIN_S + 6):
+        if isinstance(message, MagnetometerSample) and len(found) == 3:
+            x, y, z = message.field_body_nt
+            message = replace(message, field_body_nt=(1.3 * x, 1.3 * y, 1.3 * z))
+        found += [one.verdict for one in pipeline.handle(message) if isinstance(one, CalibratedVector)]
+    assert found == [Verdict.DOUBTFUL if number == 3 else Verdict.TRUSTED for number in range(6)]
+    assert pipeline.counters["strayed"] == 1
+
+
 @cache
 def trusted_state() -> dict[str, Any]:
     pipeline = Pipeline(craft())
