@@ -203,7 +203,7 @@ class TrustConfig:
     residual_ratio: float = number(1.5, 1.0, 100.0)
     watch: bool = flag(True)
     protection: bool = flag(True)
-    protection_nt: float = number(350.0, 0.1, 100_000.0, unit="nT")
+    protection_nt: float = number(500.0, 0.1, 100_000.0, unit="nT")
     disturbance_nt: float = number(200.0, 0.1, 100_000.0, unit="nT")
 
 
