@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
-from magcal_service.diagnosis.problem import Fit, amplitude_columns
+from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
@@ -46,6 +46,8 @@ _MOST_D_SIGMA: Final = 0.05  # the same, by D
 _MOST_NOISE: Final = 0.02
 """Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
 1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
+
+_END: Final = 0.999  # of the largest number that is searched: rounding
 
 FEWEST_SAMPLES: Final = 300
 """Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
@@ -209,9 +211,20 @@ def _hardly_more(explained: Explained) -> bool:
 
 
 def has_size(fit: Fit, index: int) -> bool:
-    """Whether one of a term's amplitudes at least stands out of its own sigma: else nobody can say how large it is."""
+    """Whether a term's numbers say something: one amplitude at least stands out of its own sigma, none is at an end.
+
+    A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift.
+    """
+    if _at_an_end(fit.terms[index]):
+        return False
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))
     return bool(np.max(np.abs(fit.terms[index].amplitudes) / sigma) >= STANDS_OUT)
+
+
+def _at_an_end(term: Term) -> bool:
+    """Whether a number of a term that a fit moves is the largest that was searched; the smallest may be none at all."""
+    numbers = zip(term.hypothesis.nonlinear, term.theta, strict=True)
+    return any(not n.role and len(n.grid) > 1 and value >= _END * float(n.grid.max()) for n, value in numbers)
 
 
 def is_rough(fit: Fit) -> bool:

@@ -237,11 +237,12 @@ def _values(scene: Scene) -> list[Signal]:
 
 
 def _transformed(scene: Scene, signal: Signal) -> Iterator[Signal]:
-    """What is made of a channel's values: their change, what follows them slowly, their square and their size."""
+    """What is made of a channel's values: change, what follows them slowly, square, size, and what they add up to."""
     values = signal.course
     if values.ndim > 1:
         return
     made = {"change": scene.slope(smooth_course(values)), "square": values**2, "size": np.abs(values)}
+    made["sum"] = _summed(scene.time_s, values)
     made |= {f"{_SLOW} {tau_s:g} s": first_order(scene.time_s, values, tau_s) for tau_s in _SLOWLY}
     known = [_scaled(values)]
     for name, course in made.items():
@@ -249,6 +250,12 @@ def _transformed(scene: Scene, signal: Signal) -> Iterator[Signal]:
         if max(abs(float(np.mean(scaled * one))) for one in known) < _ALIKE:
             known.append(scaled)
             yield Signal(signal.driver, name, course)
+
+
+def _summed(time_s: Array, values: Array) -> Array:
+    """What values (n,) add up to over time, such as the charge that a current leaves; the mean is a leak."""
+    steps = np.diff(time_s, prepend=time_s[0])
+    return np.asarray(np.cumsum((values - values.mean()) * steps))
 
 
 def _turn(angle_rad: Array) -> Array:

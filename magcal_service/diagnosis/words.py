@@ -53,7 +53,8 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "make one of the measurements that stand beside the name",
     ),
     "size_uncertain": (
-        "no number of an effect is three times its own sigma: it is there, but nobody can say how large",
+        "no number of an effect is three times its own sigma, or one ended where the search did: it is there, but"
+        " nobody can say how large",
         "record longer, or record what drives it",
     ),
     "rough_residual": (

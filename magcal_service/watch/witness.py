@@ -33,6 +33,10 @@ QUIET: Final = 2.0
 _MOST: Final = 9.0
 """What one tick adds at the most: ten ticks in thirty are a disturbance, three spikes are not."""
 
+_SINCE: Final = 10
+"""Ticks of another magnetometer since this one was last quiet, before the other's silence says anything: in so many it
+would have become loud."""
+
 _TOGETHER_NS: Final = 10_000_000_000
 """Newest ticks of two magnetometers further apart than this are of different times: the one has fallen silent."""
 
@@ -49,6 +53,8 @@ class WitnessMemory:
     _x: Array
     _covariance: Array
     _noise_nt: float
+    _times_ns: deque[int]
+    _quiet_ns: int
     _time_ns: int
     _clock: Clock
 
@@ -72,6 +78,8 @@ class Witness(Stateful, WitnessMemory):
         self._was_quiet = False  # it was trusted when it last agreed with its reference for a whole window
         self._runs = False  # the filter ran at the newest tick
         self._x, self._covariance, self._noise_nt = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE)), 0.0
+        self._times_ns = deque(maxlen=WINDOW)
+        self._quiet_ns = 0  # time of the newest tick at which it was quiet
         self._time_ns = 0
         self._clock = Clock.ELAPSED
 
@@ -101,13 +109,15 @@ class Witness(Stateful, WitnessMemory):
         self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ self._covariance @ along)))
         self._squares_nt2.append(float(np.mean(residual_nt)) ** 2)
         self._time_ns, self._clock = tick.time_ns, tick.clock
+        self._times_ns.append(tick.time_ns)
         if self.is_quiet:
-            self._was_quiet = trusted
+            self._was_quiet, self._quiet_ns = trusted, tick.time_ns
 
     def _begin(self) -> None:
         """There is another estimate: what was seen was of the one before."""
         self._squares_nt2.clear()
         self._variances_nt2.clear()
+        self._times_ns.clear()
         self._was_quiet = False
 
     @property
@@ -134,7 +144,8 @@ class Witness(Stateful, WitnessMemory):
     def _would_see(self, other: Witness) -> bool:
         """Whether what the other sees would make this one loud as well, which is quiet at the same time."""
         together = self._clock is other._clock and abs(self._time_ns - other._time_ns) <= _TOGETHER_NS
-        if not (together and self.is_quiet and self._was_quiet):
+        since = sum(time_ns > other._quiet_ns for time_ns in self._times_ns)
+        if not (together and since >= _SINCE and self.is_quiet and self._was_quiet):
             return False
         excess_nt2 = np.array(other._squares_nt2) - np.array(other._variances_nt2)
         here = 1.0 + excess_nt2 / float(np.median(self._variances_nt2))
@@ -144,7 +155,7 @@ class Witness(Stateful, WitnessMemory):
         """Decide anew whether what it sees is local, beside the craft's others; whether that has changed."""
         before, others = self.local, list(others)
         if self.local:
-            self.local = not self.is_quiet
+            self.local = not self.is_quiet and not any(one.is_loud for one in others)
         elif self.is_loud and not any(one.is_stirred for one in others):
             self.local = any(one._would_see(self) for one in others)
         return self.local != before

@@ -20,7 +20,7 @@ from magcal_service.diagnosis.screen import Candidate, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.interface import Hypothesis, Nonlinear
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 STEP_NT = np.array([220.0, -140.0, 90.0])
@@ -144,6 +144,15 @@ def test_a_gain_within_its_scatter_does_not_stand_out() -> None:
     idle = solve(problem(), fits()[0].x, [Term(form("tone"), np.array([0.0213]), np.zeros(6))])
     assert not stands_out(fits()[0], idle, 0.3 * NOISE_NT)
     assert stands_out(fits()[0], explained([]).fit, 0.3 * NOISE_NT)
+
+
+def test_a_number_at_the_end_of_its_search_is_no_size() -> None:
+    """A time constant as long as the longest that was tried bounds it from below; one within has a value."""
+    (term,) = fits()[1].terms
+    slow = replace(term.hypothesis, nonlinear=(Nonlinear("time_constant_s", "s", np.array([100.0, 5000.0])),))
+    for tau_s, sized in ((4900.0, True), (5000.0, False), (100.0, True)):
+        fit = replace(fits()[1], terms=(replace(term, hypothesis=slow, theta=np.array([tau_s])),))
+        assert has_size(fit, 0) is sized
 
 
 def test_an_effect_has_a_size_where_one_of_its_numbers_is_three_sigma() -> None:

@@ -69,6 +69,14 @@ def test_the_own_driver_by_a_lag_is_no_rival() -> None:
     )
 
 
+def test_what_a_channel_adds_up_to_is_a_rival() -> None:
+    """The charge that a current leaves."""
+    amps = np.sign(CHANGE)
+    charge = np.cumsum(amps) / 100.0
+    found = compared(along(0, 300.0 * charge), near(charge), amps=amps)
+    assert unlisted(found, 0) == "a field that follows the sum of the recorded amps"
+
+
 def test_a_clock_drives_nothing() -> None:
     """A column of time is no cause, and two columns that say the same are tried alike."""
     of = replace(flown(along(0, 300.0 * CHANGE)), channels={"up": Telemetry("up", "time", CHANGE[:, None])})

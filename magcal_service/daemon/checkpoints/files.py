@@ -50,6 +50,8 @@ _UNFINISHED: Final = ".part"
 
 _NUMBERED: Final = re.compile(r"([0-9]{10})\.state")
 
+_LARGEST_NUMBER: Final = 10**10 - 2  # of ten digits, with room for one more
+
 SCHEMA: Final = {
     "craft": str,
     "version": str,
@@ -224,10 +226,18 @@ class StateStore:
     def write(self, checkpoint: Checkpoint) -> None:
         """Write the newest of the rotation and remove what is older than the ``keep`` newest; OSError is the disk's."""
         last = self.numbered()
+        while last and int(last[0].stem) >= _LARGEST_NUMBER:  # not one of ours
+            self.set_aside(last.pop(0).name)
         number = int(last[0].stem) + 1 if last else 1
         self._replace(self.folder / f"{number:010d}.state", checkpoint)
         for old in self.numbered()[self._keep :]:
             _remove(old)
+
+    def set_aside(self, name: str) -> None:
+        """Take a checkpoint that cannot be used out of the rotation, as ``NUMBER.dropped``: none is counted from it."""
+        path = self.folder / name
+        with suppress(OSError):
+            path.replace(path.with_suffix(".dropped"))
 
     def write_named(self, name: str, checkpoint: Checkpoint) -> None:
         """Write a checkpoint under a name, in place of an earlier one of that name.

@@ -11,6 +11,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.config.magnetometers import label
 from magcal_service.config.settings import CraftConfig, StateConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
 from magcal_service.daemon.containment import contained, told
@@ -63,7 +64,11 @@ class Checkpoints:
 
     def sources(self, craft: str) -> list[str]:
         """Magnetometers beside the craft's own of which there is a checkpoint, by their sources."""
-        return self._stores[craft].beside()
+        return [source for source in self._stores[craft].beside() if self._is_kept(label(craft, source))]
+
+    def _is_kept(self, name: str) -> bool:
+        """Whether there is a sound checkpoint of a magnetometer: a folder alone makes none."""
+        return any(isinstance(found, Checkpoint) for _, found in StateStore(self._config, name).newest())
 
     def _store(self, pipeline: Pipeline) -> StateStore:
         """That of a magnetometer beside the craft's own is made when it is first asked for."""
@@ -89,6 +94,8 @@ class Checkpoints:
                 self._count(restored=1)
                 return restored, events
             events.append(pipeline.event("state_dropped", f"checkpoint {name}: {restored}"))
+            if isinstance(found, StateError):
+                store.set_aside(name)
             self._count(dropped=1)
             if foreign:
                 break
