@@ -64,6 +64,8 @@ def _replay(options: argparse.Namespace) -> int:
     if residuals.published is not None:
         print(f"vectors as they were published since the start: {residuals.published:.1f} nT")
     print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
+    if result.protection:
+        print(result.protection)
     return DONE if result.verdict == "trusted" else NOT_TRUSTED
 
 

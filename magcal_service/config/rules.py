@@ -87,6 +87,15 @@ def check_start_max(reading: Reading, name: str, start_max_s: float) -> None:
     _at_least(reading, name, start_max_s, "start_s")
 
 
+def check_disturbance(reading: Reading, name: str, disturbance_nt: float) -> None:
+    """No protection level is below it: above the limit of the level, no estimate would ever be trusted."""
+    limit = reading.values["protection_nt"]
+    if reading.values["protection"] and disturbance_nt > limit:
+        reading.table.refuse(
+            name, disturbance_nt, f"at most protection_nt ({limit:g}) is accepted; raise protection_nt"
+        )
+
+
 def check_late(reading: Reading, name: str, late_s: float) -> None:
     """No sample is a clock step while its tick may still be open."""
     _at_least(reading, name, late_s, "hold_s")

@@ -204,7 +204,7 @@ class TrustConfig:
     watch: bool = flag(True)
     protection: bool = flag(True)
     protection_nt: float = number(500.0, 0.1, 100_000.0, unit="nT")
-    disturbance_nt: float = number(200.0, 0.1, 100_000.0, unit="nT")
+    disturbance_nt: float = number(200.0, 0.1, 100_000.0, unit="nT", check=rules.check_disturbance)
 
 
 @dataclass(frozen=True, slots=True)

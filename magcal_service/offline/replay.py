@@ -110,6 +110,12 @@ class Replay(NineErrors):
         return "" if self.inspection.open else self.pipeline.model_doubt
 
     @property
+    def protection(self) -> str:
+        """The last estimate's protection level, what sets it and its limit, in words; empty while unknown."""
+        level = self.pipeline.trust.protection.removeprefix(", ")
+        return f"{level}; trusted up to {self.pipeline.config.trust.protection_nt:g} nT" if level else ""
+
+    @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
         return REMEDIES[Reason.RECORDING_DOUBTFUL] if self.inspection.open else self.pipeline.trust.remedy

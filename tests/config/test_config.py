@@ -438,3 +438,15 @@ def test_configuration_imports_neither_numpy_nor_an_extra() -> None:
 def test_the_length_of_a_spin_window_is_that_of_its_turns_either_way() -> None:
     assert SpinConfig(rate_rpm=7.5).window_s == 16.0
     assert SpinConfig(rate_rpm=-2.0, window_turns=3).window_s == 90.0
+
+
+def test_a_disturbance_above_the_limit_of_the_level_is_refused(tmp_path: Path) -> None:
+    """No level is below it: nothing would ever be trusted; without protection it does not matter."""
+    path = tmp_path / "magcal.toml"
+    path.write_text('version = 1\n[[craft]]\nname = "a"\n[craft.trust]\ndisturbance_nt = 501.0\n')
+    with pytest.raises(
+        ConfigError, match=r"disturbance_nt: 501.0 is refused; at most protection_nt \(500\) is accepted"
+    ):
+        load_config(path)
+    path.write_text(path.read_text() + "protection = false\n")
+    assert load_config(path).crafts[0].trust.disturbance_nt == 501.0
