@@ -400,6 +400,7 @@ NEEDED_BESIDE = {
     "start_s": "start_max_s = 604800\n",
     "hold_s": "late_s = 600\n",
     "gap_s": "step_confirm_s = 604800\n",
+    "disturbance_nt": "protection_nt = 100000\n",
 } | {setting.name: "directory = 'd'\n" for setting in fields(RecordConfig)}
 LIMITED = [
     (table, name, key.limits.maximum, len(key.default) if isinstance(key.default, tuple) else 0)
