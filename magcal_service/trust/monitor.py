@@ -89,6 +89,9 @@ class Trust:
         )
 
 
+_MANY_SPIKES: Final = 0.02
+"""Share of the samples stopped by the gate from which on the residual's width says nothing of the noise."""
+
 NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])
 
 
@@ -218,6 +221,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         """
         told_nt, (low, high) = self.config.sensor.noise_nt, _Levels.noise_ratio
         if told_nt is None or self._since_start < _Levels.memory_ticks or not self._floor_nt:
+            return 0.0
+        if self._rejected_share > _MANY_SPIKES:  # those that pass the gate widen the rest
             return 0.0
         if self._floor_nt > high * told_nt:
             return self._floor_nt
