@@ -26,6 +26,8 @@ ANOTHER_MEANING = {
     ("magcal_service/studies/table2.py", "ukf"),  # rows of the paper's own table
     ("magcal_service/studies/table2.py", "two-step"),
     ("magcal_service/estimators/plkf.py", "spin"),  # the section that it needs
+    ("magcal_service/studies/unseen/motion.py", "spin"),  # how a craft turns
+    ("magcal_service/studies/unseen/flight.py", "spin"),  # the section of its configuration
 }
 ALSO_A_WORD = "spin"
 RUNNING = ("estimators", "daemon", "offline", "studies", "cli")
