@@ -194,7 +194,7 @@ class Craft(Stateful, CraftMemory):
         elif self.frozen:
             self.counters["ticks_frozen"] += 1
             self.monitor.observe_frozen()
-            self.monitor.witness.observe(tick, self._state)
+            self.monitor.senses.observe(tick, self._state)
             self._thawed = True
         else:
             if self._thawed:  # what lies before the freeze is as far away as after a gap
@@ -210,9 +210,9 @@ class Craft(Stateful, CraftMemory):
             outcome, state = learned(self.estimator, tick)
         except np.linalg.LinAlgError as error:
             self.counters["estimator_failed"] += 1
-            witness = self.monitor.witness
+            senses = self.monitor.senses
             self.reset()
-            self.monitor.witness = witness  # of the samples, whatever the estimate
+            self.monitor.senses = senses  # of the samples, whatever the estimate
             self.note("estimator_failed", f"{error}; it starts anew")
             return
         self._note_phase(self._state, state)

@@ -24,7 +24,7 @@ from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.hazards import REMEDY
 from magcal_service.trust.protector import Protector
 from magcal_service.trust.reasons import REMEDIES, Reason
-from magcal_service.trust.witness import DOUBTS, Witness
+from magcal_service.trust.senses import DOUBTS, Senses
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
@@ -125,7 +125,7 @@ class TrustMonitorMemory:
     _block_spread_nt2: float
     _blocks: deque[float]
     _block_ratio: float
-    witness: Witness
+    senses: Senses
     _square: float
     _last_sample_s: float | None
     _aliased: float
@@ -167,7 +167,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._block_spread_nt2 = 0.0  # what the estimate's error may add to the present block's mean
         self._blocks = deque(maxlen=_Levels.blocks)
         self._block_ratio = 0.0
-        self.witness = Witness(self.config)
+        self.senses = Senses(self.config)
         self._square = 0.0
         self._last_sample_s = None
         self._aliased = 0.0
@@ -206,7 +206,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     @property
     def seen(self) -> dict[Reason, str]:
         """What was seen of each reason that has figures of its own, in words."""
-        seen = dict(self.witness.said)
+        seen = dict(self.senses.said)
         if self._held_factor > _Levels.held_factor:
             seen[Reason.HELD_READINGS] = f"each reading comes {self._held_factor:.1f} times"
         noise_nt = self._misstated_noise_nt()
@@ -239,7 +239,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._ticks += 1
         self._unpaired_s = self._unchecked_s = 0.0
         self._frozen = False
-        self.witness.observe(tick, estimate)
+        self.senses.observe(tick, estimate)
         self._observe_sampling(tick)
         if outcome.phase is not Phase.RUNNING or not outcome.used + outcome.rejected:
             return
@@ -351,7 +351,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
         if estimate.waiting_for:
             reasons.append(reason_of(estimate.waiting_for))
-        reasons += [*self._witnessed(), *self._silence(), Reason.COLLECTING]
+        reasons += [*self._sensed(), *self._silence(), Reason.COLLECTING]
         return Trust(Verdict.NOT_STARTED, tuple(reasons), self._remedy(reasons[0]))
 
     def _information(self) -> set[Reason]:
@@ -366,8 +366,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         stopped = [Reason.COMPENSATION_STOPPED] if self._compensation_stopped else []
         return [*silent, *([] if self._fault is None else [self._fault]), *frozen, *stopped]
 
-    def _witnessed(self) -> list[Reason]:
-        return [reason for reason in DOUBTS if reason in self.witness.said]
+    def _sensed(self) -> list[Reason]:
+        return [reason for reason in DOUBTS if reason in self.senses.said]
 
     def _told(self) -> list[Reason]:
         return [reason for reason in (Reason.HELD_READINGS, Reason.NOISE_MISSTATED) if reason in self.seen]
@@ -403,14 +403,14 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             (Reason.DRIVER_MISSING, self._driver_missing),
             (Reason.SPIN_ALIASING, self._is_aliased()),
             (Reason.SPIN_CONTRADICTED, estimate.spin_given_up),
-            (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self.witness.reference.mean_nt),
+            (Reason.NOISE_TOO_HIGH, floor_nt > levels.noise_share * self.senses.reference.mean_nt),
             (
                 Reason.CONSTANT_REFERENCE,
-                self.witness.reference.spread_nt < levels.magnitude_spread * self.witness.reference.mean_nt
+                self.senses.reference.spread_nt < levels.magnitude_spread * self.senses.reference.mean_nt
                 and self._ticks >= levels.memory_ticks,
             ),
         )
-        return self._witnessed() + [reason for reason, bad in questions if bad] + self._silence() + self._told()
+        return self._sensed() + [reason for reason, bad in questions if bad] + self._silence() + self._told()
 
     def _unfinished(self, estimate: StateEstimate) -> list[Reason]:
         settings = self.config.trust

@@ -27,12 +27,12 @@ from magcal_service.trust.spin_sense import SpinSense
 from magcal_service.wire.messages import Clock
 
 DOUBTS: Final = (Reason.AXES_CHANGED, Reason.RATE_DISAGREES, Reason.SPIN_DISAGREES, Reason.REFERENCE_HELD)
-"""Reasons that a witness gives, the gravest first; each makes an estimate doubtful."""
+"""Reasons that a sense gives, the gravest first; each makes an estimate doubtful."""
 
 
 @dataclass(init=False, repr=False, eq=False)
-class WitnessMemory:
-    """What of ``Witness`` outlives a restart, saved and restored whole."""
+class SensesMemory:
+    """What of ``Senses`` outlives a restart, saved and restored whole."""
 
     axes: AxesWatch
     spin: SpinSense | None
@@ -41,7 +41,7 @@ class WitnessMemory:
     said: dict[Reason, str]
 
 
-class Witness(Stateful, WitnessMemory):
+class Senses(Stateful, SensesMemory):
     """All senses of one craft.
 
     Parameters
