@@ -88,7 +88,7 @@ def calls(checkout: Path) -> list[str]:
     [
         (["run"], "-m pip install -q -e .[sim,view]", "-m sim_sensor.demo --link zenoh"),
         (["run", "LINK=serial"], "-m pip install -q -e .[sim,view]", "-m sim_sensor.demo --link serial"),
-        (["test"], "-m pip install -q -e .[dev]", "-m pytest -n auto --dist loadfile"),
+        (["test"], "-m pip install -q -e .[dev]", "-m pytest -n auto --dist loadfile --no-loadscope-reorder"),
     ],
 )
 def test_the_two_first_commands_install_and_run(installed: Path, arguments: list[str], install: str, last: str) -> None:
@@ -99,7 +99,7 @@ def test_the_two_first_commands_install_and_run(installed: Path, arguments: list
 def test_the_check_is_format_lint_layers_types_and_tests_in_that_order(installed: Path) -> None:
     make(installed, "check")
     lint = ["-m ruff format --check .", "-m ruff check .", ".venv/bin/lint-imports --no-logo", "-m mypy"]
-    expected = [*lint, "-m pytest -n auto --dist loadfile"]
+    expected = [*lint, "-m pytest -n auto --dist loadfile --no-loadscope-reorder"]
     assert [line.rstrip() for line in calls(installed)[1:]] == expected
 
 
