@@ -32,6 +32,7 @@ from magcal_service.wire.messages import Vector
 
 __all__ = [
     "DEFAULT_LINK",
+    "CommandsConfig",
     "Config",
     "CraftConfig",
     "FilterConfig",
@@ -278,6 +279,20 @@ class HealthConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class CommandsConfig:
+    """How many commands each craft takes, of all sources together.
+
+    Parameters
+    ----------
+    rate_per_min: commands a minute in the long run [1/min].
+    burst: commands at once, after a pause.
+    """
+
+    rate_per_min: float = number(60.0, 1.0, 6000.0, unit="1/min")
+    burst: int = whole(20, 1, 1000, unit="commands")
+
+
+@dataclass(frozen=True, slots=True)
 class MagnetometerConfig:
     """One of several magnetometers of a craft; what is None is as the craft has it.
 
@@ -364,6 +379,7 @@ class Config:
     record: RecordConfig | None = section(RecordConfig, None)
     state: StateConfig | None = section(StateConfig, None)
     health: HealthConfig = defaulted_section(HealthConfig)
+    commands: CommandsConfig = defaulted_section(CommandsConfig)
 
 
 def default_craft(name: str) -> CraftConfig:

@@ -212,6 +212,10 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         stamp = self._stamp(self.last_time_ns, self._clock)
         return command_reply(stamp, command, refusal, self.summary())
 
+    def turn_away(self, command: Command, refusal: str) -> CommandReply:
+        """The answer to a command that the craft was not given; it is not among those that the craft counts."""
+        return command_reply(self._stamp(self.last_time_ns, self._clock), command, refusal, "")
+
     def summary(self) -> str:
         """One line: verdict, reasons, ticks."""
         reasons = f" ({', '.join(self.trust.reasons)})" if self.trust.reasons else ""

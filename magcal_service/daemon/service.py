@@ -18,6 +18,7 @@ from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.schedule import Schedule
 from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.command_limit import CommandLimit
 from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.containment import contained
 from magcal_service.daemon.estimate_csv import EstimateCsv
@@ -49,6 +50,9 @@ _WORTH_KEEPING: Final = ("restored", "started")
 
 WATCHDOG_S: Final = 10.0
 """How often ``systemctl status`` gets a new line where no watchdog requires more."""
+
+OVERLOAD_S: Final = 1.0
+"""How often it is looked whether the link's queue has shed messages."""
 
 
 class Timer:
@@ -82,6 +86,7 @@ class Service:
 
     Attributes
     ----------
+    limit: of the commands; None, as it is at first, where all are taken.
     pipelines: by ``config.magnetometers.label``: the craft's name is that of its own magnetometer.
     """
 
@@ -104,6 +109,7 @@ class Service:
         self.pipelines: dict[str, Pipeline] = {}
         self.magnetometers = {craft.name: Magnetometers(craft, self.pipelines, build) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
+        self.limit: CommandLimit | None = None
         self._commander = Commander(checkpoints, self.shut_down)
         self._ending = False
         self._alone = ""  # why nobody is at the other end, as it was told last
@@ -164,6 +170,7 @@ class Service:
         summary = Timer(self.config.health.summary_s)
         status = Timer(self.config.output.status_period_s)
         watchdog = Timer(notify.watchdog_period_s() or WATCHDOG_S)
+        overload = Timer(OVERLOAD_S)
         self._publish_metrics()
         while not (stop.is_set() or self._ending):
             messages = self._received()
@@ -176,6 +183,8 @@ class Service:
                 self._round.begin(self.pipelines)
             for name in self._round.turn():
                 self._publish_status(self.pipelines[name])
+            if overload.due():
+                self.tell_overload()
             if summary.due():
                 self.log_health()
             if watchdog.due():
@@ -192,6 +201,12 @@ class Service:
         """Log how the daemon and each craft are."""
         with self._telling("health"):
             log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
+
+    def tell_overload(self) -> None:
+        """Report for each craft that the link's queue sheds its messages, and that it has stopped."""
+        for craft, begun, cause in self.health.overload.changes():
+            own = self.magnetometers[craft].own
+            self._report([own.event("overloaded" if begun else "overload_over", cause)])
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:
@@ -212,6 +227,8 @@ class Service:
         if magnetometers is None:
             self.counters["unknown_craft"] += 1
             return
+        if isinstance(message, Command) and self._limited(magnetometers, message):
+            return
         if self.recorder is not None:
             self.recorder.add(message)
         if isinstance(message, Command):
@@ -221,6 +238,13 @@ class Service:
                 self._give(pipeline, message)
         if magnetometers.several:
             self._compare(magnetometers)
+
+    def _limited(self, magnetometers: Magnetometers, command: Command) -> bool:
+        """Whether a command is one too many; its answer is sent and not recorded, so a replay does not miss it."""
+        refusal = "" if self.limit is None else self.limit.refusal(command)
+        if refusal and self.limit is not None and self.limit.answers(command.craft):
+            self.link.send(magnetometers.own.turn_away(command, refusal))
+        return bool(refusal)
 
     def _whose(self, magnetometers: Magnetometers, message: Message) -> list[Pipeline]:
         """The pipelines that a message is for."""
@@ -448,6 +472,8 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
         _check_history(config, link)
         metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
         service = Service(config, link, csv, recorder, checkpoints, metrics)
+        if link.live:
+            service.limit = CommandLimit(config.commands, service.counters)
         service.restore()
         log.info("serving %s on %s", ", ".join(crafts), config.link)
         for warning in link.warnings:

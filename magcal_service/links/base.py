@@ -50,11 +50,12 @@ class Link(abc.ABC):
     crafts: names of the craft whose messages are received; of all craft where empty.
 
     ``warnings`` says what this link leaves open to other machines, a line each; ``history`` is how many samples of each
-    kind and source a node may send again.
+    kind and source a node may send again; ``live`` is False where what arrives was recorded.
     """
 
     warnings: tuple[str, ...] = ()
     history: int = 0
+    live: bool = True
 
     def __init__(self, address: str, crafts: Sequence[str] = ()) -> None:
         self.address = address

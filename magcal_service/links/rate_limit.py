@@ -32,3 +32,10 @@ class RateLimit:
             self._buckets.clear()
         self._buckets[source] = (left - 1.0 if allowed else left, now_s)
         return allowed
+
+    def wait_s(self, source: str, now_s: float) -> float:
+        """How long after ``now_s`` the next message of this source may pass [s]; 0 where one may now."""
+        if not self._rate_hz:
+            return 0.0
+        left, then_s = self._buckets.get(source, (self._burst, now_s))
+        return max(0.0, (1.0 - left) / self._rate_hz - (now_s - then_s))

@@ -37,6 +37,8 @@ class RecordingLink(Link):
     Raises ``LinkAddressError`` for the address, ``RecordingError`` for the recording.
     """
 
+    live = False
+
     def __init__(
         self,
         address: LinkAddress | str,

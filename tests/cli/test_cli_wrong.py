@@ -77,7 +77,7 @@ def test_an_interrupted_command_says_so(described: Path) -> None:
     (described / "log.csv").write_text(log_rows(20_000), encoding="utf-8")
     out = described / "out"
     command = [sys.executable, "-m", "magcal_service.cli", "diagnose", described / "RECORDING.toml", "--out", out]
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would a child
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it, and its children do
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60.0
         while not out.is_dir() and time.monotonic() < deadline:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
     DEFAULT_LINK,
+    CommandsConfig,
     Config,
     CraftConfig,
     FilterConfig,
@@ -117,6 +118,9 @@ key = "state.key"
 [health]
 metrics = "127.0.0.1:9464"
 summary_s = 60.0
+[commands]
+rate_per_min = 120.0
+burst = 30
 """
 
 
@@ -175,6 +179,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
         state=StateConfig(Path("state"), 120.0, 5, Path("state.key")),
         health=HealthConfig("127.0.0.1:9464", 60.0),
+        commands=CommandsConfig(120.0, 30),
     )  # fmt: skip
     assert load(tmp_path, FULL) == expected
 

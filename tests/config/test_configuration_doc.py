@@ -12,6 +12,7 @@ import pytest
 
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
+    CommandsConfig,
     Config,
     FilterConfig,
     HealthConfig,
@@ -39,6 +40,7 @@ TABLES: dict[str, Any] = {
     "[record]": RecordConfig,
     "[state]": StateConfig,
     "[health]": HealthConfig,
+    "[commands]": CommandsConfig,
 }
 SETTINGS = [(table, name, key) for table, kind in TABLES.items() for name, key in declared(kind).items()]
 NAMES = [f"{table}-{name}" for table, name, _ in SETTINGS]

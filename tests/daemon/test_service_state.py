@@ -139,8 +139,11 @@ class Desk:
     def told(self) -> str:
         """The text of the status that follows."""
         self.status, deadline = None, time.monotonic() + PATIENCE_S
+        self.ask("status")
         while self.status is None and time.monotonic() < deadline:
-            self.ask("status")
+            for message in self.link.receive(0.1):
+                if isinstance(message, Status):
+                    self.status = message
         return "" if self.status is None else self.status.text
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from magcal_service.daemon.health.figures import BOUNDS_S, Flow, Process, TickLateness, troubles
 from magcal_service.daemon.health.metrics import Labels, Metrics
+from magcal_service.daemon.health.overload import Overload
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.base import Link
 from magcal_service.ticks.rejection import Rejection
@@ -31,6 +32,7 @@ class Health:
         self.lateness = TickLateness()
         self._link = link
         self._flow = Flow()
+        self.overload = Overload(link.overflows)
         self._started_s = time.monotonic()
         self._figures, self._figured_s = Counter[str](), 0.0
 
@@ -41,7 +43,8 @@ class Health:
 
     def troubles(self, pipeline: Pipeline) -> list[str]:
         """Faults of a craft."""
-        return troubles(pipeline, self._flow.silent_s(pipeline))
+        overload = self.overload.trouble(pipeline.config.name)
+        return [*troubles(pipeline, self._flow.silent_s(pipeline)), *([overload] if overload else [])]
 
     def counters(self) -> Counter[str]:
         """Figures of the process that go into every craft's status, to a second; times in us, memory in kB."""
@@ -105,6 +108,8 @@ class Health:
         metrics.add("link_events_total", "counter", "What happened on the link, by the names of docs/links.md.", link)
         own = [({"event": name}, count) for name, count in sorted(others.items())]
         metrics.add("daemon_events_total", "counter", "What happened to checkpoints, recordings and rows.", own)
+        shed = [({"craft": craft}, count) for craft, count in sorted(self._link.overflows.items())]
+        metrics.add("messages_shed_total", "counter", "Messages that a full queue has dropped.", shed)
         records = self._link.sources()
         for name, of in (("received", "received"), ("lost", "lost"), ("doubled", "doubled"), ("late", "late")):
             rows = [({"craft": one.craft, "source": one.source, "kind": one.kind}, getattr(one, of)) for one in records]
