@@ -25,7 +25,7 @@ SEAL_REFUSALS: Final = ("no_key", "unsealed", "bad_seal", "replayed", "not_kept"
 TAG_BYTES: Final = 16  # 128 of the 256 bits of HMAC-SHA256: half, the least that RFC 2104 recommends
 MAX_COUNTER: Final = (1 << 64) - 1  # the counter is a u64 on the line
 
-_LABEL: Final = b"magcal sealed command 1\0"
+LABEL: Final = b"magcal sealed command 1\0"
 _COUNTER: Final = struct.Struct("<Q")
 
 
@@ -53,7 +53,7 @@ def split(content: bytes) -> Sealed:
 
 
 def _tag(key: bytes, counted: bytes, payload: bytes) -> bytes:
-    return hmac.digest(key, _LABEL + counted + payload, "sha256")[:TAG_BYTES]
+    return hmac.digest(key, LABEL + counted + payload, "sha256")[:TAG_BYTES]
 
 
 class SealGate:
