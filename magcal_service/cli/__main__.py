@@ -18,6 +18,7 @@ from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.record import add_record
 from magcal_service.cli.replay import add_replay
 from magcal_service.cli.run import add_run
+from magcal_service.cli.send import add_send
 from magcal_service.cli.status import add_status
 from magcal_service.cli.study import add_study
 from magcal_service.errors import MagcalError
@@ -60,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         )
     )
     add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
+    add_send(commands.add_parser("send", help="give a running daemon a command, and print its answer"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     return parser
 

@@ -14,12 +14,30 @@ from typing import Final
 PROCESS_NOISE_LIMITS: Final = {"bias_nt": 1000.0, "D": 0.01}
 """Largest random walk [nT/sqrt(s)], [1/sqrt(s)]: as ``[craft.filter]`` accepts it."""
 
+PROCESS_NOISE_UNITS: Final = {"bias_nt": "nT/sqrt(s)", "D": "/sqrt(s)"}
+
 
 class By(StrEnum):
     """Who carries a command out: the craft's pipeline, or the daemon, which has disk and life cycle."""
 
     CRAFT = "craft"
     DAEMON = "daemon"
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of a command.
+
+    Parameters
+    ----------
+    accepted: its values, in words.
+    is_number: whether it is a number; a text where not.
+    is_needed: whether the command is refused without it.
+    """
+
+    accepted: str
+    is_number: bool = False
+    is_needed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +48,18 @@ class CommandSpec:
     ----------
     by: who carries it out.
     does: what it does, in a few words.
-    arguments: by name: what is accepted.
+    arguments: by name.
     """
 
     by: By
     does: str
-    arguments: Mapping[str, str] = field(default_factory=dict)
+    arguments: Mapping[str, Argument] = field(default_factory=dict)
 
+
+_NAME: Final = Argument("a text", is_needed=True)
+
+WHICH: Final = "source"
+"""An argument that every command takes as well: which magnetometer alone it is for."""
 
 COMMANDS: Final[Mapping[str, CommandSpec]] = {
     "status": CommandSpec(By.CRAFT, "answers with verdict, reasons and ticks"),
@@ -46,18 +69,21 @@ COMMANDS: Final[Mapping[str, CommandSpec]] = {
     "process_noise": CommandSpec(
         By.CRAFT,
         "random walk from now on, 0 where not given; kept in checkpoints",
-        {name: f"0 to {limit:g}" for name, limit in PROCESS_NOISE_LIMITS.items()},
+        {
+            name: Argument(f"0 to {limit:g} {PROCESS_NOISE_UNITS[name]}", is_number=True)
+            for name, limit in PROCESS_NOISE_LIMITS.items()
+        },
     ),
     "checkpoint": CommandSpec(
-        By.DAEMON, "writes a named checkpoint, which stays until it is replaced", {"name": "a text"}
+        By.DAEMON, "writes a named checkpoint, which stays until it is replaced", {"name": _NAME}
     ),
     "rollback": CommandSpec(
-        By.DAEMON, "estimate and verdict of a named checkpoint; samples and counters stay", {"name": "a text"}
+        By.DAEMON, "estimate and verdict of a named checkpoint; samples and counters stay", {"name": _NAME}
     ),
     "load_physics": CommandSpec(
         By.DAEMON,
         "compensates by it from now on; estimate and verdict begin anew; kept in checkpoints",
-        {"name": "a file ending in .toml beside the configured one"},
+        {"name": Argument("a file ending in .toml beside the configured one (default: that one again)")},
     ),
     "shutdown": CommandSpec(By.DAEMON, "the daemon writes its checkpoints and ends with exit code 0"),
 }

@@ -37,8 +37,9 @@ class Commander:
         work = DAEMON_COMMANDS.get(command.name)
         if work is None:
             return None
+        before = pipeline.events_waiting
         refusal = work(self, command, pipeline)
-        return pipeline.reply(command, refusal)
+        return pipeline.reply(command, refusal, before)
 
     def _checkpoint(self, command: Command, pipeline: Pipeline) -> str:
         name, refusal = self._named(command)
@@ -74,8 +75,9 @@ class Commander:
             loaded = physics_of(path)
         except InputRefusedError as error:
             return str(error)
-        pipeline.load_physics(loaded.text)
-        pipeline.note("physics_loaded", name, command.source)
+        model = pipeline.load_physics(loaded.text)
+        effects = ", ".join(f"{term.effect} by {term.driver}" for term in model.terms) or "no effect"
+        pipeline.note("physics_loaded", f"{name}: {effects}", command.source)
         return ""
 
     def _shutdown(self, command: Command, pipeline: Pipeline) -> str:

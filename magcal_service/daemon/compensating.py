@@ -27,7 +27,7 @@ from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit
 from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
-from magcal_service.physics.apply.model_file import parse_model
+from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.trust.monitor import TrustMonitor
@@ -72,12 +72,13 @@ class CompensatingCraft(Craft, CompensatingMemory):
 
     # From one state to another
 
-    def load_physics(self, physics: str) -> None:
+    def load_physics(self, physics: str) -> PhysicsModel:
         """Compensate by another model from now on; what was estimated under the one before is discarded."""
-        self._compensate_by(physics)
+        model = self._compensate_by(physics)
         self.reset()
+        return model
 
-    def _compensate_by(self, physics: str) -> None:
+    def _compensate_by(self, physics: str) -> PhysicsModel:
         """Load the text of a ``physics.toml``; raises InputRefusedError where it is none.
 
         A warning is logged where the file says that it should not be acted on.
@@ -91,6 +92,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)
         self._compare()
+        return model
 
     def _compare(self, raw: TickAssembler | None = None) -> None:
         """Compensate, and hold that from now on against the craft without it, which begins anew with its samples.

@@ -129,6 +129,11 @@ class Craft(Stateful, CraftMemory):
         """Record an event for ``take_events``."""
         self._events.append(self.event(what, cause, source))
 
+    @property
+    def events_waiting(self) -> int:
+        """How many events nobody has taken yet."""
+        return len(self._events)
+
     def take_events(self) -> list[Event]:
         """What has changed since the last call."""
         events, self._events = self._events, []

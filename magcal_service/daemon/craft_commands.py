@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from magcal_service.daemon.command_table import PROCESS_NOISE_LIMITS
+from magcal_service.daemon.events import BY_COMMAND
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator
 from magcal_service.wire.messages import Command
@@ -37,13 +38,13 @@ def _status(_craft: Commanded, _command: Command) -> str:
 
 def _freeze_or_resume(craft: Commanded, command: Command) -> str:
     craft.frozen = command.name == "freeze"
-    craft.note("frozen" if craft.frozen else "resumed", "command", command.source)
+    craft.note("frozen" if craft.frozen else "resumed", BY_COMMAND, command.source)
     return ""
 
 
 def _reset(craft: Commanded, command: Command) -> str:
     craft.reset()
-    craft.note("reset", "command", command.source)
+    craft.note("reset", BY_COMMAND, command.source)
     return ""
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+BY_COMMAND: Final = "command"
+"""Cause of an event that a command caused, and nothing else is to be said of."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from typing import Final
 from magcal_service.config.magnetometers import beside, label, own_magnetometer
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.config.settings import CraftConfig
+from magcal_service.daemon.command_table import WHICH
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import ConfigError
 from magcal_service.wire.fields import fitting
@@ -23,9 +24,6 @@ log = logging.getLogger("magcal")
 
 Build = Callable[[CraftConfig], Pipeline]
 """Makes the pipeline of a magnetometer."""
-
-ARGUMENT: Final = "source"
-"""The argument of a command that names the one magnetometer it is for."""
 
 _OF_THE_CRAFT: Final = ("shutdown", "load_physics")
 """Commands that are not for every magnetometer: the daemon ends once, and a physics file is of one sensor."""
@@ -131,17 +129,15 @@ class Magnetometers:
 
         Without the argument it is for all of them, but for what is the daemon's or the craft's own.
         """
-        if ARGUMENT not in command.arguments:
+        if WHICH not in command.arguments:
             return command, [self.own] if command.name in _OF_THE_CRAFT else self.all
-        named = command.arguments[ARGUMENT]
-        rest = {name: value for name, value in command.arguments.items() if name != ARGUMENT}
+        named = command.arguments[WHICH]
+        rest = {name: value for name, value in command.arguments.items() if name != WHICH}
         return replace(command, arguments=rest), [one for one in self.all if one.heard == named]
 
     def unknown(self, command: Command) -> str:
         """Why a command for a magnetometer that there is not is refused."""
-        return (
-            f"{ARGUMENT} is {command.arguments[ARGUMENT]!r}; one of {', '.join(self.sources) or 'none yet'} is accepted"
-        )
+        return f"{WHICH} is {command.arguments[WHICH]!r}; one of {', '.join(self.sources) or 'none yet'} is accepted"
 
     @staticmethod
     def one_reply(pipelines: Sequence[Pipeline], replies: Sequence[CommandReply]) -> list[CommandReply]:

@@ -16,7 +16,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.command_table import unknown
 from magcal_service.daemon.compensating import CompensatingCraft, CompensatingMemory
 from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
-from magcal_service.daemon.events import Event
+from magcal_service.daemon.events import BY_COMMAND, Event
 from magcal_service.daemon.outbox import calibrated_vector, command_reply, status_message
 from magcal_service.errors import DecodeError
 from magcal_service.estimators.interface import Phase
@@ -203,14 +203,29 @@ class Pipeline(CompensatingCraft, PipelineMemory):
 
     def _command(self, command: Command) -> CommandReply:
         """Carry out a command of the craft; an unknown one is refused."""
-        work = CRAFT_COMMANDS.get(command.name)
-        return self.reply(command, unknown(command.name) if work is None else work(self, command))
+        work, before = CRAFT_COMMANDS.get(command.name), self.events_waiting
+        return self.reply(command, unknown(command.name) if work is None else work(self, command), before)
 
-    def reply(self, command: Command, refusal: str = "") -> CommandReply:
-        """The answer to a command that was carried out, or refused for a reason; it is counted."""
+    def reply(self, command: Command, refusal: str = "", before: int | None = None) -> CommandReply:
+        """The answer to a command that was carried out, or refused for a reason; it is counted.
+
+        One that was carried out says what has changed, by the events it has caused, and how the craft is now.
+
+        Parameters
+        ----------
+        command: what was asked.
+        refusal: why it was not carried out; empty where it was.
+        before: how many events were waiting before it was; None where none is to be told.
+        """
         self.counters["commands_refused" if refusal else "commands"] += 1
         stamp = self._stamp(self.last_time_ns, self._clock)
-        return command_reply(stamp, command, refusal, self.summary())
+        now = self.summary()
+        caused = [
+            one.what if one.cause == BY_COMMAND else f"{one.what}: {one.cause}"
+            for one in self._events[self.events_waiting if before is None else before :]
+        ]
+        changed = "".join(f"{one}; " for one in caused if not now.startswith(one))
+        return command_reply(stamp, command, refusal, changed + now)
 
     def turn_away(self, command: Command, refusal: str) -> CommandReply:
         """The answer to a command that the craft was not given; it is not among those that the craft counts."""

@@ -1,0 +1,140 @@
+"""What the commands that ask a running daemon share: where it is, and an answer to each command that is sent."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from magcal_service.cli.common import REFUSED
+from magcal_service.errors import ConfigError, Fault, LinkAddressError, MagcalError
+
+if TYPE_CHECKING:
+    from magcal_service.links import Link
+    from magcal_service.wire.messages import CommandReply, Message
+
+ASK_AGAIN_S: Final = 1.0
+"""A command put before the daemon subscribes is lost, so one that changes nothing is repeated so often [s]."""
+
+LOOK_S: Final = 2.0
+"""Between two looks at which craft are served at all [s]: nobody waits for one that no daemon there has."""
+
+
+class NotReachedError(MagcalError):
+    """No daemon answered."""
+
+    exit_code = REFUSED
+
+
+def add_where(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say where the daemon is, and how long to wait for it."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
+    where.add_argument("--config", type=Path, metavar="FILE", help="the daemon's configuration: its link and craft")
+    parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.1 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0.1 to 3600 s is accepted")
+    return value
+
+
+def whom(options: argparse.Namespace, crafts: list[str], field: str) -> tuple[str, list[str]]:
+    """The link's address as a viewer opens it, and the craft asked for (none: all that are heard).
+
+    ``crafts`` were named by the argument ``field``.  Raises ``ConfigError`` for a craft that the configuration lacks,
+    ``LinkAddressError`` where its link has no end for a viewer.
+    """
+    from magcal_service.config.reader import load_config
+    from magcal_service.config.settings import DEFAULT_LINK
+
+    if options.config is None:
+        return options.link or DEFAULT_LINK, crafts
+    config = load_config(options.config)
+    names = [craft.name for craft in config.crafts]
+    for name in crafts:
+        if name not in names:
+            raise ConfigError([Fault(field, name, f"one of {', '.join(names)} is accepted")])
+    if not config.link.startswith("zenoh:"):
+        raise LinkAddressError(
+            f"link {config.link!r} has one other end, which the node is at; give --link with the end of a viewer"
+        )
+    return viewers_address(config.link), crafts or names
+
+
+def viewers_address(link: str) -> str:
+    """A daemon's zenoh address without what makes it listen."""
+    place, _, options = link.partition("?")
+    kept = [one for one in options.split("&") if one and one.partition("=")[0] in ("config",)]
+    return f"{place}?{'&'.join(kept)}" if kept else place
+
+
+class Desk:
+    """An end of a link that gives commands, each with a number of its own.
+
+    Parameters
+    ----------
+    link: open, as a viewer has it.
+    source: who gives the commands, as the daemon logs it.
+    """
+
+    def __init__(self, link: Link, source: str) -> None:
+        self._link, self._source, self._numbers = link, source, itertools.count()
+
+    def give(self, craft: str, name: str, arguments: Mapping[str, str | int | float | bool] | None = None) -> int:
+        """Send a command; its number."""
+        from magcal_service.wire.messages import Command
+
+        number, now_ns = next(self._numbers), time.time_ns()
+        given = dict(arguments or {})
+        self._link.send(
+            Command(craft=craft, source=self._source, sequence=number, time_ns=now_ns, name=name, arguments=given)
+        )
+        return number
+
+    def reach(self, craft: str, timeout_s: float) -> CommandReply | None:
+        """The reply to ``status``, asked for until it comes; None after ``timeout_s`` [s], or where others are served.
+
+        It changes nothing at the other end, so it may be asked for more than once.
+        """
+        numbers, deadline_s = set[int](), time.monotonic() + timeout_s
+        asked_s, look_s = -ASK_AGAIN_S, time.monotonic() + LOOK_S
+        while time.monotonic() < deadline_s:
+            if time.monotonic() - asked_s > ASK_AGAIN_S:
+                asked_s = time.monotonic()
+                numbers.add(self.give(craft, "status"))
+            for message in self._link.receive(0.1):
+                if self._answers(message, craft, numbers):
+                    return message  # type: ignore[return-value]
+            if time.monotonic() > look_s:
+                served, look_s = self._link.served(), time.monotonic() + LOOK_S
+                if served and craft not in served:
+                    return None
+        return None
+
+    def answer(self, craft: str, number: int, timeout_s: float) -> CommandReply | None:
+        """The reply to the command of this number; None after ``timeout_s`` [s]."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            for message in self._link.receive(0.1):
+                if self._answers(message, craft, {number}):
+                    return message  # type: ignore[return-value]
+        return None
+
+    def _answers(self, message: Message, craft: str, numbers: set[int]) -> bool:
+        from magcal_service.wire.messages import CommandReply
+
+        return (
+            isinstance(message, CommandReply)
+            and message.craft == craft
+            and message.command_source == self._source
+            and message.command_sequence in numbers
+        )
