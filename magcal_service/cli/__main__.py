@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from magcal_service.cli.calibrate import add_calibrate
 from magcal_service.cli.common import DONE, Parser
+from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.record import add_record
@@ -54,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
     add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
+    add_describe(commands.add_parser("describe", help="a description of a raw log: what is sure, and what is asked"))
     add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
     add_study(
         commands.add_parser(

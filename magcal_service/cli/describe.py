@@ -1,0 +1,87 @@
+"""``magcal describe``: a descriptor from a raw log."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magcal_service.cli.common import DONE, NOT_TRUSTED, refuse_unwritable
+from magcal_service.errors import ConfigError, Fault
+
+if TYPE_CHECKING:
+    from magcal_service.recordings.describe.describe import Described
+
+
+def add_describe(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal describe``."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="a text file of rows, as it was logged")
+    parser.add_argument("--out", type=Path, metavar="RECORDING.toml", help="write it here; printed where absent")
+    parser.add_argument(
+        "--answer", action="append", default=[], metavar="KEY=VALUE", help="the answer to a question; may be repeated"
+    )
+    parser.set_defaults(command=_describe)
+
+
+def _describe(options: argparse.Namespace) -> int:
+    from magcal_service.recordings.describe.describe import describe
+
+    refuse_unwritable(options.out)
+    answers = _answers(options.answer)
+    beside = None if options.out is None else options.out.parent
+    described = describe(options.log, answers, beside)
+    while described.needed and _asks():
+        print("\n".join(described.lines()))
+        answers |= _ask(described)
+        described = describe(options.log, answers, beside)
+    print("\n".join(described.lines()))
+    if described.text is None:
+        open_keys = ", ".join(question.key for question in described.needed)
+        print(f"# not written: answer first: {open_keys}")
+        return NOT_TRUSTED
+    _write(options.out, described.text, described.lines())
+    return DONE
+
+
+def _answers(given: list[str]) -> dict[str, str]:
+    answers: dict[str, str] = {}
+    faults = []
+    for one in given:
+        key, sign, value = one.partition("=")
+        if not sign or key in answers:
+            accepted = "each key is answered once" if sign else "KEY=VALUE is accepted"
+            faults.append(Fault("--answer", one, accepted))
+        answers[key.strip()] = value.strip()
+    if faults:
+        raise ConfigError(faults)
+    return answers
+
+
+def _asks() -> bool:
+    """Whether somebody is there who can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _ask(described: Described) -> dict[str, str]:
+    answers = {}
+    for question in described.needed:
+        try:
+            answer = input(f"{question.key} [{question.form}] = ").strip()
+        except EOFError:
+            raise KeyboardInterrupt from None
+        answers[question.key] = answer or question.form
+    return answers
+
+
+def _write(out: Path | None, text: str, evidence: list[str]) -> None:
+    from magcal_service.errors import unwritable
+
+    if out is None:
+        print(text, end="")
+        return
+    try:
+        out.write_text("\n".join(evidence) + "\n\n" + text, encoding="utf-8")
+    except OSError as exc:
+        raise unwritable(out, exc) from None
+    print(f"# written: {out}; next: magcal inspect {out}, magcal calibrate {out}")

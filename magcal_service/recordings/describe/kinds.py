@@ -1,0 +1,32 @@
+"""What a group of three columns is: by its unit where that decides, else by its words."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from magcal_service.recordings.describe.columns import Triple
+from magcal_service.recordings.describe.vocabulary import Kind, kind_of
+from magcal_service.units import FieldUnit
+
+_BY_UNIT: Final = {
+    "deg/s": Kind.GYRO,
+    "rad/s": Kind.GYRO,
+    "mrad/s": Kind.GYRO,
+    "rpm": Kind.GYRO,
+    "m/s2": Kind.ACCELEROMETER,
+    "g": Kind.ACCELEROMETER,
+    "A m2": Kind.TORQUER,
+    "mA m2": Kind.TORQUER,
+    "km": Kind.POSITION,
+    "m": Kind.POSITION,
+    "km/s": Kind.VELOCITY,
+    "m/s": Kind.VELOCITY,
+}
+
+
+def kind_of_triple(triple: Triple) -> Kind:
+    """The kind of three columns."""
+    kind = kind_of(triple.words)
+    if triple.unit in list(FieldUnit):
+        return kind if kind is Kind.REFERENCE else Kind.MAGNETOMETER
+    return _BY_UNIT.get(triple.unit, kind)

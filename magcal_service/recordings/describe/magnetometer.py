@@ -1,0 +1,210 @@
+"""Which columns are the magnetometer, and in which unit: sure where names and numbers agree."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.recordings.describe.columns import Column, Triple, words_of
+from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.field import (
+    EARTH_NT,
+    UnitFound,
+    find_unit,
+    scale_by_model,
+    size_of,
+    unit_by_model,
+)
+from magcal_service.recordings.describe.kinds import kind_of_triple
+from magcal_service.recordings.describe.vocabulary import Kind, kind_of
+from magcal_service.units import FIELD_NT, FieldUnit
+
+FloatArray = npt.NDArray[np.float64]
+
+_RAW: Final = {"raw", "uncal", "uncalibrated", "uncalib", "uncorrected"}
+_WORKED: Final = {"cal", "calib", "calibrated", "corrected", "comp", "compensated", "filt", "filtered", "fit"}
+_NOT_A_SOURCE: Final = re.compile(r"[^A-Za-z0-9_-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Magnetometer:
+    """A magnetometer found: its columns, and its unit where that is sure."""
+
+    triple: Triple
+    unit: str
+
+    @property
+    def field_nt(self) -> FloatArray:
+        """(n, 3) sampled field [nT]."""
+        return self.triple.values * FIELD_NT[FieldUnit(self.unit)]
+
+
+def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray | None) -> list[Magnetometer]:
+    """Put the magnetometers into the draft, or ask; those that were found."""
+    chosen = draft.columns("magnetometer.columns", (3,))
+    if chosen is not None:
+        x, y, z = chosen
+        triple = Triple((x, y, z), x.stem, x.words)
+        return _put(draft, [_with_unit(draft, triple, model_nt)], answered("magnetometer.columns"))
+    named = [group for group in groups if kind_of_triple(group) is Kind.MAGNETOMETER]
+    named = named or _by_file(draft, groups)
+    doubted = [group for group in named if {c.number for c in group.columns} & draft.reserved]
+    for group in doubted:
+        draft.said.append(f"magnetometer: not believed: the header names {group.label}, which hold something else")
+    if doubted or draft.doubted:
+        _ask_columns(draft, groups, model_nt, "the header seems to name the wrong columns. ")
+        return []
+    found = [_with_unit(draft, group, model_nt) for group in named]
+    possible = [(group, unit) for group, unit in found if unit.possible]
+    for group, unit in found:
+        if not unit.possible:
+            draft.said.append(f"magnetometer: {group.label} left out: in no unit a field near the Earth's ({unit.why})")
+    possible = _uncalibrated(draft, possible)
+    if not possible:
+        why = "no columns are a magnetometer by their names and numbers. " if not found else ""
+        _ask_columns(draft, [g for g in groups if g not in named], model_nt, why)
+        return []
+    return _put(draft, possible, "")
+
+
+def _by_file(draft: Draft, groups: list[Triple]) -> list[Triple]:
+    """Nameless axes in a file that is called after a magnetometer."""
+    if kind_of(words_of(draft.log.sample.path.name.split(".")[0])) is not Kind.MAGNETOMETER:
+        return []
+    return [group for group in groups if not group.words][:1]
+
+
+def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tuple[Triple, UnitFound]:
+    size = size_of(triple.values)
+    answer = draft.answers.get("magnetometer.unit")
+    if answer is not None:
+        if answer not in list(FieldUnit):
+            accepted = f"{' '.join(FieldUnit)} are accepted"
+            raise InputRefusedError([Fault("--answer magnetometer.unit", answer, accepted)])
+        return triple, UnitFound(answer, True, answered("magnetometer.unit"), (answer,))
+    scale = None if model_nt is None else scale_by_model(triple.values, model_nt)
+    by_model = unit_by_model(triple.unit, scale)
+    return triple, by_model or find_unit(size, triple.unit, whole=triple.whole, expected_nt=_usual(model_nt))
+
+
+def _usual(model_nt: FloatArray | None) -> float | None:
+    """The model's magnitude as ``size_of`` takes the usual length."""
+    return None if model_nt is None else float(np.nanquantile(model_nt, 0.8))
+
+
+def _uncalibrated(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> list[tuple[Triple, UnitFound]]:
+    """Of one sensor's values before and after somebody's correction, those before it."""
+    raw = [pair for pair in found if set(pair[0].words) & _RAW]
+    worked = [pair for pair in found if set(pair[0].words) & _WORKED]
+    if worked and len(worked) < len(found):
+        for triple, _ in worked:
+            draft.said.append(f"magnetometer: {triple.label} left out: the names say corrected values of another group")
+        found = [pair for pair in found if pair not in worked]
+    if raw and len(raw) < len(found):
+        return raw
+    return found
+
+
+def _put(draft: Draft, found: list[tuple[Triple, UnitFound]], by: str) -> list[Magnetometer]:
+    """Write the sure ones; ask the unit where none is."""
+    sure = [(triple, unit) for triple, unit in found if unit.sure]
+    if not sure:
+        _ask_unit(draft, found)
+        return []
+    for triple, unit in found:
+        if not unit.sure:
+            draft.said.append(f"magnetometer: {triple.label} left out: {unit.why}")
+    several = len(sure) > 1
+    names = _sources([triple for triple, _ in sure]) if several else []
+    for number, (triple, unit) in enumerate(sure):
+        section = f"[magnetometer]{number}" if several else "magnetometer"
+        if several:
+            draft.put(section, "source", names[number])
+        draft.put(section, "columns", draft.names(triple.columns))
+        draft.put(section, "unit", unit.unit)
+        why = by or "the names say a magnetometer's x, y and z"
+        draft.conclude("magnetometer.columns", triple.label, why)
+        draft.conclude("magnetometer.unit", unit.unit, unit.why)
+    if several:
+        draft.said.append(f"magnetometer: several, each with its source; --source chooses: {', '.join(names)}")
+    return [Magnetometer(triple, unit.unit) for triple, unit in sure]
+
+
+def _sources(found: list[Triple]) -> list[str]:
+    """A name for each of several magnetometers: what its columns share, or its number."""
+    names = [_NOT_A_SOURCE.sub("_", triple.stem).strip("_-")[:32] or f"mag{n}" for n, triple in enumerate(found, 1)]
+    if len(set(names)) < len(names) or "magcal" in names:
+        return [f"mag{number}" for number in range(1, len(found) + 1)]
+    return names
+
+
+def _ask_unit(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> None:
+    if len(found) > 1:
+        candidates = tuple((",".join(draft.names(triple.columns)), unit.why) for triple, unit in found)
+        asks = "several groups of columns are called a magnetometer's, and the unit of none is sure"
+        draft.ask(Question("magnetometer.columns", asks, candidates, candidates[0][0]))
+    triple, unit = found[0]
+    candidates = tuple((one, _as_field(triple, one)) for one in unit.possible[:3])
+    label = triple.label if len(found) == 1 else "the magnetometer"
+    asks = f"in which unit is {label}? {unit.why}"
+    draft.ask(Question("magnetometer.unit", asks, candidates, (unit.possible or ("uT",))[0]))
+
+
+def _as_field(triple: Triple, unit: str) -> str:
+    size = size_of(triple.values)
+    return "" if size is None else f"then most is {size.best * FIELD_NT[FieldUnit(unit)] / 1e3:.3g} uT"
+
+
+def _ask_columns(draft: Draft, groups: list[Triple], model_nt: FloatArray | None, why: str) -> None:
+    """Ask for the three columns, with those that could be a field by their numbers."""
+    by_names = [] if why.startswith("the header") else [g for g in groups if kind_of_triple(g) is Kind.UNKNOWN]
+    pool = by_names + [t for t in _neighbours(draft) if all(t.columns != g.columns for g in by_names)]
+    ranked = sorted((one for triple in pool if (one := _rank(draft, triple, model_nt)) is not None), key=lambda r: r[0])
+    candidates = tuple((value, text) for _, value, text in ranked[:4])
+    asks = f"{why}Which three columns are the magnetometer's x, y and z?"
+    draft.ask(Question("magnetometer.columns", asks, candidates, candidates[0][0] if candidates else "mx,my,mz"))
+
+
+def _rank(
+    draft: Draft, triple: Triple, model_nt: FloatArray | None
+) -> tuple[tuple[bool, bool, bool, bool], str, str] | None:
+    """What speaks against three columns (the strongest first), their names, what they would be; None for no field."""
+    size = size_of(triple.values)
+    unit = find_unit(size, triple.unit, whole=False, expected_nt=_usual(model_nt))
+    if size is None or not unit.possible:
+        return None
+    amount = size.best * FIELD_NT[FieldUnit(unit.possible[0])]
+    inside = EARTH_NT[0] <= amount <= EARTH_NT[1]
+    text = f"as {unit.possible[0]}, {'on a sphere of' if size.radius else 'most'} {amount / 1e3:.3g} uT"
+    by_model = unit_by_model(triple.unit, None if model_nt is None else scale_by_model(triple.values, model_nt))
+    if by_model is not None:
+        text = f"as {by_model.possible[0]}, their length follows IGRF along the way"
+    against = (by_model is None, size.radius is None, not inside, _mixed(triple))
+    return against, ",".join(draft.names(triple.columns)), text
+
+
+def _neighbours(draft: Draft) -> list[Triple]:
+    """Every three neighbouring numeric columns that are not something else already."""
+    columns = draft.log.columns
+    found = []
+    for x, y, z in zip(columns, columns[1:], columns[2:], strict=False):
+        three = (x, y, z)
+        if all(_free(column, draft.reserved) for column in three):
+            found.append(Triple(three, "", ()))
+    return found
+
+
+def _free(column: Column, taken: set[int]) -> bool:
+    good = column.values[np.isfinite(column.values)]
+    return column.numeric and column.number not in taken and bool(good.size) and float(np.ptp(good)) > 0.0
+
+
+def _mixed(triple: Triple) -> bool:
+    """Whether the three vary by very different amounts: no axes of one sensor that was turned."""
+    spread = np.nanstd(triple.values, axis=0)
+    return bool(spread.max() > 6.0 * max(float(spread.min()), 1e-12))

@@ -1,0 +1,276 @@
+"""Channels beside the magnetometer: gyro, temperatures, currents, torquers and the like, where their unit is sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.recordings.describe.columns import Column, Triple
+from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.kinds import kind_of_triple
+from magcal_service.recordings.describe.times import Times
+from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
+from magcal_service.typed_toml import nearest
+from magcal_service.units import CHANNEL_UNITS
+
+FloatArray = npt.NDArray[np.float64]
+
+_NAMES: Final = {Kind.GYRO: "gyro", Kind.ACCELEROMETER: "accelerometer", Kind.SUN: "sun", Kind.TORQUER: "torquer"}
+_QUANTITY: Final = {Kind.GYRO: "angular rate", Kind.ACCELEROMETER: "acceleration", Kind.TORQUER: "magnetic moment"}
+_DEG: Final = np.pi / 180.0  # radians per degree
+_SURE: Final = 0.5  # share of the field's changes that a turn explains where the gyro's unit is told by them
+_RANGES: Final = {
+    "temperature": {"degC": (-100.0, 200.0), "K": (173.0, 473.0), "degF": (-150.0, 400.0)},
+    "current": {"A": (-500.0, 500.0), "mA": (-5e5, 5e5), "uA": (-5e8, 5e8)},
+    "voltage": {"V": (-1e3, 1e3), "mV": (-1e6, 1e6)},
+    "pressure": {"Pa": (0.0, 2e5), "hPa": (0.0, 2e3), "kPa": (0.0, 200.0), "mbar": (0.0, 2e3), "bar": (0.0, 2.0)},
+    "fraction": {"%": (-5.0, 105.0)},
+    "angular rate": {"deg/s": (-4e3, 4e3), "rad/s": (-70.0, 70.0), "mrad/s": (-7e4, 7e4), "rpm": (-700.0, 700.0)},
+}
+"""What values of a unit can be; beyond that the name is not believed."""
+
+_SCALARS: Final = ("temperature", "current", "voltage", "pressure", "fraction", "power", "irradiance")
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    unit: str
+    why: str
+    possible: tuple[str, ...] = ()
+
+
+def find_channels(draft: Draft, groups: list[Triple], field_nt: FloatArray | None, times: Times | None) -> None:
+    """Put the channels into the draft whose names and numbers agree; say what is left out."""
+    answers = _asked_channels(draft)
+    names: set[str] = {"attitude"}
+    for name, parts in answers.items():
+        _answered_channel(draft, name, parts)
+        names.add(name)
+    for group in groups:
+        kind = kind_of_triple(group)
+        if {c.number for c in group.columns} & draft.reserved or kind not in _NAMES:
+            continue
+        name = _free_name(_NAMES[kind], group.stem, names)
+        if _vector(draft, name, kind, group, field_nt, times):
+            names.add(name)
+    for column in draft.log.columns:
+        if column.number not in draft.reserved and column.numeric and column.name:
+            _scalar(draft, column, names)
+
+
+def left_out(draft: Draft) -> list[str]:
+    """Columns that the descriptor does not name."""
+    return [
+        c.label for c in draft.log.columns if c.number not in draft.reserved and (c.name or c.numeric) and any(c.cells)
+    ]
+
+
+def _asked_channels(draft: Draft) -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = {}
+    for key, value in draft.answers.beginning("channels.").items():
+        name, _, part = key.partition(".")
+        if name == "attitude":
+            continue
+        found.setdefault(name, {})[part or "columns"] = value
+    return found
+
+
+def _answered_channel(draft: Draft, name: str, parts: dict[str, str]) -> None:
+    """A channel by its answers: columns, and its unit or axes."""
+    given = parts.get("columns") or parts.get("column")
+    if given is None:
+        columns = _by_channel_name(draft, name)
+    else:
+        columns = draft.named(f"channels.{name}.columns", given, range(1, 17))
+    unit = parts.get("unit") or (columns[0].unit if columns[0].unit in CHANNEL_UNITS else "")
+    if unit not in CHANNEL_UNITS:
+        raise InputRefusedError([Fault(f"--answer channels.{name}.unit", unit, nearest(unit, CHANNEL_UNITS))])
+    value: dict[str, object] = _columns(draft, columns)
+    value |= {"unit": unit} if unit else {}
+    value |= {key: parts[key] for key in ("frame", "order", "from", "to") if key in parts}
+    draft.put("channels", name, value)
+    draft.reserved |= {column.number for column in columns}
+    label = ", ".join(column.label for column in columns)
+    draft.conclude(f"channels.{name}", f"{label} in {unit or 'no unit'}", answered(f"channels.{name}"))
+
+
+def _by_channel_name(draft: Draft, name: str) -> list[Column]:
+    """The columns of an open question's channel."""
+    from magcal_service.recordings.describe.columns import triples
+
+    for group in triples(draft.log):
+        kind = kind_of_triple(group)
+        if (
+            kind in _NAMES
+            and name in {_NAMES[kind], _clean(group.stem)}
+            and not {c.number for c in group.columns} & draft.reserved
+        ):
+            return list(group.columns)
+    for column in draft.log.columns:
+        if column.number not in draft.reserved and name in {_quantity(column), _clean(column.stem), column.name}:
+            return [column]
+    accepted = f"name its columns: --answer channels.{name}.columns=NAME,NAME"
+    raise InputRefusedError([Fault(f"--answer channels.{name}", "no columns", accepted)])
+
+
+def _columns(draft: Draft, columns: list[Column] | tuple[Column, ...]) -> dict[str, object]:
+    names = draft.names(columns)
+    return {"column": names[0]} if len(names) == 1 else {"columns": names}
+
+
+def _clean(text: str) -> str:
+    return "".join(sign if sign.isalnum() or sign in "_-" else "_" for sign in text).strip("_")[:32] or "channel"
+
+
+def _free_name(name: str, stem: str, names: set[str]) -> str:
+    if name not in names:
+        return name
+    name = _clean(stem)
+    number = 2
+    while name in names:
+        name, number = f"{_clean(stem)[:29]}_{number}", number + 1
+    return name
+
+
+def _vector(
+    draft: Draft, name: str, kind: Kind, group: Triple, field_nt: FloatArray | None, times: Times | None
+) -> bool:
+    """Whether three columns became a channel."""
+    if kind is Kind.SUN:
+        return _sun(draft, name, group)
+    quantity = _QUANTITY[kind]
+    possible = tuple(unit for unit, known in CHANNEL_UNITS.items() if known.quantity == quantity)
+    found = _said(group.columns, group.unit, quantity)
+    if not found.unit and not group.unit:
+        if kind is Kind.GYRO and field_nt is not None and times is not None:
+            found = _by_turning(group.values, field_nt, times, draft.log.neighbours())
+        if kind is Kind.ACCELEROMETER:
+            found = _by_gravity(group.values)
+    if not found.unit:
+        if kind is Kind.TORQUER or (kind is Kind.GYRO and not group.unit):
+            asks = f"in which unit is {group.label}, by name {name}? {found.why}"
+            draft.ask(
+                Question(f"channels.{name}.unit", asks, tuple((one, "") for one in possible), possible[0], needed=False)
+            )
+        return False
+    draft.put("channels", name, _columns(draft, group.columns) | {"unit": found.unit})
+    draft.reserved |= {column.number for column in group.columns}
+    draft.conclude(f"channels.{name}", f"{group.label} in {found.unit}", found.why)
+    return True
+
+
+def _sun(draft: Draft, name: str, group: Triple) -> bool:
+    length = np.sqrt((group.values**2).sum(axis=1))
+    good = length[np.isfinite(length) & (length > 0)]
+    if not good.size or float(np.mean(np.abs(good - 1.0) < 0.05)) < 0.9:
+        return False
+    asks = f"{group.label} are a unit vector and are called the Sun's; in which axes?"
+    candidates = (("body", "as a Sun sensor gives"), ("eci", "as an ephemeris gives"))
+    draft.ask(Question(f"channels.{name}.frame", asks, candidates, "body", needed=False))
+    return False
+
+
+def _said(columns: tuple[Column, ...], unit: str, quantity: str) -> _Unit:
+    """The unit that the names say, where it is of this quantity and the numbers can be that."""
+    if not unit:
+        return _Unit("", "no name says it")
+    if unit not in CHANNEL_UNITS or CHANNEL_UNITS[unit].quantity != quantity:
+        return _Unit("", f"the name says {unit}, which is no unit of {quantity}")
+    low, high = _RANGES.get(quantity, {}).get(unit, (-1e18, 1e18))
+    values = np.concatenate([column.values for column in columns])
+    good = values[np.isfinite(values)]
+    if not good.size or float(np.mean((good < low) | (good > high))) > 0.02:
+        return _Unit("", f"the name says {unit}, but the numbers cannot be that")
+    return _Unit(unit, f"the names say {quantity} in {unit}, and the numbers can be that")
+
+
+def _by_turning(rates: FloatArray, field: FloatArray, times: Times, neighbours: npt.NDArray[np.bool_]) -> _Unit:
+    """The gyro's unit by how the measured field turns: dB/dt = -w x (B - b), with the bias b as a free vector."""
+    step = np.diff(times.seconds)
+    middle = 0.5 * (field[1:] + field[:-1])
+    rate = 0.5 * (rates[1:] + rates[:-1])
+    good = neighbours & (step > 0) & np.isfinite(middle).all(axis=1) & np.isfinite(rate).all(axis=1)
+    if good.sum() < 50:
+        return _Unit("", "no name says it")
+    step, middle, rate, change = step[good], middle[good], rate[good], np.diff(field, axis=0)[good]
+    turned = -np.cross(rate, middle) * step[:, None]
+    zero = np.zeros(len(step))
+    x, y, z = rate.T * step
+    of_bias = np.stack([np.column_stack([zero, z, -y]), np.column_stack([-z, zero, x]), np.column_stack([y, -x, zero])])
+    terms = np.concatenate([np.column_stack([turned[:, i], -of_bias[i]]) for i in range(3)])
+    wanted = change.T.reshape(-1)
+    solution, *_ = np.linalg.lstsq(terms, wanted, rcond=None)
+    explained = 1.0 - float(((wanted - terms @ solution) ** 2).sum() / max(float((wanted**2).sum()), 1e-30))
+    for unit, factor in (("rad/s", 1.0), ("deg/s", _DEG), ("mrad/s", 1e-3)):
+        if explained > _SURE and 0.7 * factor < solution[0] < 1.4 * factor:
+            return _Unit(unit, f"the name says a gyro, and in {unit} it turns as the measured field does")
+    return _Unit("", "no name says it, and the measured field does not turn with it in any")
+
+
+def _by_gravity(values: FloatArray) -> _Unit:
+    length = np.sqrt((values**2).sum(axis=1))
+    good = length[np.isfinite(length)]
+    middle = float(np.median(good)) if good.size else 0.0
+    for unit, low, high in (("m/s2", 9.0, 10.6), ("g", 0.92, 1.08)):
+        if low < middle < high:
+            return _Unit(unit, f"the name says acceleration, and most is {middle:.4g}, gravity in {unit}")
+    return _Unit("", "no name says it")
+
+
+def _quantity(column: Column) -> str:
+    words = set(column.words) | {column.stem.lower()}
+    if (
+        words & TEMPERATURE
+        or column.stem in {"T", "imu_T"}
+        or (column.words[-1:] == ("t",) and column.stem.endswith("T"))
+    ):
+        return "temperature"
+    if words & CURRENT:
+        return "current"
+    if column.unit in CHANNEL_UNITS and CHANNEL_UNITS[column.unit].quantity in _SCALARS:
+        return CHANNEL_UNITS[column.unit].quantity
+    return ""
+
+
+def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
+    quantity = _quantity(column)
+    if not quantity or not np.isfinite(column.values).any():
+        return
+    found = _said((column,), column.unit, quantity)
+    if not column.unit:
+        found = _by_range(quantity, column.values)
+    base = quantity if quantity in {"temperature", "current"} else _clean(column.stem)
+    name = _free_name(base, column.stem, names)
+    if not found.unit:
+        if found.possible:
+            asks = f"in which unit is {column.label}, by name {quantity}? {found.why}"
+            candidates = tuple((one, "") for one in found.possible)
+            draft.ask(Question(f"channels.{name}.unit", asks, candidates, found.possible[0], needed=False))
+        else:
+            draft.said.append(f"channels: {column.label} left out: {found.why}")
+        return
+    draft.put("channels", name, {"column": draft.name(column), "unit": found.unit})
+    draft.reserved.add(column.number)
+    names.add(name)
+    draft.conclude(f"channels.{name}", f"{column.label} in {found.unit}", found.why)
+
+
+def _by_range(quantity: str, values: FloatArray) -> _Unit:
+    """The unit of a temperature or a current whose name says none."""
+    good = values[np.isfinite(values)]
+    low, high = (float(q) for q in np.quantile(good, (0.02, 0.98)))
+    if quantity == "temperature":
+        if low >= 200.0 and high <= 400.0:
+            return _Unit("K", f"the name says temperature, and {low:.4g} to {high:.4g} can be K only")
+        if low >= -40.0 and high <= 60.0:
+            return _Unit("degC", f"the name says temperature, and {low:.4g} to {high:.4g} are usual in degC")
+        if low >= -150.0 and high <= 400.0:
+            return _Unit("", f"no name says it, and {low:.4g} to {high:.4g} leave it open", ("degC", "degF", "K"))
+        return _Unit("", f"the name says temperature, but {low:.4g} to {high:.4g} are none in any unit")
+    if quantity == "current":
+        return _Unit("", f"no name says it, and {low:.4g} to {high:.4g} leave it open", ("A", "mA"))
+    return _Unit("", "no name says its unit")
