@@ -15,8 +15,11 @@ from urllib.parse import unquote
 from magcal_service.errors import LinkAddressError
 from magcal_service.typed_toml import nearest
 
-SCHEMES: Final = ("zenoh", "serial", "loop", "recording")
+SCHEMES: Final = ("zenoh", "serial", "loop", "recording", "ccsds")
 """What may stand before the colon; ``links`` has the link of each."""
+
+OUTPUT_SCHEMES: Final = ("ccsds",)
+"""Those that only send: for ``[output] links``, and no daemon's main link."""
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*")
 _OPTION = re.compile(r"[a-z][a-z0-9_]*")

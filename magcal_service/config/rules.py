@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from magcal_service.config.address import parse_address
+from magcal_service.config.address import OUTPUT_SCHEMES, parse_address
 from magcal_service.errors import LinkAddressError
 from magcal_service.typed_toml import nearest
 from magcal_service.typed_toml.record import Reading
@@ -33,11 +33,37 @@ _METRICS_ACCEPTED: Final = "a loopback address and port such as '127.0.0.1:9464'
 
 
 def check_link(reading: Reading, name: str, link: str) -> None:
-    """The link's address has a known scheme and its form."""
+    """The link's address has its form, and a known scheme that brings samples in."""
     try:
-        parse_address(link)
+        scheme = parse_address(link).scheme
     except LinkAddressError as exc:
         reading.table.refuse(name, link, str(exc))
+        return
+    if scheme in OUTPUT_SCHEMES:
+        reading.table.refuse(
+            name, link, f"{scheme}: only sends; give the link that samples come from, and this one as [output] links"
+        )
+
+
+def output_links(reading: Reading, name: str) -> tuple[str, ...]:
+    """Addresses of links that only send, each once."""
+    table, outputs = reading.table, " and ".join(f"{scheme}:" for scheme in OUTPUT_SCHEMES)
+    if not table.has(name):
+        return ()
+    links = table.content[name]
+    accepted = f"an array of at most {MOST_OUTPUTS} addresses, each once, is accepted"
+    if not isinstance(links, list) or not all(isinstance(link, str) for link in links):
+        table.refuse(name, links, accepted)
+        return ()
+    if len(links) > MOST_OUTPUTS or len(set(links)) < len(links):
+        table.refuse(name, links, accepted)
+    for link in links:
+        try:
+            if parse_address(link).scheme not in OUTPUT_SCHEMES:
+                table.refuse(name, link, f"{outputs} addresses are accepted, which only send")
+        except LinkAddressError as exc:
+            table.refuse(name, link, str(exc))
+    return tuple(links)
 
 
 def check_craft_name(reading: Reading, key: str, name: str) -> None:
@@ -49,6 +75,9 @@ def check_craft_name(reading: Reading, key: str, name: str) -> None:
         reading.table.refuse(key, name, NAME_ACCEPTED)
     names.add(name)
 
+
+MOST_OUTPUTS: Final = 8
+"""Links besides the main one: each costs every vector some 50 us before the next is looked at."""
 
 RESERVED_SOURCE: Final = "magcal"
 """The source of the daemon's own results: of the craft's own magnetometer, so no other may be called that."""

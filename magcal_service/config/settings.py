@@ -216,10 +216,12 @@ class OutputConfig:
     ----------
     csv: one row per tick into this file, relative to the working directory; None: no file.
     status_period_s: time between two status messages [s].
+    links: addresses of links that take what is published as well.
     """
 
     csv: Path | None = special(rules.csv_file, None)
     status_period_s: float = number(10.0, 1.0, 3600.0, unit="s")
+    links: tuple[str, ...] = special(rules.output_links, ())
 
 
 @dataclass(frozen=True, slots=True)

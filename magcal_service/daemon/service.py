@@ -26,6 +26,7 @@ from magcal_service.daemon.events import Event
 from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.magnetometers import Build, Magnetometers
+from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.status_round import StatusRound
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
@@ -83,6 +84,7 @@ class Service:
     checkpoints: where the state is kept and, at the start, taken from.
     metrics: serves the figures as Prometheus text.
     build: makes the pipeline of a magnetometer.
+    outputs: links that take what is published as well.
 
     Attributes
     ----------
@@ -99,12 +101,13 @@ class Service:
         checkpoints: Checkpoints | None = None,
         metrics: MetricsServer | None = None,
         build: Build = Pipeline,
+        outputs: Outputs | None = None,
     ) -> None:
         self.config = config
         self.link = link
         self.csv = csv
         self.recorder = recorder
-        self.checkpoints, self.metrics = checkpoints, metrics
+        self.checkpoints, self.metrics, self.outputs = checkpoints, metrics, outputs
         self.csv_error: InputRefusedError | None = None
         self.pipelines: dict[str, Pipeline] = {}
         self.magnetometers = {craft.name: Magnetometers(craft, self.pipelines, build) for craft in config.crafts}
@@ -312,6 +315,8 @@ class Service:
         self.link.send(message)
         if self.recorder is not None:
             self.recorder.add(message)
+        if self.outputs is not None:
+            self.outputs.send(message)
 
     def _note(self, estimate: Estimate) -> None:
         """Write the row and log a changed verdict."""
@@ -355,8 +360,8 @@ class Service:
                 self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
 
     def _others(self) -> list[Counter[str]]:
-        """What recorder and checkpoints have counted."""
-        return [part.counters for part in (self.recorder, self.checkpoints) if part is not None]
+        """What recorder, checkpoints and further links have counted."""
+        return [part.counters for part in (self.recorder, self.checkpoints, self.outputs) if part is not None]
 
     def _publish_status(self, pipeline: Pipeline) -> None:
         with contained(pipeline, "telling its status"):
@@ -371,6 +376,8 @@ class Service:
             troubles.append(f"not recording: {self.recorder.trouble}")
         if self.checkpoints is not None and self.checkpoints.trouble:
             troubles.append(f"no checkpoints: {self.checkpoints.trouble}")
+        if self.outputs is not None and self.outputs.trouble:
+            troubles.append(self.outputs.trouble)
         if self.link.alone:
             troubles.append(self.link.alone)
         counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
@@ -471,11 +478,12 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
         _check_history(config, link)
         metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
-        service = Service(config, link, csv, recorder, checkpoints, metrics)
+        outputs = stack.enter_context(Outputs(config.output.links, crafts)) if config.output.links else None
+        service = Service(config, link, csv, recorder, checkpoints, metrics, outputs=outputs)
         if link.live:
             service.limit = CommandLimit(config.commands, service.counters)
         service.restore()
-        log.info("serving %s on %s", ", ".join(crafts), config.link)
+        log.info("serving %s on %s", ", ".join(crafts), ", ".join((config.link, *config.output.links)))
         for warning in link.warnings:
             log.warning("%s: %s", config.link, warning)
         notify.notify(notify.READY)

@@ -39,11 +39,18 @@ def _recording(address: LinkAddress, role: Role, crafts: Sequence[str]) -> Link:
     return RecordingLink(address, crafts)
 
 
+def _ccsds(address: LinkAddress, role: Role, crafts: Sequence[str]) -> Link:
+    from magcal_service.links.ccsds import CcsdsLink
+
+    return CcsdsLink(address, role, crafts)
+
+
 LINKS: dict[str, Callable[[LinkAddress, Role, Sequence[str]], Link]] = {
     "zenoh": _zenoh,
     "serial": _serial,
     "loop": _loop,
     "recording": _recording,
+    "ccsds": _ccsds,
 }
 
 

@@ -100,6 +100,7 @@ rate_rpm = 7.0
 [output]
 csv = "estimates.csv"
 status_period_s = 5.0
+links = ["ccsds:udp/127.0.0.1:10015"]
 [record]
 directory = "recordings"
 flush_s = 2.0
@@ -175,7 +176,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                 ),
             ),
         ),
-        output=OutputConfig(Path("estimates.csv"), 5.0),
+        output=OutputConfig(Path("estimates.csv"), 5.0, ("ccsds:udp/127.0.0.1:10015",)),
         record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
         state=StateConfig(Path("state"), 120.0, 5, Path("state.key")),
         health=HealthConfig("127.0.0.1:9464", 60.0),
@@ -429,7 +430,8 @@ def test_the_largest_value_is_accepted_and_nothing_beyond(
 
 def test_every_number_in_the_configuration_has_limits() -> None:
     unlimited = {name for kind in KINDS.values() for name, key in declared(kind).items() if key.limits is None}
-    assert unlimited == {"axis", "window", "fourth", "method", "adaptive", "watch", "protection", "csv", "directory"}
+    texts = {"axis", "window", "method", "csv", "links", "directory"}
+    assert unlimited == texts | {"fourth", "adaptive", "watch", "protection"}
 
 
 def test_configuration_imports_neither_numpy_nor_an_extra() -> None:

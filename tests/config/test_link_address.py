@@ -71,7 +71,7 @@ def test_an_option_nobody_read_is_refused_with_the_nearest_known() -> None:
 def test_an_unknown_scheme_is_refused_with_the_nearest() -> None:
     with pytest.raises(LinkAddressError, match="did you mean 'serial'"):
         parse_address("serail:/dev/ttyUSB0")
-    with pytest.raises(LinkAddressError, match="known: loop, recording, serial, zenoh"):
+    with pytest.raises(LinkAddressError, match="known: ccsds, loop, recording, serial, zenoh"):
         open_link("carrier-pigeon".replace("-", "") + ":x", Role.SERVICE)
 
 
