@@ -55,6 +55,7 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
         "samples": path.parent / samples.file,
         "delimiter": samples.delimiter,
         "craft": samples.craft,
+        "max_rows": samples.max_rows,
     }
     if samples.file.lower().endswith(SESSION_SUFFIX):
         given |= _of_session(top)

@@ -24,6 +24,11 @@ except ImportError as error:
 _LARGEST_RECORD: Final = 1 << 26
 """What a reader takes for a record at most, packed and unpacked: 64 times what the writer makes."""
 
+_UNPACKED_AT_LEAST: Final = 1 << 24  # 16 MiB
+_UNPACKED_TIMES: Final = 256
+"""All chunks together may have so many times the file's bytes and ``_UNPACKED_AT_LEAST``; choice: what the recorder
+writes has 3 to 8 times, a sensor that is stuck included, since each message has 16 bytes in an index."""
+
 _SPOILT: Final = (McapError, zstandard.ZstdError, struct.error, ValueError, OverflowError, KeyError)
 """What the package raises for a record that is none."""
 
@@ -82,7 +87,8 @@ class McapReader:
     ``damage`` (the first thing that is wrong but for those, empty where nothing is), ``sound`` (one finished file,
     nothing was skipped, nothing follows its end).
 
-    Raises ``RecordingError`` where the file is no MCAP file at all; nothing else, whatever its bytes.
+    Raises ``RecordingError`` where the file is no MCAP file at all, or unpacks to far more than a recording does;
+    nothing else, whatever its bytes.
     """
 
     def __init__(self, file: BinaryIO, name: str) -> None:
@@ -103,6 +109,7 @@ class McapReader:
         self._read = self._indexed = self._stated = 0  # messages: read, and what indices and sound summaries say
         self._all_stated = True
         self._to_search = _SEARCH_AT_LEAST + _SEARCH_TIMES * self.size
+        self._to_unpack = self._most_unpacked = _UNPACKED_AT_LEAST + _UNPACKED_TIMES * self.size
 
     @property
     def sound(self) -> bool:
@@ -154,12 +161,26 @@ class McapReader:
             except _SpoiltError as error:
                 at = self._behind(at, error)
                 continue
+            self._count_unpacked(record)
             self.good_bytes += record.end - at
             self._finished = False
             yield record.opcode, record.content
             at = record.end
             if record.opcode == Opcode.FOOTER:
                 at = self._ended(at, record.content)
+
+    def _count_unpacked(self, record: _Record) -> None:
+        """Refuse a file whose chunks have more in them, this one included, than a recording of its size has."""
+        if record.opcode != Opcode.CHUNK:
+            return
+        self._to_unpack -= len(record.content)
+        if self._to_unpack < 0:
+            value = f"{self.size} bytes that unpack to more than {self._most_unpacked}"
+            accepted = (
+                f"at most {_UNPACKED_TIMES} times the file and {_UNPACKED_AT_LEAST} bytes more are accepted, what "
+                "magcal records has 3 to 8 times; do not trust this file, take a copy from where it was recorded"
+            )
+            raise RecordingError([Fault(self.name, value, accepted)])
 
     # What stands at a place
 

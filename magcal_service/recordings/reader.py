@@ -11,6 +11,7 @@ from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.report import RowFault, RowReport
 from magcal_service.recordings.row_arrays import RowArrays
+from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.specs import (
     DESCRIPTOR_NAME,
     LOG_SUFFIXES,
@@ -95,7 +96,7 @@ def _read_session(
 
 def read_described(descriptor: Descriptor) -> Recording:
     """Read the log in rows of a descriptor that has been loaded; raises as ``read_recording``."""
-    return read_rows(descriptor, read_table(descriptor.samples, descriptor.delimiter))
+    return read_rows(descriptor, read_table(descriptor.samples, descriptor.delimiter, RowLimits(descriptor.max_rows)))
 
 
 def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:

@@ -23,6 +23,7 @@ from magcal_service.recordings.reference_spec import (
     VectorReference,
     read_reference,
 )
+from magcal_service.recordings.row_limits import DEFAULT_MAX_ROWS, HIGHEST_MAX_ROWS
 from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
 from magcal_service.typed_toml.keys import choice, number, section, sections, special, text, texts
 from magcal_service.typed_toml.record import Reading
@@ -99,13 +100,21 @@ def _craft(reading: Reading, name: str) -> str | None:
     return craft
 
 
+def _max_rows(reading: Reading, name: str) -> int:
+    """How many rows are read at most; a session has none."""
+    if _is_session(reading):
+        return DEFAULT_MAX_ROWS
+    return reading.table.integer(name, DEFAULT_MAX_ROWS, minimum=1, maximum=HIGHEST_MAX_ROWS)
+
+
 @dataclass(frozen=True, slots=True)
 class SamplesSpec:
-    """The log's name beside the descriptor; the delimiter of its rows; whose they are, or which craft of a session."""
+    """The log's name beside the descriptor; its rows' delimiter, most and craft, or which craft of a session."""
 
     file: str = text(accepted="the name of a .csv, .csv.gz or .mcap file", check=_check_file)
     delimiter: str = special(_delimiter, ",")
     craft: str | None = special(_craft, None)
+    max_rows: int = special(_max_rows, DEFAULT_MAX_ROWS)
 
 
 def _source(reading: Reading, name: str) -> str:
@@ -192,6 +201,7 @@ class Descriptor:
     samples: the log it describes, found beside the descriptor.
     beside: further magnetometers of the same craft in the same rows.
     delimiter: what separates the cells of a row.
+    max_rows: how many rows are read at most.
     craft: whose rows these are, or which craft of a recorded session, where the descriptor names it.
     accepted: likely defects that whoever wrote the descriptor has looked at and found to be none.
     """
@@ -209,6 +219,7 @@ class Descriptor:
     platform: PlatformSpec | None = section(PlatformSpec, None)
     accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
     beside: tuple[MagnetometerSpec, ...] = sections(MagnetometerSpec)
+    max_rows: int = DEFAULT_MAX_ROWS
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import io
 import re
 import zlib
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.report import RowCount, RowFault
+from magcal_service.recordings.row_limits import RowLimits
 
 _Stream = io.BufferedReader | gzip.GzipFile
 
@@ -27,8 +29,7 @@ FAULTS = tuple(RowFault)
 
 CODE = {fault: code for code, fault in enumerate(FAULTS, start=1)}
 
-_MAX_FILE_BYTES = 1 << 30
-"""1 GiB unpacked: it is held in memory as text, several times over; a gzip file may be a thousand times smaller."""
+_ANY_END = re.compile("\r*\n|\r")
 
 _SHOWN = 80  # characters of a header in a fault: one line of a terminal
 _CHUNK_BYTES = 1 << 13  # small, because what a broken gzip stream would have given within one chunk is lost
@@ -63,16 +64,20 @@ class TextTable:
         return parse_numbers(self.column(name))
 
 
-def read_table(path: Path, delimiter: str = ",") -> TextTable:
-    """Read a log; raises ``RecordingError`` where the file cannot be read at all.
+def read_table(path: Path, delimiter: str = ",", limits: RowLimits | None = None) -> TextTable:
+    """Read a log; raises ``RecordingError`` where the file cannot be read at all, or is beyond ``limits``.
 
     Each line is one row (a quoted cell may hold the delimiter, not a line break), so that one broken quote spoils
     one row and no more.  A gzip file that ends early gives the rows before its end; the one that was cut is counted
     as ``truncated_file``.
     """
-    raw, truncated = _read_bytes(path)
+    limits = limits or RowLimits()
+    raw, truncated = _read_bytes(path, limits)
     text = raw.decode("utf-8-sig", errors="replace")
-    lines = _lines(text)
+    del raw  # as large as the text
+    lines = _lines(path, text, limits)
+    del text
+    limits.check_line(path, max(map(len, lines)))
     if truncated:
         lines = lines[:-1] or [""]  # the last line is cut somewhere within
     header = tuple(name.strip() for name in _split(lines[0].rstrip("\r"), delimiter) or ())
@@ -80,8 +85,11 @@ def read_table(path: Path, delimiter: str = ",") -> TextTable:
         raise RecordingError(
             [Fault(str(path), lines[0][:_SHOWN], "a header line with the column names must come first")]
         )
+    rows = len(lines) - 1 if lines[-1].strip() else len(lines) - 2
+    limits.check_rows(path, rows)
+    limits.check_cells(path, len(header), rows)
     splitter = _Splitter(delimiter, len(header))
-    for number, line in enumerate(lines[1:], start=2):
+    for number, line in enumerate(islice(lines, 1, None), start=2):
         splitter.add(number, line, at_end=number == len(lines))
     if truncated:
         splitter.seen += 1
@@ -89,18 +97,19 @@ def read_table(path: Path, delimiter: str = ",") -> TextTable:
     return splitter.table(header)
 
 
-def _lines(text: str) -> list[str]:
+def _lines(path: Path, text: str, limits: RowLimits) -> list[str]:
     """The lines of a file; a CR within a line that LF ends is left where it stands."""
     if text.count("\r") <= 2 * text.count("\n"):
         return text.split("\n")
-    return re.split("\r*\n|\r", text)
+    limits.check_rows(path, sum(1 for _ in _ANY_END.finditer(text)) - 1)
+    return _ANY_END.split(text)
 
 
-def _read_bytes(path: Path) -> tuple[bytes, bool]:
+def _read_bytes(path: Path, limits: RowLimits) -> tuple[bytearray, bool]:
     """The file's content, unpacked, and whether a packed one ends early."""
     try:
         with _open(path) as stream:
-            return _read_to_the_end(path, stream)
+            return _read_to_the_end(path, stream, limits)
     except OSError as exc:
         raise RecordingError([Fault(str(path), exc.strerror or str(exc), "give a readable log")]) from None
 
@@ -109,24 +118,25 @@ def _open(path: Path) -> _Stream:
     return gzip.GzipFile(path) if path.suffix.lower() == ".gz" else path.open("rb")
 
 
-def _read_to_the_end(path: Path, stream: _Stream) -> tuple[bytes, bool]:
+def _read_to_the_end(path: Path, stream: _Stream, limits: RowLimits) -> tuple[bytearray, bool]:
     content = bytearray()
-    truncated = False
-    while not truncated:
+    ends = line = 0
+    while True:
         try:
             chunk = stream.read1(_CHUNK_BYTES)
         except (EOFError, zlib.error, gzip.BadGzipFile):
             if not content:
                 raise OSError(None, "no row can be unpacked from this gzip file") from None
-            truncated = True
-            continue
+            return content, True
         if not chunk:
-            break
+            return content, False
+        ends += chunk.count(b"\n")
+        limits.check_rows(path, ends - 1)  # without the header's
+        last = max(chunk.rfind(b"\n"), chunk.rfind(b"\r"))
+        line = line + len(chunk) if last < 0 else len(chunk) - last - 1
+        limits.check_line(path, line)
         content += chunk
-        if len(content) > _MAX_FILE_BYTES:
-            limit = f"at most {_MAX_FILE_BYTES} bytes are accepted; split the recording"
-            raise RecordingError([Fault(str(path), "too large", limit)])
-    return bytes(content), truncated
+        limits.check_bytes(path, len(content))
 
 
 def _split(line: str, delimiter: str) -> list[str] | None:

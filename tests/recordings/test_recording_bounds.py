@@ -1,0 +1,115 @@
+"""Files that unpack to far more than they are: refused while they are read, with a way on; none is held first."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import re
+import struct
+import tracemalloc
+import zlib
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from magcal_service.cli.__main__ import main
+from magcal_service.errors import RecordingError
+from magcal_service.recordings import mcap_reader, row_limits
+from magcal_service.recordings.mcap import MAGIC
+from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.session_files import recover_in_place
+from tests.recordings.recording_logs import HEADER, descriptor, row, write_log
+
+ROWS = [row(1700000000 + second) for second in range(5)]
+
+
+def limited(folder: Path, rows: int, content: list[str]) -> Path:
+    """A log with ``samples.max_rows``."""
+    return write_log(folder, descriptor().replace("[time]", f"max_rows = {rows}\n[time]", 1), content)
+
+
+def test_a_log_of_as_many_rows_as_are_accepted_is_read_and_one_more_refused(tmp_path: Path) -> None:
+    assert len(read_recording(limited(tmp_path, 5, ROWS))) == 5
+    with pytest.raises(RecordingError, match=r"log\.csv.*more than 4 rows.*at most 4 rows are accepted.*set max_rows"):
+        read_recording(limited(tmp_path, 4, ROWS))
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n"])
+def test_rows_are_counted_whatever_ends_them(tmp_path: Path, end: str) -> None:
+    path = limited(tmp_path, 4, ROWS)
+    (tmp_path / "log.csv").write_text(end.join([HEADER, *ROWS[:4], ""]), newline="")
+    assert len(read_recording(path)) == 4
+    (tmp_path / "log.csv").write_text(end.join([HEADER, *ROWS, ""]), newline="")
+    with pytest.raises(RecordingError, match="more than 4 rows"):
+        read_recording(path)
+
+
+BOMBS = {
+    "rows": (b"0\n" * (1 << 24), "more than 1000 rows"),
+    "a line": (b"," * (1 << 25), "line that is too long"),
+    "lines": ((b"," * (1 << 19) + b"\n") * (1 << 6), "more than 1048576 bytes unpacked"),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_packed_log_is_refused_long_before_all_of_it_is_unpacked(tmp_path: Path, bomb: str) -> None:
+    """32 MiB unpacked; less than a fifth of it is ever held."""
+    content, why = BOMBS[bomb]
+    text = descriptor(file="log.csv.gz").replace("[time]", "max_rows = 1000\n[time]", 1)
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(content, 9))
+    path = write_log(tmp_path, text)
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match=why):
+        read_recording(path)
+    assert tracemalloc.get_traced_memory()[1] < 6 << 20
+    tracemalloc.stop()
+
+
+def test_a_log_of_too_many_cells_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each row has 19 cells, and 16 a row are accepted."""
+    monkeypatch.setattr(row_limits, "_LEAST_CELLS", 0)
+    with pytest.raises(RecordingError, match=r"5 rows of 19 columns.*at most 80 cells"):
+        read_recording(limited(tmp_path, 5, ROWS))
+
+
+def packed(content: bytes, times: int) -> bytes:
+    """The begin of an MCAP file with the same chunk so many times."""
+    body = zstandard.ZstdCompressor().compress(content)
+    head = struct.pack("<QQQII4sQ", 1, 1, len(content), zlib.crc32(content), 4, b"zstd", len(body))
+    return MAGIC + (struct.pack("<BQ", 6, len(head) + len(body)) + head + body) * times
+
+
+def test_a_recording_that_unpacks_to_far_more_than_it_is_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each chunk has one record of no known use, 64 KiB of zeros; twelve of them are within the limit, forty not."""
+    monkeypatch.setattr(mcap_reader, "_UNPACKED_AT_LEAST", 1 << 20)
+    monkeypatch.setattr(mcap_reader, "_UNPACKED_TIMES", 1)
+    content = struct.pack("<BQ", 0x80, (1 << 16) - 9) + bytes((1 << 16) - 9)
+    assert list(McapReader(io.BytesIO(packed(content, 12)), "file").messages()) == []
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(packed(content, 40))
+    for command in ("info", "recover", "check", "describe"):
+        assert main(["record", command, str(path)]) == 2
+        told = capsys.readouterr().err
+        assert re.search(
+            rf"bomb\.mcap.*{path.stat().st_size} bytes that unpack to more than .* accepted.*take a copy", told
+        )
+    assert [one.name for one in tmp_path.iterdir()] == ["bomb.mcap"]
+    assert recover_in_place(path).result is None  # as the daemon does at its start: set aside, not deleted
+    assert [one.name for one in tmp_path.iterdir()] == ["bomb.unreadable"]
+
+
+def test_a_chunk_that_says_too_much_or_has_more_than_it_says_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = bytes(1 << 20)
+    monkeypatch.setattr(mcap_reader, "_LARGEST_RECORD", 1 << 19)
+    monkeypatch.setattr(zstandard, "ZstdDecompressor", lambda: pytest.fail("unpacked"))
+    whole = packed(content, 1)
+    for size in (1 << 20, 1 << 18):
+        changed = bytearray(whole)
+        struct.pack_into("<Q", changed, len(MAGIC) + 9 + 16, size)
+        reader = McapReader(io.BytesIO(bytes(changed)), "file")
+        assert list(reader.messages()) == []
+        assert reader.bad_chunks == 1
