@@ -35,13 +35,15 @@ def parse(text: str, pattern: str) -> float | None:
 def fitting(cells: Sequence[str]) -> list[str]:
     """Patterns of date with time of day that every filled cell fits."""
     first = next((cell for cell in cells if cell), "")
+    american = first.upper().endswith(("AM", "PM"))
     patterns = ["%a %b %d %H:%M:%S %Y"]
     for between in _BETWEEN:
         for day, of_day in _halves(first, between):
             clocks = [clock for clock in _CLOCKS if parse(of_day, clock) is not None]
             days = [date for date in _DATES if clocks and parse(day, date) is not None]
             patterns += [f"{date}{between}{clock}" for clock in clocks for date in days]
-    return _fitting(cells, patterns)
+    found = _fitting(cells, patterns)
+    return sorted(found, key=lambda pattern: not pattern.startswith("%m")) if american else found
 
 
 def _halves(text: str, between: str) -> list[tuple[str, str]]:

@@ -18,6 +18,9 @@ EARTH_NT: Final = (18e3, 75e3)
 _DISTURBED_NT: Final = (1.5e3, 3e5)
 """What an uncalibrated sensor in an airframe, a craft or a coil can read."""
 
+_TURNED_NT: Final = (11e3, 120e3)
+"""The radius of a turned sensor's sphere: the Earth's field, and a scale that may be a good third off."""
+
 _FEWEST: Final = 12  # vectors that a sphere is fitted to
 _SPREAD: Final = 0.35
 """Of the radius: a cloud thinner than that in a direction has no centre in it."""
@@ -121,6 +124,8 @@ def find_unit(size: Size | None, said: str, *, whole: bool, expected_nt: float |
     band = EARTH_NT if expected_nt is None else (0.6 * expected_nt, 1.6 * expected_nt)
     tight = tuple(u for u in units if band[0] <= size.best * FIELD_NT[FieldUnit(u)] <= band[1])
     loose = tuple(u for u in units if _DISTURBED_NT[0] <= size.usual * FIELD_NT[FieldUnit(u)] <= _DISTURBED_NT[1])
+    if not said and size.radius is not None:  # a sphere has no bias in it: it is the field or raw counts
+        loose = tuple(u for u in units if _TURNED_NT[0] <= size.radius * FIELD_NT[FieldUnit(u)] <= _TURNED_NT[1])
     possible = tight + tuple(u for u in loose if u not in tight)
     shown = "the radius of their sphere" if size.radius is not None else "most"
     if said:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from magcal_service.errors import Fault, RecordingError
+from magcal_service.recordings.describe.cells import COMMA_NUMBER, NUMBER, WHITESPACE, is_value, split
+from magcal_service.recordings.describe.header import Header, find_header
 from magcal_service.recordings.describe.sample import Sample
-from magcal_service.recordings.describe.units import is_unit
+from magcal_service.recordings.describe.units import unit_of
 
-WHITESPACE: Final = "whitespace"
 _DELIMITERS: Final = ("\t", ";", "|", ",", WHITESPACE)
 """In the order of preference: where two cut a line equally well, the rarer one was meant."""
 
 _COMMENTS: Final = ("#", "%", "//", "!", "*", "'")
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
-_COMMA_NUMBER: Final = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
-_NOT_A_VALUE: Final = {"", "nan", "-nan", "+nan", "null", "none", "na", "n/a", "inf", "-inf", "--", "?"}
-_DATE: Final = re.compile(
-    r"\d{1,4}[-/.]\d{1,3}([-/.]\d{1,4})?([T ].*)?|\d{1,2}[- ][A-Za-z]{3}[- ]\d{2,4}.*|[A-Za-z]{3} \d.*"
-)
-_CLOCK: Final = re.compile(r"\d{1,2}:\d\d(:\d\d)?([.,:]\d+)?\s*([AaPp][Mm]|Z|UTC)?")
 _LOOKED_AT: Final = 400  # lines of the head: enough to know a log's form
+_WORTH_OF_LABEL: Final = 0.7  # of a value: that rows have labels in them is possible, and seldom
 _LEAST_SHARE: Final = 0.6  # of the lines looked at that have the same number of cells
 
 
@@ -42,6 +35,7 @@ class Layout:
     header: whether a line of names stands at the head of the rows and is read as such.
     names: a name for each column, empty where none is known.
     units: what a line of units says of each column; empty where there is none.
+    labels: a column's text where it is the same in every row, such as ``X:``; empty for columns of values.
     preamble: the lines before the rows, as written.
     remarks: what was noticed on the way, in sentences.
     """
@@ -53,6 +47,7 @@ class Layout:
     header: bool
     names: tuple[str, ...]
     units: tuple[str, ...]
+    labels: tuple[str, ...]
     preamble: tuple[str, ...]
     remarks: tuple[str, ...]
 
@@ -63,7 +58,8 @@ class Layout:
             cells = None if not line.strip() or self.is_comment(line) else split(line, self.delimiter)
             if cells is None or len(cells) < len(self.names):
                 continue
-            if sum(_is_value(cell) for cell in cells) * 2 < len(cells):
+            known = zip(cells, self.labels, strict=False)
+            if sum(is_value(cell) or (bool(label) and cell == label) for cell, label in known) * 2 < len(self.names):
                 continue
             rows.append([self._plain(cell) for cell in cells[: len(self.names)]])
         return rows
@@ -74,21 +70,9 @@ class Layout:
 
     def _plain(self, cell: str) -> str:
         """A cell with the decimal sign that numbers are read by."""
-        if self.decimal == "," and _COMMA_NUMBER.fullmatch(cell):
+        if self.decimal == "," and COMMA_NUMBER.fullmatch(cell):
             return cell.replace(",", ".")
         return cell
-
-
-def split(line: str, delimiter: str) -> list[str] | None:
-    """Cells of a line, blanks stripped; None where its quotes make no sense."""
-    if delimiter == WHITESPACE:
-        return line.split()
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True))]
-    except csv.Error:
-        return None
 
 
 def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | None = None) -> Layout:
@@ -106,12 +90,20 @@ def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | Non
         )
         raise RecordingError([Fault(str(sample.path), (body or [""])[0][:80], accepted)])
     sign = decimal or ("," if best.comma > best.point else ".")
-    return _with_header(head, comment, best, sign)
+    return _layout(head, comment, best, sign, find_header(head, comment, best.delimiter, best.labels))
 
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """How well a delimiter cuts lines: the usual width, the share of lines that have it, how many cells are values."""
+    """How well a delimiter cuts lines.
+
+    Parameters
+    ----------
+    width, share: the usual number of cells, and the share of lines that have it.
+    score: that share times the share of cells that are values, or the label of their column.
+    comma, point: cells that are numbers with such a decimal sign.
+    labels: the text of each column that has the same one in every line; empty for the others.
+    """
 
     delimiter: str
     width: int
@@ -119,6 +111,7 @@ class _Cut:
     score: float
     comma: int
     point: int
+    labels: tuple[str, ...] = ()
 
 
 def _cut(lines: Sequence[str], delimiter: str) -> _Cut:
@@ -128,22 +121,21 @@ def _cut(lines: Sequence[str], delimiter: str) -> _Cut:
         return _Cut(delimiter, 0, 0.0, 0.0, 0, 0)
     width, times = widths.most_common(1)[0]
     cells = [cell for row in rows if row is not None and len(row) == width for cell in row]
-    comma = sum(bool(_COMMA_NUMBER.fullmatch(cell)) for cell in cells) if delimiter != "," else 0
-    point = sum("." in cell and bool(_NUMBER.fullmatch(cell)) for cell in cells)
-    values = sum(_is_value(cell) for cell in cells) / max(len(cells), 1)
+    comma = sum(bool(COMMA_NUMBER.fullmatch(cell)) for cell in cells) if delimiter != "," else 0
+    point = sum("." in cell and bool(NUMBER.fullmatch(cell)) for cell in cells)
+    labels = _labels([row for row in rows if row is not None and len(row) == width])
+    values = sum(is_value(cell) for cell in cells) / max(len(cells), 1)
+    if values > 0:
+        values += _WORTH_OF_LABEL * sum(bool(label) for label in labels) / width
     share = times / len(lines)
-    return _Cut(delimiter, width, share, share * values if width > 1 else 0.0, comma, point)
+    return _Cut(delimiter, width, share, share * values if width > 1 else 0.0, comma, point, labels)
 
 
-def _is_value(cell: str) -> bool:
-    """Whether a cell is what stands in a row: a number, a date, a time of day, or a way to say that there is none."""
-    return bool(
-        _NUMBER.fullmatch(cell)
-        or _COMMA_NUMBER.fullmatch(cell)
-        or cell.lower() in _NOT_A_VALUE
-        or _CLOCK.fullmatch(cell)
-        or _DATE.fullmatch(cell)
-    )
+def _labels(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Of each column the text that is the same in every row, where that is no value; else empty."""
+    columns = [set(column) for column in zip(*rows, strict=True)]
+    steady = [column.pop() if len(column) == 1 and len(rows) > 2 else "" for column in columns]
+    return tuple("" if is_value(text) else text for text in steady)
 
 
 def _comment(lines: Sequence[str]) -> str:
@@ -155,67 +147,31 @@ def _comment(lines: Sequence[str]) -> str:
     return ""
 
 
-def _with_header(head: Sequence[str], comment: str, cut: _Cut, decimal: str) -> Layout:
-    first = next(
-        (i for i, line in enumerate(head) if _is_row(line, comment, cut)),
-        len(head),
+def _from_labels(labels: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of columns of values by the labels in front of them, and units by those behind; a last unit is for all."""
+    before, behind = ("", *labels[:-1]), (*labels[1:], "")
+    names = tuple("" if label else text.strip(":= ") for label, text in zip(labels, before, strict=True))
+    units = tuple("" if label or not unit_of(text) else text for label, text in zip(labels, behind, strict=True))
+    if unit_of(labels[-1]) and sum(map(bool, units)) == 1:
+        units = tuple("" if label else labels[-1] for label in labels)
+    return names, units
+
+
+def _layout(head: Sequence[str], comment: str, cut: _Cut, decimal: str, header: Header) -> Layout:
+    """The layout with its header, where there is one that the rows go by."""
+    width = cut.width if not header.by_name else max(cut.width, len(header.names))
+    names, units = header.names, header.units
+    if not names and any(cut.labels):
+        names, units = _from_labels(cut.labels)
+    return Layout(
+        delimiter=cut.delimiter,
+        decimal=decimal,
+        comment=comment,
+        skip_lines=header.skip_lines,
+        header=header.by_name,
+        names=names + ("",) * (width - len(names)),
+        units=units + ("",) * (width - len(units)) if units else (),
+        labels=cut.labels + ("",) * (width - len(cut.labels)),
+        preamble=tuple(head[: header.first_row]),
+        remarks=header.remarks,
     )
-    remarks: list[str] = []
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    at: int | None = None
-    for i in range(first - 1, -1, -1):
-        if not head[i].strip():
-            continue
-        marked = bool(comment) and head[i].lstrip().startswith(comment)
-        cells = _names(head[i].lstrip()[len(comment) :] if marked else head[i], cut)
-        if cells is None:
-            if marked:
-                continue
-            break
-        if not units and not marked and sum(is_unit(cell) for cell in cells) * 2 >= sum(bool(c) for c in cells):
-            units = cells
-            remarks.append(f"line {i + 1} holds units, no row")
-            continue
-        names, at = cells, i
-        break
-    marked = at is not None and bool(comment) and head[at].lstrip().startswith(comment)
-    if units and not names:  # one line that only looks like units is a line of names
-        names, units, at = units, (), next(i for i in range(first) if _names(head[i], cut) == units)
-        remarks.clear()
-    width = max(cut.width, len(names))
-    if at is None:
-        remarks.append("no line of names: columns go by their number")
-        return Layout(
-            cut.delimiter, decimal, comment, first, False, ("",) * width, (), tuple(head[:first]), tuple(remarks)
-        )
-    if marked:
-        remarks.append(f"the names stand in the comment of line {at + 1}: columns go by their number")
-    names = names + ("",) * (width - len(names))
-    units = units + ("",) * (width - len(units)) if units else ()
-    skip = first if marked else at
-    before = tuple(head[: first if marked else at])
-    return Layout(cut.delimiter, decimal, comment, skip, not marked, names, units, before, tuple(remarks))
-
-
-def _is_row(line: str, comment: str, cut: _Cut) -> bool:
-    if not line.strip() or (comment and line.lstrip().startswith(comment)):
-        return False
-    cells = split(line, cut.delimiter)
-    if cells is None or len(cells) != cut.width:
-        return False
-    filled = [cell for cell in cells if cell]
-    return sum(_is_value(cell) for cell in filled) * 2 >= len(filled) > 0 and any(_NUMBER.match(c) for c in filled)
-
-
-def _names(line: str, cut: _Cut) -> tuple[str, ...] | None:
-    """The cells of a line that could hold the names, or the units, of the columns."""
-    cells = split(line.strip() if cut.delimiter == WHITESPACE else line.rstrip("\r"), cut.delimiter)
-    if cells is None or not cut.width - 1 <= len(cells) <= cut.width + 40:
-        return None
-    if len(cells) != cut.width and len([c for c in cells if c]) > cut.width:
-        return None
-    filled = [cell for cell in cells if cell]
-    if len(filled) < 2 or sum(bool(_NUMBER.fullmatch(cell)) for cell in filled) * 2 >= len(filled):
-        return None
-    return tuple(cells)

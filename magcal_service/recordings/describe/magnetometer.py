@@ -55,19 +55,23 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     named = named or _by_file(draft, groups)
     doubted = [group for group in named if {c.number for c in group.columns} & draft.reserved]
     for group in doubted:
+        named.remove(group)
         draft.said.append(f"magnetometer: not believed: the header names {group.label}, which hold something else")
-    if doubted or draft.doubted:
+    if draft.doubted:
+        named = [group for group in named if _follows(group, model_nt)]
+    if doubted or (draft.doubted and not named):
         _ask_columns(draft, groups, model_nt, "the header seems to name the wrong columns. ")
         return []
     found = [_with_unit(draft, group, model_nt) for group in named]
     possible = [(group, unit) for group, unit in found if unit.possible]
+    if found and not possible:
+        return _ask_counts(draft, *found[0])
     for group, unit in found:
         if not unit.possible:
             draft.said.append(f"magnetometer: {group.label} left out: in no unit a field near the Earth's ({unit.why})")
     possible = _uncalibrated(draft, possible)
     if not possible:
-        why = "no columns are a magnetometer by their names and numbers. " if not found else ""
-        _ask_columns(draft, [g for g in groups if g not in named], model_nt, why)
+        _ask_columns(draft, groups, model_nt, "no columns are a magnetometer by their names and numbers. ")
         return []
     return _put(draft, possible, "")
 
@@ -90,6 +94,14 @@ def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tup
     scale = None if model_nt is None else scale_by_model(triple.values, model_nt)
     by_model = unit_by_model(triple.unit, scale)
     return triple, by_model or find_unit(size, triple.unit, whole=triple.whole, expected_nt=_usual(model_nt))
+
+
+def _follows(triple: Triple, model_nt: FloatArray | None) -> bool:
+    """Whether three columns are a magnetometer's by the field model alone."""
+    if model_nt is None:
+        return False
+    unit = unit_by_model(triple.unit, scale_by_model(triple.values, model_nt))
+    return unit is not None and unit.sure
 
 
 def _usual(model_nt: FloatArray | None) -> float | None:
@@ -155,6 +167,14 @@ def _ask_unit(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> None:
     draft.ask(Question("magnetometer.unit", asks, candidates, (unit.possible or ("uT",))[0]))
 
 
+def _ask_counts(draft: Draft, triple: Triple, unit: UnitFound) -> list[Magnetometer]:
+    """Named a magnetometer, and in no unit a field."""
+    asks = f"in no unit are {triple.label} a field near the Earth's ({unit.why}). Raw counts of a sensor have to be "
+    asks += "multiplied with its nT per count in the log first; if it is a unit after all, which?"
+    draft.ask(Question("magnetometer.unit", asks, (), "uT"))
+    return []
+
+
 def _as_field(triple: Triple, unit: str) -> str:
     size = size_of(triple.values)
     return "" if size is None else f"then most is {size.best * FIELD_NT[FieldUnit(unit)] / 1e3:.3g} uT"
@@ -190,7 +210,7 @@ def _rank(
 
 def _neighbours(draft: Draft) -> list[Triple]:
     """Every three neighbouring numeric columns that are not something else already."""
-    columns = draft.log.columns
+    columns = [column for column in draft.log.columns if column.numeric]
     found = []
     for x, y, z in zip(columns, columns[1:], columns[2:], strict=False):
         three = (x, y, z)

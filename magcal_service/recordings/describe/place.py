@@ -211,7 +211,7 @@ def _altitude(draft: Draft, speed: float | None) -> float | tuple[int, float | N
         draft.conclude("position.altitude_km", f"{value:g}", answered("position.altitude_km"))
         return value
     chosen = draft.columns("position.altitude", (1,))
-    columns = chosen or _one(draft.log, ALTITUDE)
+    columns = chosen or _one(draft.log, ALTITUDE) or [c for c in _one(draft.log, {"h"}) if c.unit in {"km", "m"}]
     if not columns:
         return None
     column = columns[0]

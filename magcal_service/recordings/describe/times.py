@@ -14,41 +14,16 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe import dates
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.time_forms import forms as all_forms
+from magcal_service.recordings.describe.time_forms import joined, of_columns
+from magcal_service.recordings.describe.time_numbers import Form, as_told
 from magcal_service.recordings.timestamps import iso8601_to_ns
 
 FloatArray = npt.NDArray[np.float64]
 
-_TIME_WORDS: Final = {
-    "t", "time", "times", "timestamp", "timestamps", "ts", "unix", "unixtime", "utc", "epoch", "date", "datetime",
-    "clock", "elapsed", "sec", "secs", "second", "seconds", "ms", "millis", "micros", "us", "met", "tow", "tick",
-    "ticks", "posix", "gps", "jd", "mjd", "julian", "excel", "uptime", "sow", "itow", "stamp", "serial", "datenum",
-}  # fmt: skip
-_WEEK: Final = {"week", "wk", "gpsweek", "wn", "weekno", "gwk", "gpswk", "weeks"}
-_OF_WEEK: Final = {"tow", "itow", "sow", "gms", "towms"}
-_DATE: Final = {"date", "day", "datum", "fecha", "jour", "dates"}
-_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_UNIX: Final = (7.9e8, 2.3e9)
-"""Unix seconds from 1995 to 2042: a log of the years that a digital sensor can be from."""
-
-_DAYS: Final = {
-    "excel_days": (34000.0, 51000.0, 25569.0),
-    "mjd_days": (51000.0, 66000.0, 40587.0),
-    "julian_days": (2.4495e6, 2.4665e6, 2440587.5),
-}
-"""First and last day of about the same years, and the day of 1970-01-01."""
-
-_STEP_S: Final = (0.0009, 3700.0)
-"""Seconds between rows: a magnetometer is read between 1000 times a second and once an hour."""
-
-_CLEAR_STEP_S: Final = (0.0045, 130.0)
-"""Between these bounds the usual logs are; a unit that leads outside is less likely than one within."""
-
 _RATE: Final = re.compile(
     r"(?:rate|freq\w*|fs)\b[^0-9\n]{0,24}([0-9]+(?:\.[0-9]+)?)\s*(?:hz|sps|samples)", re.IGNORECASE
 )
-_START: Final = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:?\d\d)?")
-_GPS_EPOCH_S: Final = 315964800.0  # 1980-01-06 in Unix seconds
-_WEEK_S: Final = 604800.0  # seconds in a week
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,27 +42,15 @@ class Times:
     columns: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Form:
-    """One reading of a column, or columns."""
-
-    columns: tuple[Column, ...]
-    format: str
-    times: FloatArray
-    absolute: bool
-    why: str
-    sure: bool
-    rank: int
-    pattern: str = ""
-
-
 def find_times(draft: Draft) -> Times | None:
     """Put the time into the draft, or ask; the times where they are known."""
     answer = _by_answer(draft)
     if answer is not None:
         return answer
     log = draft.log
-    forms = _forms(log)
+    forms = all_forms(log)
+    dated = {column for form in forms if form.pattern for column in form.columns}
+    forms = [form for form in forms if form.pattern or form.absolute or not set(form.columns) & dated]
     sure = sorted((form for form in forms if form.sure), key=lambda form: form.rank)
     if sure:
         return _take(draft, sure[0], sure[0].why)
@@ -97,7 +60,7 @@ def find_times(draft: Draft) -> Times | None:
     return _by_rate(draft)
 
 
-def _take(draft: Draft, form: _Form, why: str) -> Times:
+def _take(draft: Draft, form: Form, why: str) -> Times:
     names = draft.names(form.columns)
     start = draft.answers.get("time.start")
     if len(names) == 1:
@@ -127,7 +90,7 @@ def _instant(key: str, text: str) -> float:
     return ns / 1e9
 
 
-def _ask_form(draft: Draft, forms: Sequence[_Form]) -> None:
+def _ask_form(draft: Draft, forms: Sequence[Form]) -> None:
     """Which column, or which form of it."""
     first = min(form.rank for form in forms)
     best = [form for form in forms if form.rank == first]
@@ -156,7 +119,7 @@ def _by_answer(draft: Draft) -> Times | None:
     form, pattern = answers.get("time.format"), answers.get("time.pattern")
     if columns is None and form is None and pattern is None:
         return None
-    forms = _forms(log) if columns is None else [one for one in _of_columns(tuple(columns)) if one is not None]
+    forms = all_forms(log) if columns is None else [one for one in of_columns(tuple(columns)) if one is not None]
     wanted = [f for f in forms if (form in {None, f.format}) and (pattern in {None, f.pattern})]
     wanted.sort(key=lambda one: (not one.sure, one.rank))
     key = next(k for k in ("time.pattern", "time.format", "time.column") if answers.get(k) or k == "time.column")
@@ -166,11 +129,15 @@ def _by_answer(draft: Draft) -> Times | None:
     if wanted:
         _ask_form(draft, wanted)
         return None
+    if columns is not None and len(columns) == 1 and form is not None:
+        told = as_told(columns[0], form)
+        if told is not None:
+            return _take(draft, told, told.why)
     if columns is not None and pattern is not None:
-        cells = _joined(tuple(columns))
+        cells = joined(tuple(columns))
         times = dates.seconds(cells, pattern)
         if np.isfinite(times).mean() > 0.5:
-            return _take(draft, _Form(tuple(columns), "", times, True, "", True, 0, pattern), answered("time.pattern"))
+            return _take(draft, Form(tuple(columns), "", times, True, "", True, 0, pattern), answered("time.pattern"))
     given = pattern or form or ", ".join(column.label for column in columns or ())
     known = " ".join(dict.fromkeys(f.pattern or f.format for f in forms)) or "none that is known"
     raise InputRefusedError([Fault(f"--answer {key}", given, f"the log's times can be read as: {known}")])
@@ -204,210 +171,22 @@ def _by_rate(draft: Draft) -> Times | None:
     if len(rates) == 1:
         return _put_rate(draft, rates.pop(), "no column is a time, and the lines before the rows state the rate")
     asks = "no column is a time by its name and numbers; how many rows come in a second, evenly?"
+    rate, column = _rate_of_clock(draft.log)
+    if column is not None:
+        why = f"by the times of day in {column.label}, which have no date"
+        draft.ask(Question("time.rate_hz", asks, ((f"{rate:.6g}", why),), f"{rate:.6g}"))
+        return None
     draft.ask(Question("time.rate_hz", asks, (), "10"))
     return None
 
 
-def _forms(log: Log) -> list[_Form]:
-    found = [*_gps_week(log), *_date_and_clock(log)]
+def _rate_of_clock(log: Log) -> tuple[float, Column | None]:
+    """Rows a second by a column of times of day."""
     for column in log.columns:
-        found += _of_columns((column,))
-    return found
-
-
-def _of_columns(columns: tuple[Column, ...]) -> list[_Form]:
-    if len(columns) > 1:
-        return _texts(columns, _joined(columns), 2)
-    column = columns[0]
-    if column.numeric:
-        return _numbers(column) + (_texts(columns, column.cells, 3) if _named(column) and column.whole else [])
-    return _texts(columns, column.cells, 1)
-
-
-def _joined(columns: Sequence[Column]) -> list[str]:
-    return [" ".join(parts) for parts in zip(*(column.cells for column in columns), strict=True)]
-
-
-def _named(column: Column) -> bool:
-    words = set(column.words) | {column.stem.lower()}
-    return bool(words & _TIME_WORDS) or any(word.startswith(("time", "unix", "epoch")) for word in words)
-
-
-def _texts(columns: tuple[Column, ...], cells: Sequence[str], rank: int) -> list[_Form]:
-    """Readings of text as an instant."""
-    filled = [cell for cell in cells if cell]
-    if not filled or not any(sign.isdigit() for sign in filled[0]) or len(filled[0]) < 8:
-        return []
-    if len(columns) == 1:
-        parsed = [iso8601_to_ns(cell) for cell in cells]
-        good = sum(value is not None for value in parsed)
-        if good >= 0.9 * len(filled):
-            times = np.array([np.nan if value is None else value / 1e9 for value in parsed])
-            zone = "" if re.search(r"(Z|z|UTC|[+-]\d\d:?\d\d)$", filled[0]) else "; no zone is written, so UTC is taken"
-            why = f"every cell is an ISO 8601 instant such as {filled[0]!r}{zone}"
-            return [_Form(columns, "iso8601", times, True, why, True, rank)]
-    patterns = dates.fitting(filled)
-    if not patterns:
-        return []
-    times_of = {pattern: dates.seconds(cells, pattern) for pattern in patterns}
-    running = [pattern for pattern in patterns if dates.in_order(times_of[pattern])] or patterns
-    running = _same_instants(running, times_of)
-    if len(running) > 1:
-        running = _shortest_gaps(running, times_of)
-    why = f"every cell fits, such as {filled[0]!r}, and the times run on; no zone is written, so UTC is taken"
-    return [_Form(columns, "", times_of[pattern], True, why, len(running) == 1, rank, pattern) for pattern in running]
-
-
-def _same_instants(patterns: Sequence[str], times_of: dict[str, FloatArray]) -> list[str]:
-    """The first of each group of patterns that read the same."""
-    kept: list[str] = []
-    for pattern in patterns:
-        if not any(np.array_equal(times_of[pattern], times_of[other], equal_nan=True) for other in kept):
-            kept.append(pattern)
-    return kept
-
-
-def _shortest_gaps(patterns: Sequence[str], times_of: dict[str, FloatArray]) -> list[str]:
-    """Of readings that all run on, those whose longest gap is not a hundred times that of the best."""
-    gaps = {p: float(np.nanmax(np.abs(np.diff(times_of[p])), initial=0.0)) for p in patterns}
-    least = min(gaps.values())
-    return [p for p in patterns if gaps[p] <= max(100.0 * least, 1.0)] if least < 86400.0 else list(patterns)
-
-
-def _date_and_clock(log: Log) -> list[_Form]:
-    """A column of dates and one of times of day."""
-    clocks = [
-        c for c in log.columns if c.cells and not c.numeric and ":" in c.cells[0] and dates.fitting_clocks(c.cells)
-    ]
-    clocks += [
-        c
-        for c in log.columns
-        if c.numeric and set(c.words) & {"time", "utc", "clock", "hms", "hhmmss"} and dates.fitting_clocks(c.cells)
-    ]
-    days = [c for c in log.columns if c.cells and _is_date(c)]
-    found = []
-    for day in days[:2]:
-        for clock in clocks[:2]:
-            if day is clock:
-                continue
-            found += _texts((day, clock), _joined((day, clock)), 0)
-    return found
-
-
-def _is_date(column: Column) -> bool:
-    named = bool(set(column.words) & _DATE)
-    if column.numeric and not (named and column.whole):
-        return False
-    return bool(dates.fitting_dates(column.cells))
-
-
-def _gps_week(log: Log) -> list[_Form]:
-    weeks = [
-        c for c in log.columns if c.numeric and c.whole and set(c.words) & _WEEK and _within(c.values, 700.0, 4000.0)
-    ]
-    seconds = [
-        c for c in log.columns if c.numeric and not set(c.words) & _WEEK and (set(c.words) & _OF_WEEK or _named(c))
-    ]
-    found = []
-    for week in weeks[:1]:
-        for column in sorted(seconds, key=lambda c: not set(c.words) & _OF_WEEK):
-            milli = column.unit == "ms" or not _within(column.values, 0.0, _WEEK_S)
-            if not _within(column.values, 0.0, _WEEK_S * (1000.0 if milli else 1.0)):
-                continue
-            times = _GPS_EPOCH_S + week.values * _WEEK_S + column.values * (1e-3 if milli else 1.0)
-            form = "gps_week_ms" if milli else "gps_week_s"
-            why = "the names say GPS week and time of week, and the numbers are those of such"
-            found.append(_Form((week, column), form, times, True, why, _rises(times, log.neighbours()), 0))
-            break
-    return found
-
-
-def _within(values: FloatArray, low: float, high: float) -> bool:
-    good = values[np.isfinite(values)]
-    return bool(good.size) and float(np.mean((good >= low) & (good <= high))) > 0.99
-
-
-def _rises(times: FloatArray, _: npt.NDArray[np.bool_] | None = None) -> bool:
-    """Whether it rises from row to row, but for repeats and a few steps back, and rises at all."""
-    good = times[np.isfinite(times)]
-    if good.size < 2:
-        return False
-    steps = np.diff(good)
-    return float(np.mean(steps < 0)) <= 0.02 and float(np.mean(steps > 0)) >= 0.02 and good[-1] > good[0]
-
-
-def _numbers(column: Column) -> list[_Form]:
-    """Readings of a numeric column."""
-    values = column.values
-    if not _rises(values):
-        return []
-    named, found = _named(column), []
-    step = _usual_step(values)
-    for unit, factor in _S.items():
-        if _within(values * factor, *_UNIX) and step * factor <= 86400.0:
-            fits = column.unit in {"", unit}
-            counter = bool(set(column.words) & {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"})
-            years = f"{1970 + int(values[0] * factor / 31556952)}"
-            why = f"it rises from row to row and as Unix time in {unit} it is of the year {years}" + (
-                ", as the name says" if named else ""
-            )
-            sure = fits and not counter and (named or not column.name)
-            found.append(_Form((column,), f"unix_{unit}", values * factor, True, why, sure, 1 if named else 3))
-    for form, (low, high, epoch) in _DAYS.items():
-        if _within(values, low, high) and step * 86400.0 <= 86400.0 and (not column.whole or "jd" in column.words):
-            year = 1970 + int((values[0] - epoch) / 365.2425)
-            why = f"it rises from row to row by {step * 86400.0:.3g} s and its days are of the year {year}"
-            found.append(
-                _Form(
-                    (column,), form, (values - epoch) * 86400.0, True, why, named or not column.name, 2 if named else 4
-                )
-            )
-    if any(form.sure for form in found) or (found and not named):
-        return found
-    return found + _elapsed(column, step, named)
-
-
-def _usual_step(values: FloatArray) -> float:
-    """The usual step from row to row; of stamps that repeat, their mean one."""
-    steps = np.diff(values[np.isfinite(values)])
-    middle = float(np.median(steps))
-    if middle > 0:
-        return middle
-    up = steps[(steps >= 0) & (steps <= 1000.0 * max(float(np.median(steps[steps > 0])), 0.0))]
-    return float(up.mean())
-
-
-def _elapsed(column: Column, step: float, named: bool) -> list[_Form]:
-    unit = column.unit if column.unit in _S else next((w for w in column.words if w in _S), "")
-    said = {
-        "millis": "ms",
-        "milliseconds": "ms",
-        "micros": "us",
-        "microseconds": "us",
-        "seconds": "s",
-        "sec": "s",
-        "secs": "s",
-    }
-    unit = unit or next((said[word] for word in column.words if word in said), "")
-    if not named and not unit and column.name:
-        return []
-    if unit:
-        fits = _STEP_S[0] <= step * _S[unit] <= _STEP_S[1]
-        why = f"the name says {unit}, and it rises by {step * _S[unit]:.4g} s a row"
-        return [_Form((column,), f"elapsed_{unit}", column.values * _S[unit], False, why, fits, 5)]
-    possible = [one for one, factor in _S.items() if _CLEAR_STEP_S[0] <= step * factor <= _CLEAR_STEP_S[1]]
-    possible = possible or [one for one, factor in _S.items() if _STEP_S[0] <= step * factor <= _STEP_S[1]]
-    if not column.whole and "s" in possible:
-        possible = ["s"]
-    counts = column.whole and _steps_are_one(column.values)
-    forms = []
-    for one in possible:
-        why = f"the name says a time, and as {one} it rises by {step * _S[one]:.4g} s a row"
-        sure = len(possible) == 1 and named and not (counts and set(column.words) & {"tick", "ticks", "serial"})
-        forms.append(_Form((column,), f"elapsed_{one}", column.values * _S[one], False, why, sure, 6 if named else 8))
-    return forms
-
-
-def _steps_are_one(values: FloatArray) -> bool:
-    steps = np.diff(values[np.isfinite(values)])
-    return float(np.mean(steps == 1.0)) > 0.9
+        patterns = dates.fitting_clocks(column.cells) if not column.numeric and column.cells else []
+        if patterns:
+            steps = np.diff(dates.seconds(column.cells, patterns[0]))[log.neighbours()]
+            steps = steps[np.isfinite(steps) & (steps >= 0)]
+            if steps.size and float(steps.mean()) > 0:
+                return 1.0 / float(steps.mean()), column
+    return 0.0, None

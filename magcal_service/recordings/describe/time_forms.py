@@ -1,0 +1,165 @@
+"""Every reading of a log's columns as its time: numbers, texts, GPS weeks, and dates in several columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from magcal_service.recordings.describe import dates
+from magcal_service.recordings.describe.columns import Column, Log
+from magcal_service.recordings.describe.time_numbers import UNIX, FloatArray, Form, is_named, numbers, rises, within
+from magcal_service.recordings.timestamps import iso8601_to_ns
+
+_WEEK: Final = {"week", "wk", "gpsweek", "wn", "weekno", "gwk", "gpswk", "weeks"}
+
+_OF_WEEK: Final = {"tow", "itow", "sow", "gms", "towms"}
+
+_CALENDAR: Final = (
+    ({"year", "yr", "yyyy"}, "%Y"),
+    ({"month", "mon", "mo"}, "%m"),
+    ({"day", "dd", "dom"}, "%d"),
+    ({"hour", "hr", "hh", "hours"}, "%H"),
+    ({"minute", "min", "minutes", "mn"}, "%M"),
+    ({"second", "sec", "ss", "seconds", "s"}, "%S"),
+)
+
+_MOSTLY: Final = 0.9  # of the cells have to fit
+
+_DATE: Final = {"date", "day", "datum", "fecha", "jour", "dates"}
+
+_GPS_EPOCH_S: Final = 315964800.0  # 1980-01-06 in Unix seconds
+
+_WEEK_S: Final = 604800.0  # seconds in a week
+
+
+def forms(log: Log) -> list[Form]:
+    found = [*_gps_week(log), *_calendar(log), *_date_and_clock(log)]
+    for column in log.columns:
+        found += of_columns((column,))
+    return found
+
+
+def of_columns(columns: tuple[Column, ...]) -> list[Form]:
+    if len(columns) > 1:
+        return _texts(columns, joined(columns), 2)
+    column = columns[0]
+    if column.numeric:
+        return numbers(column) + (_texts(columns, column.cells, 3) if is_named(column) and column.whole else [])
+    return _texts(columns, column.cells, 1)
+
+
+def joined(columns: Sequence[Column]) -> list[str]:
+    return [" ".join(parts) for parts in zip(*(column.cells for column in columns), strict=True)]
+
+
+def _texts(columns: tuple[Column, ...], cells: Sequence[str], rank: int) -> list[Form]:
+    """Readings of text as an instant."""
+    filled = [cell for cell in cells if cell]
+    if not filled or not any(sign.isdigit() for sign in filled[0]) or len(filled[0]) < 8:
+        return []
+    if len(columns) == 1:
+        parsed = [iso8601_to_ns(cell) for cell in cells]
+        good = sum(value is not None for value in parsed)
+        if good >= 0.9 * len(filled):
+            times = np.array([np.nan if value is None else value / 1e9 for value in parsed])
+            zone = "" if re.search(r"(Z|z|UTC|[+-]\d\d:?\d\d)$", filled[0]) else "; no zone is written, so UTC is taken"
+            why = f"every cell is an ISO 8601 instant such as {filled[0]!r}{zone}"
+            return [Form(columns, "iso8601", times, True, why, True, rank)]
+    patterns = dates.fitting(filled)
+    if not patterns:
+        return []
+    times_of = {pattern: dates.seconds(cells, pattern) for pattern in patterns}
+    patterns = [pattern for pattern in patterns if within(times_of[pattern], *UNIX)]
+    if not patterns:
+        return []
+    running = [pattern for pattern in patterns if dates.in_order(times_of[pattern])] or patterns
+    running = _same_instants(running, times_of)
+    if len(running) > 1:
+        running = _shortest_gaps(running, times_of)
+    why = f"every cell fits, such as {filled[0]!r}, and the times run on; no zone is written, so UTC is taken"
+    return [Form(columns, "", times_of[pattern], True, why, len(running) == 1, rank, pattern) for pattern in running]
+
+
+def _same_instants(patterns: Sequence[str], times_of: dict[str, FloatArray]) -> list[str]:
+    """The first of each group of patterns that read the same."""
+    kept: list[str] = []
+    for pattern in patterns:
+        if not any(np.array_equal(times_of[pattern], times_of[other], equal_nan=True) for other in kept):
+            kept.append(pattern)
+    return kept
+
+
+def _shortest_gaps(patterns: Sequence[str], times_of: dict[str, FloatArray]) -> list[str]:
+    """Of readings that all run on, those whose longest gap is not a hundred times that of the best."""
+    gaps = {p: float(np.nanmax(np.abs(np.diff(times_of[p])), initial=0.0)) for p in patterns}
+    least = min(gaps.values())
+    return [p for p in patterns if gaps[p] <= max(100.0 * least, 1.0)] if least < 86400.0 else list(patterns)
+
+
+def _date_and_clock(log: Log) -> list[Form]:
+    """A column of dates and one of times of day."""
+    clocks = [
+        c for c in log.columns if c.cells and not c.numeric and ":" in c.cells[0] and dates.fitting_clocks(c.cells)
+    ]
+    clocks += [
+        c
+        for c in log.columns
+        if c.numeric and set(c.words) & {"time", "utc", "clock", "hms", "hhmmss"} and dates.fitting_clocks(c.cells)
+    ]
+    days = [c for c in log.columns if c.cells and _is_date(c)]
+    found = []
+    for day in days[:2]:
+        for clock in clocks[:2]:
+            if day is clock:
+                continue
+            found += _texts((day, clock), joined((day, clock)), 0)
+    return found
+
+
+def _calendar(log: Log) -> list[Form]:
+    """Year, month, day, hour, minute and second, each in a column of its own."""
+    columns = []
+    for words, _ in _CALENDAR:
+        found = [c for c in log.columns if c.numeric and (set(c.words) | {c.stem.lower()}) & words]
+        if not found:
+            return []
+        columns.append(found[0])
+    cells = joined(columns)
+    fraction = ".%f" if "." in columns[-1].cells[0] else ""
+    pattern = " ".join(sign for _, sign in _CALENDAR) + fraction
+    times = dates.seconds(cells, pattern)
+    if not within(times, *UNIX) or np.isfinite(times).mean() < _MOSTLY:
+        return []
+    why = "the names say year to second, and the numbers are those of such; no zone is written, so UTC is taken"
+    return [Form(tuple(columns), "", times, True, why, dates.in_order(times), 0, pattern)]
+
+
+def _is_date(column: Column) -> bool:
+    named = bool(set(column.words) & _DATE)
+    if column.numeric and not (named and column.whole):
+        return False
+    return bool(dates.fitting_dates(column.cells))
+
+
+def _gps_week(log: Log) -> list[Form]:
+    weeks = [
+        c for c in log.columns if c.numeric and c.whole and set(c.words) & _WEEK and within(c.values, 700.0, 4000.0)
+    ]
+    seconds = [
+        c for c in log.columns if c.numeric and not set(c.words) & _WEEK and (set(c.words) & _OF_WEEK or is_named(c))
+    ]
+    found = []
+    for week in weeks[:1]:
+        for column in sorted(seconds, key=lambda c: not set(c.words) & _OF_WEEK):
+            milli = column.unit == "ms" or not within(column.values, 0.0, _WEEK_S)
+            if not within(column.values, 0.0, _WEEK_S * (1000.0 if milli else 1.0)):
+                continue
+            times = _GPS_EPOCH_S + week.values * _WEEK_S + column.values * (1e-3 if milli else 1.0)
+            form = "gps_week_ms" if milli else "gps_week_s"
+            why = "the names say GPS week and time of week, and the numbers are those of such"
+            found.append(Form((week, column), form, times, True, why, rises(times), 0))
+            break
+    return found

@@ -1,0 +1,167 @@
+"""A column of numbers read as times: since 1970, in days, or since some start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_service.recordings.describe.columns import Column
+from magcal_service.recordings.describe.draft import answered
+
+FloatArray = npt.NDArray[np.float64]
+
+TIME_WORDS: Final = {
+    "t", "time", "times", "timestamp", "timestamps", "ts", "unix", "unixtime", "utc", "epoch", "date", "datetime",
+    "clock", "elapsed", "sec", "secs", "second", "seconds", "ms", "millis", "micros", "us", "met", "tow", "tick",
+    "ticks", "posix", "gps", "jd", "mjd", "julian", "excel", "uptime", "sow", "itow", "stamp", "serial", "datenum",
+}  # fmt: skip
+
+S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+UNIX: Final = (7.9e8, 2.3e9)
+"""Unix seconds from 1995 to 2042: a log of the years that a digital sensor can be from."""
+
+DAYS: Final = {
+    "excel_days": (34000.0, 51000.0, 25569.0),
+    "mjd_days": (51000.0, 66000.0, 40587.0),
+    "julian_days": (2.4495e6, 2.4665e6, 2440587.5),
+}
+"""First and last day of about the same years, and the day of 1970-01-01."""
+
+_STEP_S: Final = (0.0009, 3700.0)
+"""Seconds between rows: a magnetometer is read between 1000 times a second and once an hour."""
+
+_FAR_BACK: Final = 0.3  # of all that a column runs through: no row comes that late
+
+_USUAL_STEP_S: Final = 0.1  # of a logger: of several readings, the one nearest to it is named first
+
+_CLEAR_STEP_S: Final = (0.0045, 130.0)
+"""Between these bounds the usual logs are; a unit that leads outside is less likely than one within."""
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One reading of a column, or columns."""
+
+    columns: tuple[Column, ...]
+    format: str
+    times: FloatArray
+    absolute: bool
+    why: str
+    sure: bool
+    rank: int
+    pattern: str = ""
+
+
+def as_told(column: Column, form: str) -> Form | None:
+    """A column of numbers in the form that was answered, whatever its numbers look like; None for an unknown form."""
+    kind, _, unit = form.partition("_")
+    why = answered("time.format")
+    if kind in {"unix", "elapsed"} and unit in S:
+        return Form((column,), form, column.values * S[unit], kind == "unix", why, True, 0)
+    if form in DAYS:
+        return Form((column,), form, (column.values - DAYS[form][2]) * 86400.0, True, why, True, 0)
+    return None
+
+
+def is_named(column: Column) -> bool:
+    words = set(column.words) | {column.stem.lower()}
+    return bool(words & TIME_WORDS) or any(word.startswith(("time", "unix", "epoch")) for word in words)
+
+
+def within(values: FloatArray, low: float, high: float) -> bool:
+    good = values[np.isfinite(values)]
+    return bool(good.size) and float(np.mean((good >= low) & (good <= high))) > 0.99
+
+
+def rises(times: FloatArray) -> bool:
+    """Whether it rises from row to row, but for repeats and a few steps back, and rises at all."""
+    good = times[np.isfinite(times)]
+    if good.size < 2:
+        return False
+    steps = np.diff(good)
+    if float(steps.min()) < -_FAR_BACK * float(np.ptp(good)):
+        return False  # begins again, as seconds within a minute do
+    return float(np.mean(steps < 0)) <= 0.02 and float(np.mean(steps > 0)) >= 0.02 and bool(good[-1] > good[0])
+
+
+def numbers(column: Column) -> list[Form]:
+    """Readings of a numeric column."""
+    values = column.values
+    if not rises(values):
+        return []
+    named, found = is_named(column), []
+    step = _usual_step(values)
+    for unit, factor in S.items():
+        if within(values * factor, *UNIX) and step * factor <= 86400.0:
+            fits = column.unit in {"", unit}
+            counter = bool(set(column.words) & {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"})
+            years = f"{1970 + int(values[0] * factor / 31556952)}"
+            why = f"it rises from row to row and as Unix time in {unit} it is of the year {years}" + (
+                ", as the name says" if named else ""
+            )
+            sure = fits and not counter and (named or not column.name)
+            found.append(Form((column,), f"unix_{unit}", values * factor, True, why, sure, 1 if named else 3))
+    for form, (low, high, epoch) in DAYS.items():
+        if within(values, low, high) and step * 86400.0 <= 86400.0 and (not column.whole or "jd" in column.words):
+            year = 1970 + int((values[0] - epoch) / 365.2425)
+            why = f"it rises from row to row by {step * 86400.0:.3g} s and its days are of the year {year}"
+            found.append(
+                Form(
+                    (column,), form, (values - epoch) * 86400.0, True, why, named or not column.name, 2 if named else 4
+                )
+            )
+    if any(form.sure for form in found) or (found and not named):
+        return found
+    return found + _elapsed(column, step, named)
+
+
+def _usual_step(values: FloatArray) -> float:
+    """The usual step from row to row; of stamps that repeat, their mean one."""
+    steps = np.diff(values[np.isfinite(values)])
+    middle = float(np.median(steps))
+    if middle > 0:
+        return middle
+    up = steps[(steps >= 0) & (steps <= 1000.0 * max(float(np.median(steps[steps > 0])), 0.0))]
+    return float(up.mean())
+
+
+def _elapsed(column: Column, step: float, named: bool) -> list[Form]:
+    unit = column.unit if column.unit in S else next((w for w in column.words if w in S), "")
+    said = {
+        "millis": "ms",
+        "milliseconds": "ms",
+        "micros": "us",
+        "microseconds": "us",
+        "seconds": "s",
+        "sec": "s",
+        "secs": "s",
+    }
+    unit = unit or next((said[word] for word in column.words if word in said), "")
+    if not named and not unit and column.name:
+        return []
+    if unit:
+        fits = _STEP_S[0] <= step * S[unit] <= _STEP_S[1]
+        why = f"the name says {unit}, and it rises by {step * S[unit]:.4g} s a row"
+        return [Form((column,), f"elapsed_{unit}", column.values * S[unit], False, why, fits, 5)]
+    possible = [one for one, factor in S.items() if _CLEAR_STEP_S[0] <= step * factor <= _CLEAR_STEP_S[1]]
+    possible = possible or [one for one, factor in S.items() if _STEP_S[0] <= step * factor <= _STEP_S[1]]
+    if not column.whole and "s" in possible:
+        possible = ["s"]
+    possible.sort(key=lambda one: abs(np.log(step * S[one] / _USUAL_STEP_S)))
+    counts = column.whole and _steps_are_one(column.values)
+    forms = []
+    for one in possible:
+        says = "the name says a time, and" if named else "it rises from row to row, and"
+        why = f"{says} as {one} it does so by {step * S[one]:.4g} s"
+        sure = len(possible) == 1 and named and not (counts and set(column.words) & {"tick", "ticks", "serial"})
+        forms.append(Form((column,), f"elapsed_{one}", column.values * S[one], False, why, sure, 6 if named else 8))
+    return forms
+
+
+def _steps_are_one(values: FloatArray) -> bool:
+    steps = np.diff(values[np.isfinite(values)])
+    return float(np.mean(steps == 1.0)) > 0.9
