@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from magcal_service.cli.common import DONE, NOT_TRUSTED, refuse_unwritable
@@ -84,4 +85,5 @@ def _write(out: Path | None, text: str, evidence: list[str]) -> None:
         out.write_text("\n".join(evidence) + "\n\n" + text, encoding="utf-8")
     except OSError as exc:
         raise unwritable(out, exc) from None
-    print(f"# written: {out}; next: magcal inspect {out}, magcal calibrate {out}")
+    name = quote(str(out))
+    print(f"# written: {out}; next: magcal inspect {name}, magcal calibrate {name}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.specs import (
     DESCRIPTOR_NAME,
     LOG_SUFFIXES,
+    RAW_SUFFIXES,
     SESSION_SUFFIX,
     Descriptor,
     GeodeticPosition,
@@ -76,10 +78,11 @@ def _refuse_undescribed(path: Path) -> None:
         if (path / DESCRIPTOR_NAME).is_file():
             accepted += f": {path / DESCRIPTOR_NAME}"
         raise RecordingError([Fault(str(path), "a folder", accepted)])
-    if path.name.lower().endswith(LOG_SUFFIXES):
+    if path.name.lower().endswith((*LOG_SUFFIXES, *RAW_SUFFIXES)):
         accepted = (
-            f'a log is read by its description; write a {DESCRIPTOR_NAME} beside it with file = "{path.name}" under '
-            "[samples] (docs/recording-format.md), and give that"
+            f"a log is read by its description; magcal describe {quote(str(path))} --out "
+            f"{quote(str(path.parent / DESCRIPTOR_NAME))} makes one "
+            "(docs/describe.md), and give that"
         )
         raise RecordingError([Fault(str(path), "a log without its description", accepted)])
 

@@ -58,6 +58,9 @@ DESCRIPTOR_NAME: Final = "RECORDING.toml"
 """Name of a descriptor that this project writes; any other name is read as well."""
 
 LOG_SUFFIXES: Final = (".csv", ".csv.gz")
+RAW_SUFFIXES: Final = (".txt", ".tsv", ".dat", ".log", ".asc", ".gz")
+"""What else raw logs are called."""
+
 _DELIMITERS = (",", ";", "\t")
 
 

@@ -28,7 +28,7 @@ def test_a_log_without_its_description_is_told_what_it_needs(described: Path, co
     done = run(command, described / "log.csv", *more)
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith(f"{described / 'log.csv'}: 'a log without its description' is refused; ")
-    assert 'write a RECORDING.toml beside it with file = "log.csv" under [samples]' in done.err
+    assert f"magcal describe {described / 'log.csv'} --out {described / 'RECORDING.toml'} makes one" in done.err
     done = run(command, described, *more)
     assert done.code == 2
     assert done.err.endswith(f"give the file that describes it: {described / 'RECORDING.toml'}\n")

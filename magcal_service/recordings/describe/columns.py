@@ -19,6 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 _MOST_ROWS: Final = 12000  # of the sample: enough for every question, and quick
 _WORD: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _AXES: Final = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
+_ABSURD: Final = 1e20  # beyond nanoseconds since 1970, the largest number that a log has a reason for
 _MOSTLY: Final = 0.8  # share of cells that are numbers in a column of numbers
 
 
@@ -145,6 +146,7 @@ def read_log(sample: Sample, layout: Layout) -> Log:
         if layout.units and unit_of(layout.units[index]):
             unit = unit_of(layout.units[index])
         values = parse_numbers(cells)[0] if cells else np.zeros(0)
+        values[np.abs(values) > _ABSURD] = np.nan
         columns.append(Column(index + 1, name, stem, unit, words_of(stem), cells, values))
     return Log(sample, layout, tuple(columns), np.array(block, dtype=np.int64))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from shlex import quote
 from typing import Final
 
 from magcal_service.errors import Fault, InputRefusedError
@@ -69,13 +70,7 @@ class Question:
         kind = "question" if self.needed else "open (left out without an answer)"
         found = [f"{kind} {self.key}: {self.asks}"]
         found += [f"    could be {value}: {why}" if why else f"    could be {value}" for value, why in self.candidates]
-        return [*found, f"    answer with: --answer {_quoted(f'{self.key}={self.form}')}"]
-
-
-def _quoted(text: str) -> str:
-    import shlex
-
-    return shlex.quote(text)
+        return [*found, f"    answer with: --answer {quote(f'{self.key}={self.form}')}"]
 
 
 class Answers:

@@ -66,7 +66,7 @@ def _radius(vectors: FloatArray) -> float | None:
         return None
     radius = float(np.sqrt(squared))
     from_centre = unit - solution[:3]
-    least = float(np.sqrt(np.linalg.eigvalsh(np.cov(from_centre.T))[0]))
+    least = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(from_centre.T))[0], 0.0)))
     off = np.sqrt((from_centre**2).sum(axis=1)) - radius
     if least < _SPREAD * radius or float(off.std()) > 0.25 * radius:
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -28,6 +28,9 @@ FloatArray = npt.NDArray[np.float64]
 
 _RAW: Final = {"raw", "uncal", "uncalibrated", "uncalib", "uncorrected"}
 _WORKED: Final = {"cal", "calib", "calibrated", "corrected", "comp", "compensated", "filt", "filtered", "fit"}
+_ARDUPILOT: Final = {"timeus", "ofsx", "ofsy", "ofsz", "mox", "moy", "moz"}
+"""Beside the axes in ArduPilot's message MAG: offsets and motor compensation, all in milligauss."""
+
 _NOT_A_SOURCE: Final = re.compile(r"[^A-Za-z0-9_-]+")
 
 
@@ -93,7 +96,19 @@ def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tup
         return triple, UnitFound(answer, True, answered("magnetometer.unit"), (answer,))
     scale = None if model_nt is None else scale_by_model(triple.values, model_nt)
     by_model = unit_by_model(triple.unit, scale)
-    return triple, by_model or find_unit(size, triple.unit, whole=triple.whole, expected_nt=_usual(model_nt))
+    said = triple.unit or _unit_by_maker(draft, triple)
+    found = by_model or find_unit(size, said, whole=triple.whole, expected_nt=_usual(model_nt))
+    if said and not triple.unit and by_model is None:
+        found = replace(
+            found, why=f"the columns beside it are those of ArduPilot's MAG message, which is in {said}; {found.why}"
+        )
+    return triple, found
+
+
+def _unit_by_maker(draft: Draft, triple: Triple) -> str:
+    """The unit of a maker whose names are unmistakable; empty where none is known."""
+    names = {column.stem.lower() for column in draft.log.columns}
+    return "mG" if names >= _ARDUPILOT and "magx" in {column.stem.lower() for column in triple.columns} else ""
 
 
 def _follows(triple: Triple, model_nt: FloatArray | None) -> bool:

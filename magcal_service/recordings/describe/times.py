@@ -25,6 +25,8 @@ _RATE: Final = re.compile(
     r"(?:rate|freq\w*|fs)\b[^0-9\n]{0,24}([0-9]+(?:\.[0-9]+)?)\s*(?:hz|sps|samples)", re.IGNORECASE
 )
 
+_SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
+
 
 @dataclass(frozen=True, slots=True)
 class Times:
@@ -148,7 +150,7 @@ def _positive(key: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 1e-4 <= value <= 1e5:
+    if not _SLOWEST_HZ <= value <= 1e5:
         raise InputRefusedError([Fault(f"--answer {key}", text, "a number of rows a second is accepted, such as 10")])
     return value
 
@@ -168,7 +170,7 @@ def _by_rate(draft: Draft) -> Times | None:
     """Rows that come evenly, where a line of the preamble says how fast."""
     text = "\n".join(draft.log.layout.preamble)
     rates = {float(rate) for rate in _RATE.findall(text)}
-    if len(rates) == 1:
+    if len(rates) == 1 and min(rates) >= _SLOWEST_HZ:
         return _put_rate(draft, rates.pop(), "no column is a time, and the lines before the rows state the rate")
     asks = "no column is a time by its name and numbers; how many rows come in a second, evenly?"
     rate, column = _rate_of_clock(draft.log)
