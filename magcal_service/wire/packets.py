@@ -74,12 +74,14 @@ class Parameter:
     Parameters
     ----------
     name: within its kind, such as ``bias_x_nt``.
+    field: of the message that it is made of, such as ``bias_nt``.
     form: how it stands in the packet.
     unit: empty where it has none.
     labels: the words that the numbers 0, 1, ... of an enumeration stand for; empty where it is none.
     """
 
     name: str
+    field: str
     form: Form
     unit: str = ""
     labels: tuple[str, ...] = ()
@@ -115,27 +117,27 @@ def _layout(field: Field, hint: Any) -> tuple[tuple[Parameter, ...], _Flat]:
         hint, _ = get_args(hint)
         none: Any = math.nan if hint is float else ""
         return (
-            (Parameter(name, Form.F64 if hint is float else Form.TEXT, unit),),
+            (Parameter(name, name, Form.F64 if hint is float else Form.TEXT, unit),),
             lambda value: (none if value is None else value,),
         )
     if isinstance(hint, type) and issubclass(hint, StrEnum):
         labels = tuple(member.value for member in hint)
-        return (Parameter(name, Form.U8, labels=labels),), lambda value: (labels.index(value),)
+        return (Parameter(name, name, Form.U8, labels=labels),), lambda value: (labels.index(value),)
     if hint is bool:
-        return (Parameter(name, Form.U8, labels=("no", "yes")),), lambda value: (int(value),)
+        return (Parameter(name, name, Form.U8, labels=("no", "yes")),), lambda value: (int(value),)
     if hint is int:
-        return (Parameter(name, _integer(name), unit),), _single
+        return (Parameter(name, name, _integer(name), unit),), _single
     if hint is float:
-        return (Parameter(name, Form.F64, unit),), _single
+        return (Parameter(name, name, Form.F64, unit),), _single
     if hint is str:
-        return (Parameter(name, Form.TEXT),), _single
+        return (Parameter(name, name, Form.TEXT),), _single
     if get_args(hint)[0] is float:
         parts = _PARTS.get(name, ("x", "y", "z"))
-        return tuple(Parameter(_part(name, part), Form.F64, unit) for part in parts), tuple
+        return tuple(Parameter(_part(name, part), name, Form.F64, unit) for part in parts), tuple
     if get_args(hint) == (str, int):
-        numbers = tuple(Parameter(one.replace(".", "_"), Form.U64) for one in HEALTH)
-        return (*numbers, Parameter(name, Form.TEXT)), _counters
-    return (Parameter(name, Form.TEXT),), lambda value: (",".join(value),)
+        numbers = tuple(Parameter(one.replace(".", "_"), name, Form.U64) for one in HEALTH)
+        return (*numbers, Parameter(name, name, Form.TEXT)), _counters
+    return (Parameter(name, name, Form.TEXT),), lambda value: (",".join(value),)
 
 
 def _counters(value: Mapping[str, int]) -> Iterable[Any]:
@@ -151,7 +153,7 @@ _LAYOUTS: Final = {code: _layouts(KIND_BY_CODE[code]) for code in SENT}
 
 PARAMETERS: Final[Mapping[int, tuple[Parameter, ...]]] = {
     code: (
-        Parameter("schema_version", Form.U8),
+        Parameter("schema_version", "schema_version", Form.U8),
         *(parameter for _, parameters, _ in layouts for parameter in parameters),
     )
     for code, layouts in _LAYOUTS.items()

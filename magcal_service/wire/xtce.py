@@ -35,6 +35,39 @@ _HEADER: Final = (
 """Name, bits and meaning of what stands before the user data."""
 
 
+_SAYS: Final = {
+    "schema_version": "of the wire's schema",
+    "craft": "name of the craft",
+    "source": "magnetometer, or magcal for results of the craft's own",
+    "sequence": "counts the messages of one kind from one source",
+    "time_ns": "time of the data on clock, exact",
+    "clock": "utc: since 1970, leap seconds ignored; elapsed: since the source's own start",
+    "field_body_nt": "calibrated vector in the sensor's axes",
+    "covariance_nt2": "covariance of the vector, noise and estimate together",
+    "verdict": "how far to trust the estimate",
+    "protection_nt": "how far a vector may be off by what would not have been seen yet; not a number while unknown",
+    "protection_by": "the hazard that sets the protection level",
+    "method": "estimator",
+    "tick": "seconds of samples used so far",
+    "bias_nt": "bias b",
+    "D": "scale and non-orthogonality: w = (I + D) B - b",
+    "covariance": "covariance of bias [nT] and D, upper triangle",
+    "reasons": "why not to trust it further, joined by commas",
+    "remedy": "what to do about it",
+    "residual_rms_nt": "running rms of |(I + D) B - b| - |H|",
+    "noise_nt": "sensor noise assumed, 1 sigma per axis",
+    "samples_used": "magnetometer samples used so far",
+    "uptime_s": "of the daemon",
+    "counters": "of the daemon for this craft, docs/health.md",
+    "text": "for people",
+    "name": "of the command",
+    "command_source": "who sent it",
+    "command_sequence": "its number",
+    "accepted": "whether it was carried out",
+}
+"""What each field means, in a line for an operator's display."""
+
+
 def names_of(kind: Kind) -> tuple[str, ...]:
     """The names of a kind's parameters in the XTCE, in the order of ``packets.values_of``."""
     return tuple(_name(kind, parameter) for parameter in PARAMETERS[kind.code])
@@ -135,21 +168,19 @@ def _text_type(types: Tree.Element, name: str, length: str) -> None:
     Tree.SubElement(value, "LinearAdjustment", {"slope": "8", "intercept": "0"})
 
 
-def _entries(kind: Kind) -> Iterator[tuple[str, str]]:
-    """Name and type of each entry of a kind's container."""
+def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
+    """Name, type and meaning of each entry of a kind's container."""
     for parameter in PARAMETERS[kind.code]:
         if parameter.form is Form.TEXT:
-            yield _length_name(kind, parameter), f"uint{_LENGTH_BITS}"
-        yield _name(kind, parameter), _type_name(kind, parameter)
+            yield _length_name(kind, parameter), f"uint{_LENGTH_BITS}", "bytes of the text after it"
+        yield _name(kind, parameter), _type_name(kind, parameter), _SAYS[parameter.field]
 
 
 def _parameters(parameters: Tree.Element, kinds: list[Kind]) -> None:
-    for name, bits, meaning in _HEADER:
-        attributes = {"name": name, "parameterTypeRef": f"uint{bits}", "shortDescription": meaning}
+    header = [(name, f"uint{bits}", meaning) for name, bits, meaning in _HEADER]
+    for name, of, meaning in (*header, *(entry for kind in kinds for entry in _entries(kind))):
+        attributes = {"name": name, "parameterTypeRef": of, "shortDescription": meaning}
         Tree.SubElement(parameters, "Parameter", attributes)
-    for kind in kinds:
-        for name, of in _entries(kind):
-            Tree.SubElement(parameters, "Parameter", {"name": name, "parameterTypeRef": of})
 
 
 def _containers(containers: Tree.Element, kinds: list[Kind], apids: Mapping[int, int]) -> None:
@@ -163,7 +194,7 @@ def _containers(containers: Tree.Element, kinds: list[Kind], apids: Mapping[int,
             containers, "SequenceContainer", {"name": kind.name, "shortDescription": says.replace("``", "")}
         )
         entries = Tree.SubElement(container, "EntryList")
-        for name, _ in _entries(kind):
+        for name, _, _ in _entries(kind):
             Tree.SubElement(entries, "ParameterRefEntry", {"parameterRef": name})
         base = Tree.SubElement(container, "BaseContainer", {"containerRef": ROOT})
         criteria = Tree.SubElement(base, "RestrictionCriteria")

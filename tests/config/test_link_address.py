@@ -75,7 +75,14 @@ def test_an_unknown_scheme_is_refused_with_the_nearest() -> None:
         open_link("carrier-pigeon".replace("-", "") + ":x", Role.SERVICE)
 
 
-@pytest.mark.parametrize(("address", "absent"), [("loop:x", "zenoh serial"), ("serial:/dev/none", "zenoh")])
+@pytest.mark.parametrize(
+    ("address", "absent"),
+    [
+        ("loop:x", "zenoh serial magcal_service.links.ccsds"),
+        ("serial:/dev/none", "zenoh"),
+        ("ccsds:udp/127.0.0.1:9", "zenoh serial numpy xml"),
+    ],
+)
 def test_a_link_imports_only_what_it_needs(address: str, absent: str) -> None:
     code = (
         "import sys; from magcal_service.links import Role, open_link\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,6 +40,13 @@ def packet(message: Message, count: int = 0) -> bytes:
 def test_the_file_for_yamcs_is_what_the_table_of_the_wire_gives() -> None:
     """`magcal xtce --out deploy/yamcs/mdb/magcal.xml` makes it anew."""
     assert (YAMCS / "mdb/magcal.xml").read_text(encoding="utf-8") == xtce(APIDS)
+
+
+def test_the_instance_of_yamcs_takes_the_packets_whole_and_where_they_are_sent_to() -> None:
+    settings = (YAMCS / "etc/yamcs.magcal.yaml").read_text(encoding="utf-8")
+    found = dict(re.findall(r"(port|maxLength|pktTimeOffset|file): ([\w./]+)", settings))
+    port = DEFAULT_ADDRESS.rpartition(":")[2]
+    assert found == {"port": port, "maxLength": str(MAX_UDP_BYTES), "pktTimeOffset": "6", "file": "mdb/magcal.xml"}
 
 
 def test_the_xtce_keeps_to_the_schema_of_the_omg() -> None:
