@@ -107,8 +107,8 @@ def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tup
 
 def _unit_by_maker(draft: Draft, triple: Triple) -> str:
     """The unit of a maker whose names are unmistakable; empty where none is known."""
-    names = {column.stem.lower() for column in draft.log.columns}
-    return "mG" if names >= _ARDUPILOT and "magx" in {column.stem.lower() for column in triple.columns} else ""
+    names = {column.name.lower() for column in draft.log.columns}
+    return "mG" if names >= _ARDUPILOT and "magx" in {column.name.lower() for column in triple.columns} else ""
 
 
 def _follows(triple: Triple, model_nt: FloatArray | None) -> bool:
