@@ -87,7 +87,7 @@ def _write(path: Path, lines: list[str], end: str = "\n") -> Path:
 
 def phone(folder: Path) -> MakerLog:
     """A phone app: quoted names with brackets, the sensor's own length beside the axes."""
-    field, time = ground(), 0.05 * np.arange(600)
+    field, time = ground(), 0.5 * np.arange(600)
     head = ",".join(
         f'"{name}"' for name in ("Time (s)", *(f"Magnetic field {a} (µT)" for a in "xyz"), "Absolute field (µT)")
     )
@@ -100,7 +100,7 @@ def phone(folder: Path) -> MakerLog:
 
 def arduino(folder: Path) -> MakerLog:
     """A serial monitor's text: chatter of the program, tabs, milliseconds since power-on, CR LF."""
-    field, time = ground(seed=3), 1.234 + 0.1 * np.arange(600)
+    field, time = ground(seed=3), 1.234 + 0.8 * np.arange(600)
     head = ["LIS3MDL test", "Found sensor at 0x1C", "", "millis\tmag_x [uT]\tmag_y [uT]\tmag_z [uT]\ttempC"]
     rows = [
         f"{t * 1e3:.0f}\t{x:.2f}\t{y:.2f}\t{z:.2f}\t24.{i % 10}"
@@ -112,7 +112,7 @@ def arduino(folder: Path) -> MakerLog:
 
 def ardupilot(folder: Path) -> MakerLog:
     """An autopilot's MAG messages: whole milligauss, offsets beside them, microseconds since boot."""
-    field, time = np.round(ground(seed=4) / 100.0) * 100.0, 61.5 + 0.1 * np.arange(600)
+    field, time = np.round(ground(seed=4) / 100.0) * 100.0, 61.5 + 1.0 * np.arange(600)
     head = "timestamp,TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health,S"
     rows = [
         f"{START_S + t:.6f},{t * 1e6:.0f},0,{x:.0f},{y:.0f},{z:.0f},-90,60,-40,0,0,0,1,{t * 1e6 - 40:.0f}"
@@ -158,7 +158,7 @@ def excel(folder: Path) -> MakerLog:
 
 def headless(folder: Path) -> MakerLog:
     """Blanks between columns of a fixed width and no header: what each column is has to be answered."""
-    field, time = ground(seed=7), 0.02 * np.arange(600)
+    field, time = ground(seed=7), 0.6 * np.arange(600)
     rows = [f"{t:9.3f} {x:10.4f} {y:10.4f} {z:10.4f}  1" for t, (x, y, z) in zip(time, field / 1e3, strict=True)]
     answers = {"time.column": "1", "magnetometer.columns": "2,3,4", "magnetometer.unit": "uT", "reference": "49.2 uT"}
     return MakerLog(_write(folder / "run7.dat", rows), answers, field, time)
