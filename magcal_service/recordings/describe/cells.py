@@ -10,7 +10,7 @@ WHITESPACE: Final = "whitespace"
 """The delimiter of columns that any number of blanks keep apart."""
 
 NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
-COMMA_NUMBER: Final = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+COMMA_NUMBER: Final = re.compile(r"[+-]?(?:\d+,\d+|,\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_A_VALUE: Final = {"", "nan", "-nan", "+nan", "null", "none", "na", "n/a", "inf", "-inf", "--", "?"}
 _DATE: Final = re.compile(
     r"\d{1,4}[-/.]\d{1,3}([-/.]\d{1,4})?([T ].*)?|\d{1,2}[- ][A-Za-z]{3}[- ]\d{2,4}.*|[A-Za-z]{3} \d.*"

@@ -159,7 +159,7 @@ def words_of(name: str) -> tuple[str, ...]:
 def triples(log: Log) -> list[Triple]:
     """Groups of three numeric columns called the same but for their axis, in the log's order."""
     found: list[Triple] = []
-    by_name = {column.stem.lower(): column for column in reversed(log.columns) if column.stem and column.numeric}
+    by_name = {_key(column): column for column in reversed(log.columns) if column.stem and column.numeric}
     taken: set[int] = set()
     for axes in _AXES:
         for column in by_name.values():
@@ -171,11 +171,16 @@ def triples(log: Log) -> list[Triple]:
     return sorted(found, key=lambda triple: triple.columns[0].number)
 
 
+def _key(column: Column) -> str:
+    """What tells columns apart: their name and unit, without regard to capitals."""
+    return f"{column.stem.lower()}\n{column.unit}"
+
+
 def _triples_of(column: Column, axes: tuple[str, str, str], by_name: dict[str, Column]) -> list[Triple]:
     """What begins with this column and goes on in the other two axes, at each place of its name."""
-    name = column.stem.lower()
+    name = _key(column)
     found = []
-    for at in (i for i, sign in enumerate(name) if sign == axes[0]):
+    for at in (i for i, sign in enumerate(column.stem.lower()) if sign == axes[0]):
         x, y, z = (by_name.get(name[:at] + axis + name[at + 1 :]) for axis in axes)
         if x is None or y is None or z is None or (axes[0].isdigit() and _continues(name, at, by_name)):
             continue

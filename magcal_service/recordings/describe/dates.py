@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -20,6 +21,7 @@ _CLOCKS: Final = (
     "%I:%M:%S%p", "%H%M%S", "%H%M%S.%f", "%H.%M.%S",
 )  # fmt: skip
 _BETWEEN: Final = (" ", "T", "_", " - ", ", ", "  ", ":", "-", "/")
+_ZONE: Final = re.compile(r"(\s*)(?:Z|UTC|GMT|[+-]\d\d:?\d\d)$")
 _TRIED: Final = 40  # cells that a pattern is first tried on
 
 
@@ -29,7 +31,7 @@ def parse(text: str, pattern: str) -> float | None:
         instant = datetime.datetime.strptime(text, pattern)
     except ValueError:
         return None
-    return instant.replace(tzinfo=datetime.UTC).timestamp()
+    return instant.replace(tzinfo=instant.tzinfo or datetime.UTC).timestamp()
 
 
 def fitting(cells: Sequence[str]) -> list[str]:
@@ -37,13 +39,22 @@ def fitting(cells: Sequence[str]) -> list[str]:
     first = next((cell for cell in cells if cell), "")
     american = first.upper().endswith(("AM", "PM"))
     patterns = ["%a %b %d %H:%M:%S %Y"]
+    zone = _zone(first)
     for between in _BETWEEN:
         for day, of_day in _halves(first, between):
-            clocks = [clock for clock in _CLOCKS if parse(of_day, clock) is not None]
+            clocks = [clock + zone for clock in _CLOCKS if parse(of_day, clock + zone) is not None]
             days = [date for date in _DATES if clocks and parse(day, date) is not None]
             patterns += [f"{date}{between}{clock}" for clock in clocks for date in days]
     found = _fitting(cells, patterns)
     return sorted(found, key=lambda pattern: not pattern.startswith("%m")) if american else found
+
+
+def _zone(text: str) -> str:
+    """The end of a pattern for the zone that a text ends with; empty where it names none."""
+    match = _ZONE.search(text)
+    if match is None:
+        return ""
+    return match.group() if match.group().strip() in {"Z", "UTC", "GMT"} else match.group(1) + "%z"
 
 
 def _halves(text: str, between: str) -> list[tuple[str, str]]:

@@ -144,7 +144,7 @@ def find_unit(size: Size | None, said: str, *, whole: bool, expected_nt: float |
 def _said_unit(size: Size, said: str, shown: str, possible: tuple[str, ...]) -> UnitFound:
     """The unit that the names say, where the numbers can be that."""
     if said not in list(FieldUnit):
-        return UnitFound("", False, f"the names say {said}, which is no unit of a field", possible)
+        return UnitFound("", False, f"the names say {said}, which is no unit of a field", ())
     amount = size.best * FIELD_NT[FieldUnit(said)] / 1e3
     if said in possible:
         return UnitFound(said, True, f"the names say {said}, and {shown} is {amount:.3g} uT", possible)

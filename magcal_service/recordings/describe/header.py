@@ -100,6 +100,10 @@ def _check(names: tuple[str, ...], width: int, rows: Sequence[str], delimiter: s
             text = "the rows begin with a number that the header does not name"
             return f"{text}: columns go by their number", ("", *names)
         return f"the header has {len(names)} names for {width} columns: they are not used", ()
+    if len(names) > width:  # the reader would miss cells in every row
+        if len(filled) <= width or names[width:] == ("|",):
+            return "the header has more cells than the rows: columns go by their number", names[:width]
+        return f"the header has {len(filled)} names for {width} columns: they are not used", ()
     if len(set(filled)) < len(filled):
         return "a name stands twice in the header: columns go by their number", names[:width]
     return "", names
@@ -122,8 +126,6 @@ def _names(line: str, delimiter: str, width: int) -> tuple[str, ...] | None:
     if cells is None or not width - 1 <= len(cells) <= width + _MOST_UNNAMED:
         return None
     filled = [cell for cell in cells if cell]
-    if len(cells) != width and len(filled) > width:
-        return None
     if len(filled) < 2 or sum(bool(NUMBER.fullmatch(cell)) for cell in filled) * 2 >= len(filled):
         return None
     return tuple(cells)

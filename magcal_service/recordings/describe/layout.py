@@ -81,6 +81,7 @@ def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | Non
     comment = _comment(head)
     body = [line for line in head if line.strip() and not (comment and line.lstrip().startswith(comment))]
     body = body[len(body) // 3 :][:_LOOKED_AT] if len(body) > 6 else body
+    _refuse_marked_up(sample, body)
     found = [_cut(body, one) for one in ((delimiter,) if delimiter else _DELIMITERS)]
     best = max(found, key=lambda cut: round(cut.score, 2))
     if best.width < 2 or best.share < _LEAST_SHARE or best.score < 0.3:
@@ -91,6 +92,14 @@ def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | Non
         raise RecordingError([Fault(str(sample.path), (body or [""])[0][:80], accepted)])
     sign = decimal or ("," if best.comma > best.point else ".")
     return _layout(head, comment, best, sign, find_header(head, comment, best.delimiter, best.labels))
+
+
+def _refuse_marked_up(sample: Sample, body: Sequence[str]) -> None:
+    """Refuse JSON, XML and the like, whose lines a delimiter would cut into anything."""
+    marked = [line for line in body if line.lstrip()[:1] in {"{", "<"} or line.strip() in {"[", "]"}]
+    if body and len(marked) * 2 > len(body):
+        accepted = "a text file of rows is accepted; write the values as CSV, a row a line"
+        raise RecordingError([Fault(str(sample.path), marked[0][:80], accepted)])
 
 
 @dataclass(frozen=True, slots=True)

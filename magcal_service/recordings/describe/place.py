@@ -267,7 +267,8 @@ def _number(key: str, text: str) -> float:
 
 def _cartesian_by_names(draft: Draft, groups: list[Triple]) -> Place | None:
     for triple in groups:
-        if kind_of_triple(triple) in {Kind.POSITION, Kind.UNKNOWN} and _cartesian_unit(triple):
+        kind, unit = kind_of_triple(triple), _cartesian_unit(triple)
+        if unit and (kind is Kind.POSITION or (kind is Kind.UNKNOWN and unit == "m")):  # km could be a field in nT
             return _cartesian(draft, triple, "")
     return None
 

@@ -79,7 +79,8 @@ def _texts(columns: tuple[Column, ...], cells: Sequence[str], rank: int) -> list
     running = _same_instants(running, times_of)
     if len(running) > 1:
         running = _shortest_gaps(running, times_of)
-    why = f"every cell fits, such as {filled[0]!r}, and the times run on; no zone is written, so UTC is taken"
+    zone = "" if patterns[0].endswith(("Z", "z", "UTC", "GMT")) else "; no zone is written, so UTC is taken"
+    why = f"every cell fits, such as {filled[0]!r}, and the times run on{zone}"
     return [Form(columns, "", times_of[pattern], True, why, len(running) == 1, rank, pattern) for pattern in running]
 
 

@@ -143,21 +143,27 @@ def _elapsed(column: Column, step: float, named: bool) -> list[Form]:
     unit = unit or next((said[word] for word in column.words if word in said), "")
     if not named and not unit and column.name:
         return []
-    if unit:
-        fits = _STEP_S[0] <= step * S[unit] <= _STEP_S[1]
+    fits = bool(unit) and _STEP_S[0] <= step * S[unit] <= _STEP_S[1]
+    if fits:
         why = f"the name says {unit}, and it rises by {step * S[unit]:.4g} s a row"
-        return [Form((column,), f"elapsed_{unit}", column.values * S[unit], False, why, fits, 5)]
+        return [Form((column,), f"elapsed_{unit}", column.values * S[unit], False, why, True, 5)]
     possible = [one for one, factor in S.items() if _CLEAR_STEP_S[0] <= step * factor <= _CLEAR_STEP_S[1]]
     possible = possible or [one for one, factor in S.items() if _STEP_S[0] <= step * factor <= _STEP_S[1]]
-    if not column.whole and "s" in possible:
+    if not column.whole and "s" in possible and not unit:
         possible = ["s"]
     possible.sort(key=lambda one: abs(np.log(step * S[one] / _USUAL_STEP_S)))
     counts = column.whole and _steps_are_one(column.values)
     forms = []
     for one in possible:
         says = "the name says a time, and" if named else "it rises from row to row, and"
+        says = f"the name says {unit}, but" if unit else says
         why = f"{says} as {one} it does so by {step * S[one]:.4g} s"
-        sure = len(possible) == 1 and named and not (counts and set(column.words) & {"tick", "ticks", "serial"})
+        sure = (
+            len(possible) == 1
+            and named
+            and not unit
+            and not (counts and set(column.words) & {"tick", "ticks", "serial"})
+        )
         forms.append(Form((column,), f"elapsed_{one}", column.values * S[one], False, why, sure, 6 if named else 8))
     return forms
 

@@ -89,7 +89,7 @@ _SUFFIX: Final = {
 
 _BRACKETED: Final = re.compile(r"^(.*?)\s*[\[(<{]\s*([^\[\](){}<>]{1,14}?)\s*[\])>}]\s*(.*)$")
 _INDEX: Final = re.compile(r"[\[(]\d+[\])]$")
-_SLASHED: Final = re.compile(r"^(\w+)\s*/\s*([A-Za-zµμ°²^/]{1,8}[0-9]?)$")
+_SLASHED: Final = re.compile(r"^(.*\w)\s*/\s*([A-Za-zµμ°²^/]{1,8}[0-9]?)$")
 _COMPOSED: Final = re.compile(
     r"^(.+?)[_\s.\-]+(deg[_/]s|rad[_/]s|m[_/]s2|m[_/]s|km[_/]s|deg[_]c|a[_ ]m2)$", re.IGNORECASE
 )
@@ -132,10 +132,7 @@ def split_unit(name: str) -> tuple[str, str]:
     match = _BRACKETED.match(name)
     if match and unit_of(match.group(2)):
         return (match.group(1) + match.group(3)).strip(), unit_of(match.group(2))
-    match = _SLASHED.match(name)
-    if match and unit_of(match.group(2)):
-        return match.group(1), unit_of(match.group(2))
-    for pattern in (_COMPOSED, _SUFFIXED):
+    for pattern in (_COMPOSED, _SLASHED, _SUFFIXED):
         match = pattern.match(name)
         if match:
             stem, last = match.groups()
