@@ -11,10 +11,12 @@ import os
 import sys
 from collections.abc import Sequence
 
+from magcal_service.cli.apply import add_apply
 from magcal_service.cli.calibrate import add_calibrate
 from magcal_service.cli.common import DONE, Parser
 from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
+from magcal_service.cli.export import add_export
 from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.record import add_record
 from magcal_service.cli.replay import add_replay
@@ -58,6 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
     add_describe(commands.add_parser("describe", help="a description of a raw log: what is sure, and what is asked"))
     add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
+    add_apply(commands.add_parser("apply", help="the calibrated vectors of a recording, by a result that is given"))
+    add_export(commands.add_parser("export", help="the nine numbers of a result for flight software"))
     add_study(
         commands.add_parser(
             "study", help="Monte-Carlo studies of the estimators, and real recordings held against what is known"

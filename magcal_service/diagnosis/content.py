@@ -16,6 +16,7 @@ from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import advice, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
+from magcal_service.offline.result_head import DIAGNOSIS, head
 
 
 def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
@@ -26,6 +27,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     mounting, (moved_nt, moved_sigma_nt) = mounting_of(fit), moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
     content: dict[str, Any] = {
+        **head(DIAGNOSIS),
         "verdict": str(diagnosis.verdict),
         "sentence": verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
         "effects": [entry.as_json() for entry in found],

@@ -18,6 +18,7 @@ from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, scalar_residual
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.replay import Replay, craft_of, replay
+from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import inspect
@@ -65,6 +66,7 @@ class Calibration(NineErrors):
     counters: what happened to the samples, by kind.
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     findings: what is wrong with the recording itself.
+    protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
     """
 
     method: str
@@ -79,6 +81,8 @@ class Calibration(NineErrors):
     model_doubt: str
     rows: Account
     findings: tuple[Finding, ...] = ()
+    protection_nt: float | None = None
+    protection_by: str | None = None
 
     @property
     def trusted(self) -> bool:
@@ -93,6 +97,7 @@ class Calibration(NineErrors):
     def to_dict(self) -> dict[str, Any]:
         """What ``calibrate --json`` writes, as plain data."""
         return {
+            **head(CALIBRATION),
             "method": self.method,
             "trusted": self.trusted,
             "verdict": self.verdict,
@@ -104,6 +109,9 @@ class Calibration(NineErrors):
             "bias_nt": self.bias_nt.tolist(),
             "D": self.D.tolist(),
             "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
+            "covariance": self.covariance.tolist(),
+            "protection_nt": self.protection_nt,
+            "protection_by": self.protection_by,
             "residual_rms_nt": {
                 "before": self.residuals.before,
                 "after": self.residuals.after,
@@ -180,6 +188,8 @@ def calibrate(
         model_doubt=result.model_doubt,
         rows=inspection.account,
         findings=inspection.findings,
+        protection_nt=pipeline.trust.protection_nt,
+        protection_by=pipeline.trust.protection_by,
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.disk import beside
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError
+from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError, unwritable
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session import decoded
@@ -49,15 +49,21 @@ def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None,
         columns = _message_columns(path, kind, craft, source)
     else:
         raise InputRefusedError([Fault("--kind", kind, nearest(kind, (SAMPLES, *KIND_NAMES)))])
+    write_table(out, columns)
+    return len(next(iter(columns.values()), []))
+
+
+def write_table(out: Path, columns: Columns) -> None:
+    """Write columns of equal length as ``.csv`` or ``.parquet``, by the name's end; the file appears when it is whole.
+
+    Raises ``InputRefusedError`` where it cannot be written, ``ExtraMissingError`` for Parquet without pyarrow.
+    """
     write = _write_csv if out.suffix.lower() == ".csv" else _write_parquet
     try:
         with beside(out) as part:
             write(part, columns)
     except OSError as error:
-        raise InputRefusedError(
-            [Fault(str(out), error.strerror or str(error), "give a file that can be written")]
-        ) from None
-    return len(next(iter(columns.values()), []))
+        raise unwritable(out, error) from None
 
 
 def _sample_columns(recording: Recording) -> Columns:

@@ -11,12 +11,12 @@ from magcal_service.errors import Fault, RecordingError
 DEFAULT_MAX_ROWS: Final = 2_000_000
 """Choice: five hours at 100 Hz, two days at 10 Hz; a row of seven columns takes about 0.8 kB of memory."""
 
-HIGHEST_MAX_ROWS: Final = 1_000_000_000
+HIGHEST_MAX_ROWS: Final = 1_000_000_000  # choice: more than any memory here holds
 
 _BYTES_PER_ROW: Final = 128  # choice: ten numbers of twelve characters
 _CELLS_PER_ROW: Final = 16  # a cell takes 60 bytes of memory, however short it is
 _LEAST_BYTES: Final = 1 << 20  # of a log of few rows, long as they may be
-_LEAST_CELLS: Final = 1 << 16
+_LEAST_CELLS: Final = 1 << 16  # the same in cells
 _LINE: Final = 1 << 20  # 1 MiB; choice: sixty thousand columns
 
 

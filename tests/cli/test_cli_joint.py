@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
 from magcal_service.cli.__main__ import main
+from magcal_service.offline.result_head import JOINT, schema
 from magcal_service.physics.apply.model_file import read_model
 from magcal_service.physics.catalogue import effect_named
 from tests.diagnosis.joint_days import day
@@ -51,6 +53,12 @@ def test_two_days_give_three_files_and_end_with_0(
     content = json.loads((out / "diagnosis.json").read_text())
     assert [one["name"] for one in content["recordings"]] == ["day0", "day1"]
     assert [one["effect"] for one in content["effects"]] == ["thermal_bias"]
+    jsonschema.validate(content, schema(JOINT))
+    told = [one["held_out_rms_nt"]["predicted"] for one in content["predicted_from_the_others"]]
+    assert [one["predicted_from_others_rms_nt"] for one in content["recordings"]] == told
+    (effect,) = content["effects"]
+    assert effect["shared"]
+    assert effect["where"]["share_of_mismatch"] == pytest.approx(1.0 - content["unexplained_share"], abs=1e-3)
     assert read_model(out / "physics.toml").terms[0].amplitudes["nt_per_k"] == pytest.approx(PER_K, abs=1.5)
     page = (out / "report.html").read_text()
     assert "day0.csv" in page

@@ -199,7 +199,7 @@ REFUSED = {
     "unknown craft": (("export", "{two}", "--out", "x.csv", "--craft", "alhpa"), "did you mean 'alpha'"),
     "no craft": (("export", "{two}", "--out", "x.csv"), "2 craft"),
     "no craft to describe": (("describe", "{two}"), "choose one with --craft"),
-    "no folder": (("export", "{session}", "--out", "absent/x.csv"), "No such file"),
+    "no folder": (("export", "{session}", "--out", "absent/x.csv"), "no folder absent"),
 }
 
 

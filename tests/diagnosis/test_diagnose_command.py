@@ -7,9 +7,11 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.offline.result_head import DIAGNOSIS, schema
 from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
 
@@ -53,6 +55,11 @@ def test_a_diagnosis_is_done_and_says_each_step_on_stderr(done: Done) -> None:
 def test_the_three_files_are_written(done: Done, folder: Path) -> None:
     assert done.code == 0
     assert {path.name for path in folder.iterdir()} == {"diagnosis.json", "report.html", "physics.toml"}
+
+
+def test_it_keeps_its_schema(content: dict[str, Any]) -> None:
+    jsonschema.validate(content, schema(DIAGNOSIS))
+    assert content["effects"]
 
 
 def test_the_physics_file_holds_the_nine_errors_and_every_effect(content: dict[str, Any], folder: Path) -> None:

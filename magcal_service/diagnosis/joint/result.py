@@ -35,6 +35,7 @@ from magcal_service.diagnosis.words import (
     remaining,
 )
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
+from magcal_service.offline.result_head import JOINT, head
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.interface import Effect, Value, Values
 from magcal_service.wire.messages import Clock
@@ -43,6 +44,7 @@ from magcal_service.wire.messages import Clock
 def as_json(diagnosis: JointDiagnosis) -> str:
     """The ``diagnosis.json`` of several recordings."""
     content: dict[str, Any] = {
+        **head(JOINT),
         "verdict": str(diagnosis.verdict),
         "sentence": sentence(diagnosis),
         "assumed": diagnosis.assumed,
@@ -63,8 +65,12 @@ def as_json(diagnosis: JointDiagnosis) -> str:
 
 
 def _recordings(diagnosis: JointDiagnosis) -> list[dict[str, Any]]:
+    predicted = {one.name: one.predicted_nt for one in diagnosis.compared.predicted}
     each = zip(diagnosis.recordings, levels_of_each(diagnosis), bias_moved_nt(diagnosis), strict=True)
-    return [_recording(one, levels, moved) for one, levels, moved in each]
+    return [
+        {**_recording(one, levels, moved), "predicted_from_others_rms_nt": predicted.get(one.name)}
+        for one, levels, moved in each
+    ]
 
 
 def _recording(one: Alone, levels: Levels, moved_nt: float) -> dict[str, Any]:
@@ -99,6 +105,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "effect": form.effect,
         "says": says(diagnosis, index),
         "common": bool(form.common),
+        "shared": bool(form.common),
         "probability": round(believed.own, 6),
         "rivals": [{"effect": name, "probability": round(p, 6)} for name, p in believed.rivals[:4]],
         "class": list(believed.members),
@@ -108,10 +115,17 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "parameters": {name: _value(value) for name, value in parameters(diagnosis, index).items()},
         "constants": dict(form.constants),
         "own": {name: _own(diagnosis, index, name) for name in sorted(form.own)},
-        "recordings": [name for name in form.names if form.acts_on(name)],
+        "recordings": (acting := [name for name in form.names if form.acts_on(name)]),
+        "where": {"recordings": acting, "share_of_mismatch": round(_share(diagnosis, index), 4)},
         "evidence_nats": round(diagnosis.explained.nats[index], 2),
         "seen_in_blocks": [gain.seen, gain.expected],
     }
+
+
+def _share(diagnosis: JointDiagnosis, index: int) -> float:
+    """Of what the effects explain together, an effect's part by its evidence."""
+    nats = np.maximum(diagnosis.explained.nats, 0.0)
+    return float((1.0 - diagnosis.unexplained) * nats[index] / max(float(nats.sum()), 1e-12))
 
 
 def effect_of(diagnosis: JointDiagnosis, index: int) -> Effect:

@@ -1,0 +1,77 @@
+"""``magcal apply``: the calibrated vectors of a recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, SOURCE_HELP, refuse_unwritable, source_lines
+
+if TYPE_CHECKING:
+    from magcal_service.offline.apply import Applied
+    from magcal_service.offline.given import Given
+    from magcal_service.recordings.inspect.inspection import Inspection
+
+
+def add_apply(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal apply``."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    given = "what calibrate --json or diagnose --out has written"
+    parser.add_argument(
+        "--with", dest="given", type=Path, required=True, metavar="RESULT.json|physics.toml", help=given
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="ending in .csv, .parquet or .mcap")
+    parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
+    parser.set_defaults(command=_apply)
+
+
+def _apply(options: argparse.Namespace) -> int:
+    from magcal_service.offline.apply import apply
+    from magcal_service.offline.given import read_given
+    from magcal_service.offline.vector_file import refuse_suffix, write_vectors
+    from magcal_service.recordings.inspect.inspection import inspect
+    from magcal_service.recordings.reader import read_recording
+    from magcal_service.recordings.usable import refuse_hopeless
+
+    refuse_suffix(options.out)
+    refuse_unwritable(options.out)
+    given = read_given(options.given)
+    recording = read_recording(options.recording, options.craft, source=options.source)
+    inspection = inspect(recording)
+    refuse_hopeless(inspection.usable, inspection.lines())
+    applied = apply(given, inspection)
+    about = {"recording": recording.name, "result": given.name, "result_sha256": given.sha256}
+    write_vectors(options.out, applied.vectors, about)
+    print("\n".join([*source_lines(recording), *recording.report.lines(), *inspection.lines()]))
+    print(f"rows: {inspection.account}")
+    print("\n".join(_said(given, inspection, applied, options.out)))
+    return DONE if given.trusted and not inspection.open and not applied.remark else NOT_TRUSTED
+
+
+def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> list[str]:
+    import numpy as np
+
+    vectors = applied.vectors
+    counts = {verdict: sum(one.verdict == verdict for one in vectors) for verdict in ("trusted", "doubtful")}
+    lines = [
+        f"{out}: {len(vectors)} vectors, {counts['trusted']} of them trusted; w = (I + D) B - b by {given.name}, "
+        f"sha256 {given.sha256[:12]}"
+    ]
+    usable = inspection.usable.sorted_unique()
+    if given.model is None:
+        before, after = (
+            float(np.sqrt(np.nanmean(np.square(np.linalg.norm(field, axis=1) - usable.reference.magnitude_nt))))
+            for field in (usable.field_body_nt, given.apply(usable.field_body_nt))
+        )
+        lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
+    if not given.whole:
+        lines.append("covariance: of the sigmas alone, for the file has no covariance")
+    lines += [f"{count} vectors are doubtful: {name} has no driver then" for name, count in applied.missing.items()]
+    if applied.strayed:
+        lines.append(f"{applied.strayed} vectors are doubtful: they are not as long as the reference")
+    if inspection.open:
+        codes = ", ".join(str(one.code) for one in inspection.open)
+        lines.append(f"to be answered about the recording first: {codes}; magcal inspect has what and how")
+    return [*lines, *filter(None, [applied.remark, given.doubts()])]

@@ -1,0 +1,58 @@
+"""``magcal export``: the nine numbers for flight software."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable
+
+
+def add_export(parser: Parser) -> None:
+    """The arguments of ``magcal export``."""
+    parser.add_argument(
+        "result", type=Path, metavar="RESULT.json|physics.toml", help="of calibrate --json, or diagnose"
+    )
+    parser.add_argument("--format", required=True, metavar="NAME", help="one of those below")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write it here (default: to stdout)")
+    parser.add_argument("--index", type=int, default=0, metavar="N", help="which compass of the autopilot (default: 0)")
+    parser.add_argument("--lsb-nt", type=float, metavar="NT", help="nT of one count of the sensor, for betaflight")
+    parser.more = forms_text
+    parser.set_defaults(command=_export)
+
+
+def forms_text() -> str:
+    """Every format in a line, for the help."""
+    from magcal_service.offline.exports import FORMS
+
+    lines = [f"  {form.name:<12}  {form.says}" for form in FORMS.values()]
+    return (
+        "\nformats:\n" + "\n".join(lines) + "\n\nExample: magcal export result.json --format c-header --out magcal.h\n"
+    )
+
+
+def _export(options: argparse.Namespace) -> int:
+    from magcal_service.errors import ConfigError, Fault, unwritable
+    from magcal_service.offline.exports import FORMS, Wanted
+    from magcal_service.offline.given import read_given
+    from magcal_service.typed_toml import nearest
+
+    form = FORMS.get(options.format)
+    if form is None:
+        raise ConfigError([Fault("--format", options.format, nearest(options.format, FORMS))])
+    if options.lsb_nt is not None and not 0.0 < options.lsb_nt < float("inf"):
+        raise ConfigError([Fault("--lsb-nt", options.lsb_nt, "nT of one count, above 0, is accepted")])
+    refuse_unwritable(options.out)
+    given = read_given(options.result)
+    made = form.make(given, Wanted(options.index, options.lsb_nt))
+    if options.out is None:
+        print(made.text, end="")
+    else:
+        try:
+            options.out.write_text(made.text, encoding="utf-8")
+        except OSError as error:
+            raise unwritable(options.out, error) from None
+    for line in filter(None, (made.remark, given.doubts())):
+        print(line, file=sys.stderr)
+    return NOT_TRUSTED if made.lossy or not given.trusted else DONE

@@ -1,0 +1,162 @@
+"""A recording's vectors by nine errors that are given, as the daemon would publish them with that estimate."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from magcal_service.config.settings import PhysicsConfig
+from magcal_service.daemon.outbox import calibrated_vector
+from magcal_service.estimators.interface import Phase, StateEstimate
+from magcal_service.model import Array
+from magcal_service.offline.given import Given
+from magcal_service.offline.replay import craft_of, replay
+from magcal_service.physics.apply.compensation import Compensation
+from magcal_service.physics.apply.model_file import text_of
+from magcal_service.recordings.inspect.inspection import Inspection
+from magcal_service.recordings.messages import messages
+from magcal_service.recordings.recording import Recording
+from magcal_service.residuals import noise_floor
+from magcal_service.trust.monitor import Trust
+from magcal_service.trust.vector_gate import strays
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    Clock,
+    MagnetometerSample,
+    PositionSample,
+    ReferenceSample,
+    TelemetrySample,
+    Verdict,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """The vectors of a recording.
+
+    Parameters
+    ----------
+    vectors: one of each usable row, in its order.
+    strayed: those that are not as long as the field was: doubtful, whatever the result.
+    missing: vectors that an effect was not subtracted from for want of its driver, by effect: doubtful as well.
+    remark: what kept the model from being used as it is, empty where nothing did.
+    """
+
+    vectors: tuple[CalibratedVector, ...]
+    strayed: int
+    missing: Counter[str]
+    remark: str = ""
+
+
+def apply(given: Given, inspection: Inspection) -> Applied:
+    """Calibrate every usable row of a recording.
+
+    Parameters
+    ----------
+    given: the nine errors, and the effects that are subtracted where they are of a ``physics.toml``.
+    inspection: of the recording.
+
+    Equation (5), w = (I + D) B - b, with the covariance of noise and estimate; disturbances are subtracted from B
+    first, by the same code as in the daemon.  A temperature at the start of another day is estimated from the whole
+    recording, as a replay does.
+    """
+    recording = inspection.to_replay
+    compensation, remark = (None, "") if given.model is None else _compensation(given, recording, inspection)
+    state = StateEstimate(
+        x=given.x,
+        covariance=given.covariance,
+        noise_nt=_noise(given, recording),
+        phase=Phase.RUNNING,
+        samples=0,
+        rejected=0,
+        restarts=0,
+        waiting_for=None,
+        spin_given_up=False,
+    )
+    return _applied(recording, given, state, compensation, remark)
+
+
+def _noise(given: Given, recording: Recording) -> float:
+    """White noise, 1 sigma per axis [nT]: as the recording states it, else the result, else as the residual shows."""
+    stated = recording.descriptor.magnetometer.noise_nt
+    if stated is not None:
+        return stated
+    if given.noise_nt is not None:
+        return given.noise_nt
+    usable = recording.sorted_unique()
+    residual = np.linalg.norm(given.apply(usable.field_body_nt), axis=1) - usable.reference.magnitude_nt
+    return noise_floor(usable.time_ns, residual)
+
+
+def _compensation(given: Given, recording: Recording, inspection: Inspection) -> tuple[Compensation | None, str]:
+    """What subtracts the effects, with its start where that has to be found; a remark where it can not."""
+    assert given.model is not None
+    compensation = Compensation(given.model)
+    first = next((one for one in messages(recording) if isinstance(one, MagnetometerSample)), None)
+    if first is None or not compensation.begins_elsewhere(first):
+        return compensation, ""
+    craft = replace(craft_of(recording), physics=PhysicsConfig(Path(given.name), text_of(given.model)))
+    pipeline = replay(recording, craft, inspection=inspection).pipeline
+    if pipeline.compensation is None or not pipeline.compensates:
+        why = pipeline.stopped or "no temperature at the start could be found"
+        return None, f"its effects are not subtracted: {why}"
+    compensation.free_start()
+    compensation.take_start(pipeline.compensation)
+    return compensation, ""
+
+
+def _applied(
+    recording: Recording, given: Given, state: StateEstimate, compensation: Compensation | None, remark: str
+) -> Applied:
+    vectors, missing, strayed = list[CalibratedVector](), Counter[str](), 0
+    newest: tuple[int, float, Clock] | None = None
+    trust = Trust(given.verdict, (), "", given.protection_nt, given.protection_by)
+    for sample, reference in _samples(recording, compensation):
+        newest = reference or newest
+        corrected, unknown = sample, None
+        if compensation is not None:
+            corrected, unknown = compensation.correct(sample), compensation.start_variance
+            missing.update(compensation.missing)
+        vector = calibrated_vector(corrected, state, given.covariance, trust, unknown)
+        doubt = bool(remark) or (compensation is not None and bool(compensation.missing))
+        if newest is not None and newest[2] is vector.clock:
+            stray = strays(vector, newest[1], abs(vector.time_ns - newest[0]) * 1e-9)
+            strayed += stray
+            doubt |= stray
+        vectors.append(replace(vector, verdict=Verdict.DOUBTFUL) if doubt else vector)
+    return Applied(tuple(vectors), strayed, missing, remark)
+
+
+def _samples(
+    recording: Recording, compensation: Compensation | None
+) -> Iterator[tuple[MagnetometerSample, tuple[int, float, Clock] | None]]:
+    """Each sample of the recording's own magnetometer, and the newest reference before it where there was a new one."""
+    newest: tuple[int, float, Clock] | None = None
+    for message in messages(recording):
+        match message:
+            case MagnetometerSample() if recording.source in ("", message.source):
+                yield message, newest
+                newest = None
+            case ReferenceSample():
+                if compensation is not None:
+                    message = compensation.reference(message)
+                length = message.magnitude_nt
+                if message.field_nt is not None:
+                    length = float(np.linalg.norm(message.field_nt))
+                newest = (message.time_ns, float(length or 0.0), message.clock)
+            case PositionSample() if compensation is not None:
+                compensation.position(message)
+            case TelemetrySample() if compensation is not None:
+                compensation.telemetry(message)
+
+
+def as_arrays(vectors: tuple[CalibratedVector, ...]) -> tuple[Array, Array]:
+    """w (n, 3) [nT] and the covariance's xx, xy, xz, yy, yz, zz (n, 6) [nT^2]."""
+    return (
+        np.array([one.field_body_nt for one in vectors]).reshape(-1, 3),
+        np.array([one.covariance_nt2 for one in vectors]).reshape(-1, 6),
+    )

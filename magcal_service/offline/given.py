@@ -1,0 +1,185 @@
+"""Nine errors out of a result's file, with what the file says of their use: for ``apply`` and ``export``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.offline.result_head import schema_of
+from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
+from magcal_service.wire.messages import Verdict
+
+_LARGEST_FILE: Final = 64 << 20
+"""A result is some 10 kB, of many recordings some MB [bytes]: what is larger is something else."""
+
+_LARGEST_BIAS_NT: Final = 1e6  # 1 mT, as for a recording
+_LARGEST_D: Final = 10.0  # a scale of eleven: beyond, no gate of any method lets an estimate pass
+
+ACCEPTED: Final = "what calibrate --json or diagnose --out writes is accepted: a .json, or physics.toml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Given(NineErrors):
+    """Nine errors as a file has them.
+
+    Parameters
+    ----------
+    name, sha256: of the file.
+    x, covariance: state (9,) and covariance (9, 9) [nT, -].
+    whole: whether the file has the covariance; where not, it is that of the sigmas alone.
+    noise_nt: white noise, 1 sigma per axis [nT]; None where the file does not say.
+    trusted, reasons: as the result says.
+    protection_nt, protection_by: the protection level of the estimate; None where the file has none.
+    model: of a ``physics.toml``; None of a result.
+    schema: that the result keeps; empty where it says none that is known.
+    """
+
+    name: str
+    sha256: str
+    x: Array
+    covariance: Array
+    whole: bool
+    noise_nt: float | None
+    trusted: bool
+    reasons: tuple[str, ...]
+    protection_nt: float | None = None
+    protection_by: str | None = None
+    model: PhysicsModel | None = None
+    schema: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of vectors that are made by it."""
+        return Verdict.TRUSTED if self.trusted else Verdict.DOUBTFUL
+
+    @property
+    def matrix(self) -> Array:
+        """I + D (3, 3) [-]."""
+        return np.asarray(np.eye(3) + self.D)
+
+    @property
+    def offset_nt(self) -> Array:
+        """(I + D)^-1 b (3,) [nT]: what is subtracted before the matrix, w = (I + D)(B - offset)."""
+        return np.asarray(np.linalg.solve(self.matrix, self.bias_nt))
+
+    def doubts(self) -> str:
+        """Why it must not be trusted, in a line; empty where it may be."""
+        return "" if self.trusted else f"not to be trusted: {', '.join(self.reasons) or 'its file does not say why'}"
+
+
+def read_given(path: Path) -> Given:
+    """Read a result of ``calibrate`` or ``diagnose``, or a ``physics.toml``.
+
+    Raises ``InputRefusedError`` where the file cannot be read, is none of these, has no estimate, is of several
+    recordings, or names effects that only ``physics.toml`` can subtract.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InputRefusedError([Fault(str(path), f"{path.stat().st_size} bytes", ACCEPTED)])
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputRefusedError([Fault(str(path), error.strerror or str(error), "give a readable file")]) from None
+    digest = hashlib.sha256(raw).hexdigest()
+    if path.suffix.lower() == ".toml":
+        return _of_model(path.name, digest, parse_model(raw))
+    try:
+        content = json.loads(raw)
+    except (ValueError, RecursionError):
+        raise InputRefusedError([Fault(str(path), "no JSON", ACCEPTED)]) from None
+    if not isinstance(content, dict):
+        raise InputRefusedError([Fault(str(path), type(content).__name__, ACCEPTED)])
+    return _of_result(path, digest, content)
+
+
+def _of_model(name: str, digest: str, model: PhysicsModel) -> Given:
+    doubts = (model.doubts,) if model.doubts else ()
+    covariance = np.diag(np.square(model.sigma))
+    return Given(name, digest, model.x, covariance, False, model.noise_nt, not doubts, doubts, model=model)
+
+
+def _of_result(path: Path, digest: str, content: dict[str, Any]) -> Given:
+    if isinstance(content.get("recordings"), list):
+        accepted = "the result of one recording is accepted; give its physics.toml, or calibrate it alone"
+        raise InputRefusedError([Fault(f"{path}: recordings", len(content["recordings"]), accepted)])
+    fit = content.get("fit")
+    if content.get("effects") and isinstance(fit, dict):
+        accepted = "its effects are subtracted by the physics.toml that diagnose wrote beside it; give that file"
+        raise InputRefusedError([Fault(f"{path}: effects", len(content["effects"]), accepted)])
+    numbers = fit if isinstance(fit, dict) else content
+    if content.get("verdict") == Verdict.NOT_STARTED:
+        raise InputRefusedError([Fault(f"{path}: verdict", "not_started", "a result with an estimate is accepted")])
+    reading = _Reading(path)
+    bias = reading.array(numbers, "bias_nt", (3,), _LARGEST_BIAS_NT)
+    d = reading.array(numbers, "D", (3, 3), _LARGEST_D)
+    stated = numbers.get("sigma")
+    sigma: dict[str, Any] = stated if isinstance(stated, dict) else {}
+    covariance, whole = None, "covariance" in content
+    if whole:
+        covariance = reading.array(content, "covariance", (STATE_SIZE, STATE_SIZE), _LARGEST_BIAS_NT**2)
+    else:
+        sigmas = _state(
+            reading.array(sigma, "bias_nt", (3,), _LARGEST_BIAS_NT), reading.array(sigma, "D", (3, 3), _LARGEST_D)
+        )
+        covariance = np.diag(np.square(sigmas))
+    reading.done()
+    if not np.allclose(d, d.T, rtol=0.0, atol=1e-9):
+        raise InputRefusedError([Fault(f"{path}: D", d.tolist(), "a symmetric matrix is accepted")])
+    if np.linalg.eigvalsh(np.eye(3) + d)[0] <= 0.0:
+        raise InputRefusedError([Fault(f"{path}: D", d.tolist(), "I + D with eigenvalues above 0 is accepted")])
+    levels = content.get("residual_rms_nt")
+    noise = levels.get("noise_floor") if isinstance(levels, dict) else numbers.get("noise_floor_nt")
+    level, hazard = content.get("protection_nt"), content.get("protection_by")
+    return Given(
+        path.name,
+        digest,
+        _state(bias, d),
+        covariance,
+        whole,
+        float(noise) if isinstance(noise, int | float) else None,
+        content.get("trusted") is True,
+        tuple(str(one) for one in content.get("reasons") or ()),
+        float(level) if isinstance(level, int | float) else None,
+        hazard if isinstance(hazard, str) else None,
+        schema=schema_of(content),
+    )
+
+
+def _state(bias: Array, d: Array) -> Array:
+    """The state (9,) in the order of ``model.STATE_NAMES``."""
+    x = np.zeros(STATE_SIZE)
+    x[BIAS] = bias
+    x[D_ALL] = d[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return x
+
+
+class _Reading:
+    """Arrays out of a result; what is wrong with any of them is said together."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._faults = path, list[Fault]()
+
+    def array(self, content: dict[str, Any], key: str, shape: tuple[int, ...], limit: float) -> Array:
+        """Finite numbers of a shape, none beyond a limit; zeros where they are none."""
+        try:
+            found = np.array(content.get(key), dtype=np.float64)
+        except (TypeError, ValueError):
+            found = np.zeros(0)
+        if found.shape != shape or not np.all(np.abs(found) <= limit):
+            accepted = f"numbers of shape {shape} up to {limit:g} are accepted; {ACCEPTED}"
+            shown = "missing" if key not in content else str(content[key])[:60]
+            self._faults.append(Fault(f"{self._path}: {key}", shown, accepted))
+            return np.zeros(shape)
+        return found
+
+    def done(self) -> None:
+        """Raise InputRefusedError where anything was refused."""
+        if self._faults:
+            raise InputRefusedError(self._faults)

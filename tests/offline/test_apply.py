@@ -1,0 +1,190 @@
+"""``apply``: the vectors of a file are those that the daemon publishes with the same estimate, to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.errors import InputRefusedError
+from magcal_service.estimators.interface import Phase
+from magcal_service.model import Array
+from magcal_service.offline.apply import apply, as_arrays
+from magcal_service.offline.calibrate import calibrate
+from magcal_service.offline.given import read_given
+from magcal_service.offline.replay import craft_of
+from magcal_service.offline.result_head import CALIBRATION, schema
+from magcal_service.physics.apply.model_file import text_of
+from magcal_service.recordings.inspect.inspection import inspect
+from magcal_service.recordings.messages import messages
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
+from magcal_service.wire.messages import CalibratedVector
+from sim_sensor.recorder import record_simulation
+from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.simulation import Simulation
+from tests.cli.cli_inputs import run
+from tests.physics.live_models import HOT_X, THERMAL, hot, model_of
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The paper's craft, 1500 s."""
+    return record_simulation(Simulation(load_scenario("paper"), 31, 1500.0), tmp_path_factory.mktemp("flight"))
+
+
+@pytest.fixture(scope="module")
+def result(flight: Path) -> Path:
+    """Its calibration, as the command writes it."""
+    path = flight.with_name("result.json")
+    path.write_text(calibrate(flight).as_json())
+    return path
+
+
+def live(
+    recording: Recording, pipeline: Pipeline, x: Array, covariance: Array, noise_nt: float
+) -> list[CalibratedVector]:
+    """What a daemon publishes while its estimate stands still."""
+    pipeline.frozen = True
+    pipeline._state = replace(pipeline._state, x=x, covariance=covariance, noise_nt=noise_nt, phase=Phase.RUNNING)
+    return [
+        one for message in messages(recording) for one in pipeline.handle(message) if isinstance(one, CalibratedVector)
+    ]
+
+
+def test_it_gives_the_vectors_that_the_daemon_would(flight: Path, result: Path) -> None:
+    given, recording = read_given(result), read_recording(flight)
+    applied = apply(given, inspect(recording)).vectors
+    published = live(recording, Pipeline(craft_of(recording)), given.x, given.covariance, 300.0)
+    assert len(applied) == len(recording) == 1500
+    assert [one.field_body_nt for one in applied] == [one.field_body_nt for one in published]
+    assert [one.covariance_nt2 for one in applied] == [one.covariance_nt2 for one in published]
+    truth = calibrate(flight)
+    jsonschema.validate(json.loads(result.read_text()), schema(CALIBRATION))
+    np.testing.assert_array_equal(given.x, truth.x)  # nothing is lost in the file
+    np.testing.assert_array_equal(given.covariance, truth.covariance)
+    np.testing.assert_allclose(as_arrays(applied)[0], truth.apply(recording.field_body_nt), rtol=0.0, atol=1e-8)
+
+
+def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
+    scenario = hot()
+    recording = read_recording(record_simulation(Simulation(scenario, 4, 600.0), tmp_path))
+    model = model_of(*THERMAL, origin_ns=scenario.start_ns)
+    path = tmp_path / "physics.toml"
+    path.write_text(text_of(model))
+    given = read_given(path)
+    applied = apply(given, inspect(recording))
+    craft = replace(craft_of(recording), physics=_config(path))
+    published = live(recording, Pipeline(craft), given.x, given.covariance, craft.sensor.noise_nt or 0.0)
+    assert [one.field_body_nt for one in applied.vectors] == [one.field_body_nt for one in published]
+    plain = np.linalg.norm(given.apply(recording.field_body_nt), axis=1) - recording.reference.magnitude_nt
+    left = np.linalg.norm(as_arrays(applied.vectors)[0], axis=1) - recording.reference.magnitude_nt
+    assert np.sqrt(np.mean(left**2)) < 1.1 * (craft.sensor.noise_nt or 0.0) < np.sqrt(np.mean(plain**2))
+    np.testing.assert_array_equal(given.x, HOT_X)
+    blind = apply(given, inspect(replace(recording, channels={})))
+    assert blind.missing == {"thermal_bias": 600, "thermal_scale": 600}
+    assert {str(one.verdict) for one in blind.vectors} == {"doubtful"}
+
+
+def _config(path: Path):  # type: ignore[no-untyped-def]
+    from magcal_service.config.physics_file import physics_of
+
+    return physics_of(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mcap"])
+def test_every_format_holds_the_same(flight: Path, result: Path, suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"vectors{suffix}"
+    done = run("apply", flight, "--with", result, "--out", out)
+    given = read_given(result)
+    assert done.code == (0 if given.trusted else 3), done
+    expected = apply(given, inspect(read_recording(flight))).vectors
+    if suffix == ".mcap":
+        assert "1500 records" in run("record", "info", out).out
+        found = [one for _, one in _vectors(out)]
+        assert found == list(expected)
+        return
+    if suffix == ".csv":
+        with out.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        rows = parquet.read_table(out).to_pylist()
+    assert list(rows[0])[:5] == ["time", "wx_nt", "wy_nt", "wz_nt", "cov_xx_nt2"]
+    found = [tuple(float(row[f"w{axis}_nt"]) for axis in "xyz") for row in rows]
+    assert found == [one.field_body_nt for one in expected]
+    assert [str(row["verdict"]) for row in rows] == [str(one.verdict) for one in expected]
+    assert str(rows[7]["time"]).endswith("Z")
+
+
+def _vectors(path: Path):  # type: ignore[no-untyped-def]
+    from magcal_service.recordings.mcap_reader import McapReader
+    from magcal_service.recordings.session import decoded
+
+    with path.open("rb") as file:
+        yield from decoded(McapReader(file, str(path)), {}, frozenset({"calibrated"}))
+
+
+def test_a_vector_that_is_not_as_long_as_the_field_is_doubtful(flight: Path, result: Path) -> None:
+    recording = read_recording(flight)
+    field = recording.field_body_nt.copy()
+    field[700] *= 1.5
+    content = {**json.loads(result.read_text()), "trusted": True}
+    path = result.with_name("trusted.json")
+    path.write_text(json.dumps(content))
+    applied = apply(read_given(path), inspect(replace(recording, field_body_nt=field)))
+    assert applied.strayed == 1
+    assert [i for i, one in enumerate(applied.vectors) if one.verdict != "trusted"] == [700]
+
+
+def test_what_is_not_to_be_trusted_ends_with_3_and_says_why(flight: Path, result: Path, tmp_path: Path) -> None:
+    content = {**json.loads(result.read_text()), "trusted": False, "reasons": ["poor_coverage"]}
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content))
+    done = run("apply", flight, "--with", path, "--out", tmp_path / "v.csv")
+    assert done.code == 3
+    assert done.out.endswith("not to be trusted: poor_coverage\n")
+    assert ",trusted," not in (tmp_path / "v.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("[1]", "'list' is refused"),
+        ("{", "'no JSON' is refused"),
+        ('{"D": [[1]]}', "bias_nt: 'missing' is refused; numbers of shape (3,)"),
+        ('{"verdict": "not_started"}', "a result with an estimate is accepted"),
+        ('{"recordings": []}', "the result of one recording is accepted"),
+        ('{"effects": [{}], "fit": {}}', "give that file"),
+        ('{"bias_nt": [0, 0, NaN], "D": [[0,0,0],[0,0,0],[0,0,0]]}', "bias_nt: '[0, 0, nan]' is refused"),
+    ],
+)
+def test_what_is_no_result_is_refused(content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(content)
+    with pytest.raises(InputRefusedError) as caught:
+        read_given(path)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("d", "told"),
+    [([[0, 0.1, 0], [0, 0, 0], [0, 0, 0]], "a symmetric matrix"), ([[-2, 0, 0], [0, 0, 0], [0, 0, 0]], "eigenvalues")],
+)
+def test_a_matrix_that_is_none_is_refused(result: Path, d: list[list[float]], told: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps({**json.loads(result.read_text()), "D": d}))
+    with pytest.raises(InputRefusedError, match=told):
+        read_given(path)
+
+
+def test_another_end_of_the_name_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    done = run("apply", tmp_path / "no.toml", "--with", "no.json", "--out", tmp_path / "v.txt")
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert "a name ending in .csv, .parquet, .mcap is accepted" in done.err
