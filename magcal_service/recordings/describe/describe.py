@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,8 +73,8 @@ def describe(log: Path, answers: Mapping[str, str], beside: Path | None = None) 
     if table.rows < 2:
         accepted = "two rows of numbers at least are accepted"
         raise InputRefusedError([Fault(str(log), f"{table.rows} rows", accepted)])
-    draft = Draft(table, given)
-    _samples(draft, beside)
+    draft = Draft(table, given, beside or log.parent)
+    _samples(draft)
     _fill(draft)
     unused = given.unused()
     if unused:
@@ -84,7 +83,7 @@ def describe(log: Path, answers: Mapping[str, str], beside: Path | None = None) 
     needed = any(question.needed for question in draft.questions)
     text = None if needed else _text(draft)
     if text is not None:  # an answer may be none that a descriptor can hold
-        out = (beside or log.parent) / DESCRIPTOR_NAME
+        out = draft.folder / DESCRIPTOR_NAME
         descriptor_of(parse_toml(text.encode(), str(log), "what was made", RecordingError), out)
     return Described(tuple(draft.said), tuple(draft.questions), text)
 
@@ -127,12 +126,10 @@ def _decimal(given: Answers) -> str | None:
     return answer
 
 
-def _samples(draft: Draft, beside: Path | None) -> None:
+def _samples(draft: Draft) -> None:
     """``[samples]``: only what differs from a plain CSV file."""
     log, layout = draft.log, draft.log.layout
-    path = log.sample.path
-    file = path.name if beside is None else os.path.relpath(path.resolve(), beside.resolve())
-    draft.put("samples", "file", file)
+    draft.put("samples", "file", draft.beside(log.sample.path))
     if layout.delimiter != ",":
         draft.put("samples", "delimiter", layout.delimiter)
     if layout.decimal != ".":

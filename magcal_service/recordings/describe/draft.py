@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from shlex import quote
 from typing import Final
 
@@ -21,6 +23,7 @@ KEYS: Final = (
     "time.pattern",
     "time.start",
     "time.rate_hz",
+    "time.gps_rollovers",
     "magnetometer.columns",
     "magnetometer.unit",
     "reference",
@@ -118,12 +121,14 @@ class Draft:
 
     Parameters
     ----------
+    folder: where the descriptor will lie.
     reserved: numbers of columns whose meaning is known.
     doubted: whether the header was seen to name wrong columns.
     """
 
     log: Log
     answers: Answers
+    folder: Path
     sections: dict[str, list[str]] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
@@ -137,6 +142,10 @@ class Draft:
     def put(self, section: str, key: str, value: object) -> None:
         """A line of the descriptor."""
         self.sections.setdefault(section, []).append(f"{key} = {toml(value)}")
+
+    def beside(self, file: Path) -> str:
+        """A file as the descriptor names it."""
+        return Path(os.path.relpath(file.resolve(), self.folder.resolve())).as_posix()
 
     def ask(self, question: Question) -> None:
         """Leave something open."""

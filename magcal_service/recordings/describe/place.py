@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -54,7 +55,11 @@ def find_place(draft: Draft, times: Times | None, groups: list[Triple]) -> Place
     """Put the position into the draft where there is one; asks what is open."""
     tle = draft.answers.get("position.tle")
     if tle is not None:
-        draft.put("position", "tle", tle)
+        if not Path(tle).is_file():
+            raise InputRefusedError(
+                [Fault("--answer position.tle", tle, "a file of two-line element sets is accepted")]
+            )
+        draft.put("position", "tle", draft.beside(Path(tle)))
         draft.conclude("position.tle", tle, answered("position.tle"))
         return Place((), True)
     if draft.answers.get("position.columns") == NO:

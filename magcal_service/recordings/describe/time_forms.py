@@ -32,6 +32,11 @@ _DATE: Final = {"date", "day", "datum", "fecha", "jour", "dates"}
 
 _GPS_EPOCH_S: Final = 315964800.0  # 1980-01-06 in Unix seconds
 
+_LAST_WEEK: Final = 4000.0  # of the year 2056
+_WEEKS: Final = 1024  # a week counted in ten bits begins again after as many
+ROLLOVERS: Final = 2
+"""How often such a count has begun again for weeks from April 2019 to November 2038."""
+
 _WEEK_S: Final = 604800.0  # seconds in a week
 
 
@@ -147,7 +152,7 @@ def _is_date(column: Column) -> bool:
 
 def _gps_week(log: Log) -> list[Form]:
     weeks = [
-        c for c in log.columns if c.numeric and c.whole and set(c.words) & _WEEK and within(c.values, 700.0, 4000.0)
+        c for c in log.columns if c.numeric and c.whole and set(c.words) & _WEEK and within(c.values, 0.0, _LAST_WEEK)
     ]
     seconds = [
         c for c in log.columns if c.numeric and not set(c.words) & _WEEK and (set(c.words) & _OF_WEEK or is_named(c))
@@ -158,7 +163,8 @@ def _gps_week(log: Log) -> list[Form]:
             milli = column.unit == "ms" or not within(column.values, 0.0, _WEEK_S)
             if not within(column.values, 0.0, _WEEK_S * (1000.0 if milli else 1.0)):
                 continue
-            times = _GPS_EPOCH_S + week.values * _WEEK_S + column.values * (1e-3 if milli else 1.0)
+            counted = week.values + _WEEKS * ROLLOVERS * (week.values < _WEEKS)
+            times = _GPS_EPOCH_S + counted * _WEEK_S + column.values * (1e-3 if milli else 1.0)
             form = "gps_week_ms" if milli else "gps_week_s"
             why = "the names say GPS week and time of week, and the numbers are those of such"
             found.append(Form((week, column), form, times, True, why, rises(times), 0))

@@ -14,8 +14,8 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe import dates
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.time_forms import ROLLOVERS, joined, of_columns
 from magcal_service.recordings.describe.time_forms import forms as all_forms
-from magcal_service.recordings.describe.time_forms import joined, of_columns
 from magcal_service.recordings.describe.time_numbers import Form, as_told
 from magcal_service.recordings.timestamps import iso8601_to_ns
 
@@ -25,6 +25,7 @@ _RATE: Final = re.compile(
     r"(?:rate|freq\w*|fs)\b[^0-9\n]{0,24}([0-9]+(?:\.[0-9]+)?)\s*(?:hz|sps|samples)", re.IGNORECASE
 )
 
+_TEN_BITS: Final = 1024  # weeks
 _SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
 
 
@@ -73,6 +74,8 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
         draft.put("time", "pattern", form.pattern)
     else:
         draft.put("time", "format", form.format)
+    if form.format.startswith("gps_week"):
+        _rollovers(draft, form.columns[0])
     draft.conclude("time", f"{' + '.join(c.label for c in form.columns)} as {form.pattern or form.format}", why)
     if start is not None:
         if not form.format.startswith("elapsed"):
@@ -82,6 +85,20 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
     offset = (_instant("time.start", start) if start is not None else 0.0) or 0.0
     numbers = tuple(column.number for column in form.columns)
     return Times(form.times + offset, form.absolute or start is not None, numbers)
+
+
+def _rollovers(draft: Draft, week: Column) -> None:
+    """A week counted in ten bits begins again every 1024 weeks; which time round it is, the log does not say."""
+    answer = draft.answers.get("time.gps_rollovers")
+    if answer is not None:
+        if not answer.isdecimal() or int(answer) > ROLLOVERS + 1:
+            raise InputRefusedError([Fault("--answer time.gps_rollovers", answer, "0 to 3 is accepted")])
+        draft.put("time", "gps_rollovers", int(answer))
+        draft.conclude("time.gps_rollovers", answer, answered("time.gps_rollovers"))
+    elif float(np.nanmax(week.values)) < _TEN_BITS:
+        asks = f"the weeks of {week.label} are below 1024: counted in ten bits, how often had they begun again?"
+        candidates = (("2", "April 2019 to November 2038"), ("1", "August 1999 to April 2019"))
+        draft.ask(Question("time.gps_rollovers", asks, candidates, "2"))
 
 
 def _instant(key: str, text: str) -> float:

@@ -1,0 +1,131 @@
+"""The time of a log to be described: its columns, form and instants; what is open is asked, not guessed."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.recordings.describe.columns import read_log
+from magcal_service.recordings.describe.draft import Answers, Draft
+from magcal_service.recordings.describe.layout import find_layout
+from magcal_service.recordings.describe.sample import read_sample
+from magcal_service.recordings.describe.times import Times, find_times
+
+START = datetime.datetime(2025, 7, 14, 22, 59, 50, tzinfo=datetime.UTC)
+STEP_S = 0.5
+ROWS = 200
+
+
+def times_of(header: str, cell: Callable[[int], str], folder: Path, **answers: str) -> tuple[Times | None, Draft]:
+    """The times of a log of whose rows ``cell`` gives the first cells."""
+    log = folder / "log.csv"
+    log.write_text("\n".join([f"{header};mx_nT", *(f"{cell(row)};{row % 7}.5" for row in range(ROWS))]))
+    sample = read_sample(log)
+    given = Answers({f"time.{key}": value for key, value in answers.items()})
+    draft = Draft(read_log(sample, find_layout(sample)), given, folder)
+    return find_times(draft), draft
+
+
+def at(row: int) -> datetime.datetime:
+    return START + datetime.timedelta(seconds=STEP_S * row)
+
+
+def unix(row: int) -> float:
+    return at(row).timestamp()
+
+
+SURE: dict[str, tuple[str, Callable[[int], str], str]] = {
+    "iso": ("time", lambda i: at(i).isoformat(), 'format = "iso8601"'),
+    "unix s": ("unix", lambda i: f"{unix(i):.3f}", 'format = "unix_s"'),
+    "unix ms": ("timestamp", lambda i: f"{unix(i) * 1e3:.0f}", 'format = "unix_ms"'),
+    "unix us": ("t", lambda i: f"{unix(i) * 1e6:.0f}", 'format = "unix_us"'),
+    "unix ns": ("time", lambda i: f"{unix(i) * 1e9:.0f}", 'format = "unix_ns"'),
+    "excel": ("Date/Time", lambda i: f"{unix(i) / 86400 + 25569:.9f}", 'format = "excel_days"'),
+    "julian": ("JD", lambda i: f"{unix(i) / 86400 + 2440587.5:.9f}", 'format = "julian_days"'),
+    "mjd": ("mjd", lambda i: f"{unix(i) / 86400 + 40587:.9f}", 'format = "mjd_days"'),
+    "day first": ("when", lambda i: f"{at(i):%d/%m/%Y %H:%M:%S.%f}", 'pattern = "%d/%m/%Y %H:%M:%S.%f"'),
+    "apart": ("Date;Time", lambda i: f"{at(i):%Y-%m-%d;%H:%M:%S.%f}", 'pattern = "%Y-%m-%d %H:%M:%S.%f"'),
+    "american": ("Date;Time", lambda i: f"{at(2 * i):%m/%d/%Y;%I:%M:%S %p}", 'pattern = "%m/%d/%Y %I:%M:%S %p"'),
+    "month's name": ("time", lambda i: f"{at(2 * i):%d-%b-%Y %H:%M:%S}", 'pattern = "%d-%b-%Y %H:%M:%S"'),
+    "day of year": ("t", lambda i: f"{at(2 * i):%Y-%jT%H:%M:%S}Z", 'pattern = "%Y-%jT%H:%M:%SZ"'),
+    "six columns": (
+        "year;month;day;hour;minute;second",
+        lambda i: f"{at(i):%Y;%m;%d;%H;%M;%S.%f}",
+        'pattern = "%Y %m %d %H %M %S.%f"',
+    ),
+}
+WHOLE_SECONDS = {"american", "month's name", "day of year"}
+"""Forms without a fraction, written every other row's time."""
+
+
+@pytest.mark.parametrize("form", SURE)
+def test_an_instant_is_read_in_any_form(form: str, tmp_path: Path) -> None:
+    header, cell, line = SURE[form]
+    times, draft = times_of(header, cell, tmp_path)
+    assert times is not None
+    assert times.absolute
+    assert line in draft.sections["time"]
+    step = np.median(np.diff(times.seconds))
+    expected = np.array([START.timestamp() + step * row for row in range(ROWS)])
+    np.testing.assert_allclose(times.seconds, expected, atol=1e-3)
+    assert step == pytest.approx(2 * STEP_S if form in WHOLE_SECONDS else STEP_S, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("header", "cell", "line"),
+    [
+        ("millis", lambda i: f"{20 * i + 812}", 'format = "elapsed_ms"'),
+        ("TimeUS", lambda i: f"{20000 * i + 812}", 'format = "elapsed_us"'),
+        ("t", lambda i: f"{0.02 * i - 576459995.027:.3f}", 'format = "elapsed_s"'),
+        ("time_s", lambda i: f"{20 * i}", 'format = "elapsed_s"'),
+    ],
+)
+def test_a_time_since_some_start(header: str, cell: Callable[[int], str], line: str, tmp_path: Path) -> None:
+    times, draft = times_of(header, cell, tmp_path)
+    assert times is not None
+    assert not times.absolute
+    assert line in draft.sections["time"]
+
+
+def test_gps_weeks_are_columns_together(tmp_path: Path) -> None:
+    def cell(row: int) -> str:
+        week, of_week = divmod(unix(row) - 315964800, 604800)
+        return f"{week:.0f};{of_week:.3f}"
+
+    times, draft = times_of("gps_week;tow", cell, tmp_path)
+    assert times is not None
+    assert draft.sections["time"] == ['columns = ["gps_week", "tow"]', 'format = "gps_week_s"']
+    assert times.seconds[7] == pytest.approx(unix(7), abs=1e-3)
+
+
+ASKED: dict[str, tuple[str, Callable[[int], str], str]] = {
+    "20 of what": ("time", lambda i: f"{20 * i}", "time.format"),
+    "unit and numbers differ": ("t_ms", lambda i: f"{0.5 * i}", "time.format"),
+    "day or month": ("when", lambda i: f"05/06/2025 {at(2 * i % 80):%H:%M:%S}", "time.pattern"),
+    "seconds within a minute": ("second", lambda i: f"{at(i).second + at(i).microsecond / 1e6}", "time.rate_hz"),
+    "time of day": ("clock", lambda i: f"{at(i):%H:%M:%S.%f}", "time.rate_hz"),
+    "ten bits of week": ("week;tow", lambda i: f"325;{1000 + i}.0", "time.gps_rollovers"),
+    "none": ("speed", lambda i: f"{i * 37 % 11}.5", "time.rate_hz"),
+}
+
+
+@pytest.mark.parametrize("doubt", ASKED)
+def test_what_leaves_a_doubt_is_asked(doubt: str, tmp_path: Path) -> None:
+    header, cell, key = ASKED[doubt]
+    _, draft = times_of(header, cell, tmp_path)
+    assert [question.key for question in draft.questions] == [key]
+
+
+@pytest.mark.parametrize(
+    ("answers", "seconds"),
+    [({"format": "elapsed_ms"}, 0.02), ({"column": "1", "format": "elapsed_s"}, 20.0), ({"rate_hz": "50"}, 0.02)],
+)
+def test_an_answer_decides(answers: dict[str, str], seconds: float, tmp_path: Path) -> None:
+    times, draft = times_of("time", lambda i: f"{20 * i}", tmp_path, **answers)
+    assert times is not None
+    assert not draft.questions
+    np.testing.assert_allclose(np.diff(times.seconds), seconds)
