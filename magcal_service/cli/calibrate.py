@@ -21,10 +21,13 @@ from magcal_service.cli.common import (
     tell,
     verdict_text,
 )
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
+
+START_HELP = "first seconds that a filter starts from; a log that is no longer is taken as one batch (default: 120)"
 
 
 def add_calibrate(parser: Parser) -> None:
@@ -34,6 +37,8 @@ def add_calibrate(parser: Parser) -> None:
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
     parser.more = methods_text
+    parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
+    parser.add_argument("--start-s", type=float, metavar="S", help=START_HELP)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
     parser.add_argument("--out", type=Path, metavar="DIR", help="several recordings: folder for a result of each")
     add_executor(parser)
@@ -52,12 +57,18 @@ def _calibrate_each(options: argparse.Namespace) -> int:
     if options.json is not None:
         accepted = "a recording's result is in its own folder of --out; leave --json out"
         raise ConfigError([Fault("--json", str(options.json), accepted)])
+    given = {"--config": options.config, "--start-s": options.start_s}
+    accepted = "it goes with one recording, without --out; leave it out"
+    if faults := [Fault(name, str(value), accepted) for name, value in given.items() if value is not None]:
+        raise ConfigError(faults)
     method = find_method(options.method or DEFAULT_METHOD)
     executor = executor_of(options)
     return tell(calibrate_each(options.recordings, method.name, options.craft, options.out, executor, options.source))
 
 
 def _calibrate_one(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
     from magcal_service.config.settings import DEFAULT_METHOD
     from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
@@ -68,10 +79,14 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     if len(options.recordings) != 1:
         raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
     refuse_executor(options, accepted)
-    method = find_method(options.method or DEFAULT_METHOD)
     refuse_unwritable(options.json)
-    recording = read_recording(options.recordings[0], options.craft, source=options.source)
-    result = calibrate(recording, method.name)
+    configured = craft_from(options.config, options.craft, "a calibration")
+    method = options.method and find_method(options.method).name
+    path = options.recordings[0]
+    recording = read_recording(path, craft_to_read(path, options.config, options.craft), source=options.source)
+    if configured is not None and method:
+        configured = replace(configured, filter=replace(configured.filter, method=method))
+    result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s)
     print(
         "\n".join([*source_lines(recording), *recording.report.lines(), *(f"found: {one}" for one in result.findings)])
     )

@@ -11,14 +11,12 @@ from magcal_service.cli.common import (
     DONE,
     NOT_TRUSTED,
     SOURCE_HELP,
-    check_method,
     source_lines,
     verdict_text,
 )
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 
 if TYPE_CHECKING:
-    from magcal_service.config.settings import CraftConfig
     from magcal_service.offline.replay import Replay
     from magcal_service.recordings.recording import Recording
 
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
 def add_replay(parser: argparse.ArgumentParser) -> None:
     """The arguments of ``magcal replay``."""
     parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration of exactly one craft, or of --craft")
+    parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--speed", type=_speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
@@ -45,8 +43,9 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless
 
-    configured = _craft_from(options.config, options.craft)
-    recording = read_recording(options.recording, _craft_to_read(options), source=options.source)
+    configured = craft_from(options.config, options.craft, "a replay")
+    to_read = craft_to_read(options.recording, options.config, options.craft)
+    recording = read_recording(options.recording, to_read, source=options.source)
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
     craft = configured or craft_of(inspection.to_replay)
@@ -77,32 +76,6 @@ def _speed(text: str) -> float:
     if not 0.0 <= value <= 1e6:
         raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 (as fast as it goes) to 1e6 is accepted")
     return value
-
-
-def _craft_from(config: Path | None, name: str | None) -> CraftConfig | None:
-    from magcal_service.config.reader import load_config
-
-    if config is None:
-        return None
-    crafts = load_config(config).crafts
-    known = ", ".join(craft.name for craft in crafts)
-    if len(crafts) > 1 and name is not None:
-        crafts = tuple(craft for craft in crafts if craft.name == name)
-        if not crafts:
-            raise ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])
-    if len(crafts) != 1:
-        accepted = f"a replay takes exactly one [[craft]], or the one that --craft names; known: {known}"
-        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
-    check_method(config, crafts[0].filter.method)
-    return crafts[0]
-
-
-def _craft_to_read(options: argparse.Namespace) -> str | None:
-    """Which craft to read: of a session the one that is named; rows have none to choose, but the configuration may."""
-    from magcal_service.recordings.reader import is_session
-
-    chosen: str | None = options.craft
-    return chosen if options.config is None or is_session(options.recording) else None
 
 
 def _counts(recording: Recording, result: Replay) -> str:

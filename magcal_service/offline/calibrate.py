@@ -16,6 +16,7 @@ from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method, StartGate
 from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, scalar_residual
+from magcal_service.offline import short_log
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
@@ -28,6 +29,9 @@ from magcal_service.recordings.usable import refuse_hopeless
 from magcal_service.residuals import noise_floor, rms
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Verdict
+
+_UNFINISHED: Final = (Reason.NOT_SETTLED, Reason.UNPROTECTED)
+"""Reasons of an estimate that more samples would mend: named after those that they would not."""
 
 _HELD_OUT_BLOCKS: Final = 10  # contiguous, every second one held out: ten minutes each of an orbit
 
@@ -67,6 +71,7 @@ class Calibration(NineErrors):
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     findings: what is wrong with the recording itself.
     protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
+    whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     """
 
     method: str
@@ -83,6 +88,7 @@ class Calibration(NineErrors):
     findings: tuple[Finding, ...] = ()
     protection_nt: float | None = None
     protection_by: str | None = None
+    whole_log: str = ""
 
     @property
     def trusted(self) -> bool:
@@ -92,7 +98,7 @@ class Calibration(NineErrors):
     @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
-        return REMEDIES[self.reasons[0]] if self.reasons else ""
+        return self.whole_log or (REMEDIES[self.reasons[0]] if self.reasons else "")
 
     def to_dict(self) -> dict[str, Any]:
         """What ``calibrate --json`` writes, as plain data."""
@@ -147,7 +153,11 @@ def refuse_without_channel(recording: Recording, method: Method) -> None:
 
 
 def calibrate(
-    recording: Recording | Path | str, method: str = DEFAULT_METHOD, config: CraftConfig | None = None
+    recording: Recording | Path | str,
+    method: str = DEFAULT_METHOD,
+    config: CraftConfig | None = None,
+    *,
+    start_s: float | None = None,
 ) -> Calibration:
     """Run a method over a recording and judge the result on the whole of it.
 
@@ -156,29 +166,42 @@ def calibrate(
     recording: a recording, or the descriptor or session to read one from.
     method: name of an estimator; of a given ``config`` its own.
     config: the craft's configuration; None: as the recording states it.
+    start_s: in place of its ``filter.start_s`` [s].
 
-    Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method.
+    A recording that is no longer than ``start_s`` is taken as one batch (``offline.short_log``).
+
+    Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method or a ``start_s``
+    that no configuration may have.
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
     inspection = inspect(recording)
     usable = inspection.usable
     refuse_hopeless(usable, inspection.lines())
     craft = craft_of(inspection.to_replay, method) if config is None else config
-    refuse_without_channel(recording, find_method(craft.filter.method))
-    result = replay(recording, craft, inspection=inspection)
+    craft = short_log.starting_at(craft, start_s)
+    entry = find_method(craft.filter.method)
+    refuse_without_channel(recording, entry)
+    short = short_log.for_whole(inspection.to_replay, craft) if entry.estimates_matrix else None
+    result = replay(recording, short or craft, inspection=inspection)
     pipeline = result.pipeline
     state = pipeline.estimator.estimate()
     craft = pipeline.config
     residuals = residuals_of(usable, result, craft)
     reasons = list(result.reasons)
     reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]
+    whole = None
+    if short is not None:
+        whole = short_log.judged(usable, craft, state, has_started=result.verdict is not Verdict.NOT_STARTED)
+        reasons = [*whole.doubts, *(reason for reason in reasons if reason not in whole.doubts)]
+        reasons.sort(key=_UNFINISHED.__contains__)
     verdict = result.verdict
-    if verdict in (Verdict.TRUSTED, Verdict.CONVERGING) and Reason.STRUCTURED_RESIDUAL in reasons:
+    doubted = Reason.STRUCTURED_RESIDUAL in reasons or bool(whole and whole.doubts)
+    if verdict in (Verdict.TRUSTED, Verdict.CONVERGING) and doubted:
         verdict = Verdict.DOUBTFUL
     return Calibration(
         method=pipeline.estimator.name,
         x=state.x,
-        covariance=state.covariance,
+        covariance=state.covariance if whole is None else whole.factor * state.covariance,
         verdict=verdict,
         reasons=tuple(reasons),
         samples=len(recording),
@@ -190,6 +213,7 @@ def calibrate(
         findings=inspection.findings,
         protection_nt=pipeline.trust.protection_nt,
         protection_by=pipeline.trust.protection_by,
+        whole_log=whole.remedy if whole is not None and (whole.doubts or verdict is not Verdict.DOUBTFUL) else "",
     )
 
 
