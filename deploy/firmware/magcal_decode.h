@@ -110,7 +110,7 @@ static inline int magcal_finish(magcal_decoder *d, magcal_message *message) {
     }
     if (h[0] != MAGCAL_FRAME_VERSION) return magcal_refuse(d, MAGCAL_REFUSED_UNKNOWN_FRAME_VERSION);
     if (size - around != (h[4] | (size_t)h[5] << 8)) return magcal_refuse(d, MAGCAL_REFUSED_BAD_LENGTH);
-    magcal_count_frame(d, (uint16_t)(h[2] | h[3] << 8));
+    magcal_count_frame(d, (uint16_t)(h[2] | (unsigned)h[3] << 8));
     if (size > d->capacity) {
         d->skipped++;
         return MAGCAL_SKIPPED;

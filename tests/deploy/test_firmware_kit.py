@@ -21,11 +21,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from magcal_service.wire.codec import encode
+from magcal_service.errors import DecodeError
+from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder, pack_frame
 from magcal_service.wire.kinds import FIRST_RESULT, MAX_COUNTERS, kind_of
 from magcal_service.wire.messages import Clock, Command, Estimate, Message, Status, TelemetrySample, Verdict
 from magcal_service.wire.seal import SEALED, seal
+from tests.fuzz.mutate import mutate
 
 ROOT = Path(__file__).parents[2]
 KIT = ROOT / "deploy" / "firmware"
@@ -124,6 +126,29 @@ def test_the_kit_refuses_the_corpus_of_payloads_for_the_daemon_s_reasons(kit):
     expected = {case["why"]: case["reason"] for case in corpus}
     assert dict(zip(expected, told["refused"], strict=True)) == expected
     assert {"not_finite", "bad_text", "unknown_choice", "too_deep"} <= set(expected.values())
+
+
+def _answer(payload: bytes) -> int | str:
+    """The kind of a payload that the daemon accepts, or why it does not."""
+    try:
+        return kind_of(decode(payload)).code
+    except DecodeError as error:
+        return error.reason
+
+
+@needs_cc
+def test_the_kit_accepts_a_changed_payload_where_the_daemon_does(kit):
+    rng, pool = random.Random(1), [golden.payload for golden in cases.GOLDEN]
+    payloads = [mutate(rng, pool, [b"\xc0", b"\xcb", b"\xd9", b"\xdc"])[:10240] for _ in range(3000)]
+    answers = [_answer(payload) for payload in payloads]
+    kinds = [answer if isinstance(answer, int) else 1 for answer in answers]
+    told, _ = run(kit, b"".join(map(pack_frame, kinds, payloads, range(3000))))
+    accepted = [str(answer) for answer in answers if isinstance(answer, int)]
+    assert len(accepted) > 100
+    assert [row.split()[0] for row in told["message"]] == accepted
+    refused = [answer for answer in answers if isinstance(answer, str)]
+    alike = sum(here == there for here, there in zip(told["refused"], refused, strict=True))
+    assert alike > 0.98 * len(refused)  # of two faults in one payload either may be found first
 
 
 ascii_text = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=256)

@@ -172,6 +172,8 @@ static void tell_counts(void) {
 /* Asks until somebody answers: before that, what is sent is lost. */
 static void wait_for_daemon(void) {
     magcal_origin from = {b.options->craft, "board", 0, 0, MAGCAL_CLOCK_ELAPSED};
+    printf("waiting for the daemon\n");
+    fflush(stdout);
     while (b.replies == 0) {
         const int64_t until_ns = port_time_ns() + SECOND_NS;
         send_command("status", &from);
