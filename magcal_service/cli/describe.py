@@ -9,7 +9,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from magcal_service.cli.common import DONE, NOT_TRUSTED, refuse_unwritable
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.describe.describe import Described
@@ -34,8 +34,12 @@ def _describe(options: argparse.Namespace) -> int:
     described = describe(options.log, answers, beside)
     while described.needed and _asks():
         print("\n".join(described.lines()))
-        answers |= _ask(described)
-        described = describe(options.log, answers, beside)
+        given = _ask(described)
+        try:
+            described = describe(options.log, answers | given, beside)
+            answers |= given
+        except InputRefusedError as error:
+            print(error)
     print("\n".join(described.lines()))
     if described.text is None:
         open_keys = ", ".join(question.key for question in described.needed)
@@ -65,13 +69,17 @@ def _asks() -> bool:
 
 
 def _ask(described: Described) -> dict[str, str]:
+    """An answer to each question that needs one; an empty line takes the likeliest candidate where there is one."""
     answers = {}
     for question in described.needed:
-        try:
-            answer = input(f"{question.key} [{question.form}] = ").strip()
-        except EOFError:
-            raise KeyboardInterrupt from None
-        answers[question.key] = answer or question.form
+        likeliest = next((value for value, _ in question.candidates if value == question.form), "")
+        answer = ""
+        while not answer:
+            try:
+                answer = input(f"{question.key} [{likeliest}] = ").strip() or likeliest
+            except EOFError:
+                raise KeyboardInterrupt from None
+        answers[question.key] = answer
     return answers
 
 

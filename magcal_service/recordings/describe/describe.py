@@ -13,7 +13,7 @@ from magcal_service.recordings.describe.draft import Answers, Draft, Question
 from magcal_service.recordings.describe.expected import expected_nt
 from magcal_service.recordings.describe.layout import Layout, find_layout
 from magcal_service.recordings.describe.magnetometer import find_magnetometers
-from magcal_service.recordings.describe.place import find_place
+from magcal_service.recordings.describe.place import Place, find_place
 from magcal_service.recordings.describe.reference import find_reference
 from magcal_service.recordings.describe.sample import read_sample
 from magcal_service.recordings.describe.telemetry import find_channels, left_out
@@ -98,6 +98,7 @@ def _fill(draft: Draft) -> None:
     field = magnetometers[0].field_nt if magnetometers else None
     draft.reserved |= {c.number for one in magnetometers for c in one.triple.columns}
     find_reference(draft, groups, magnetometers, times, place)
+    _leave_out_position(draft, place)
     platform = draft.answers.get("platform.kind")
     if platform is not None:
         draft.put("platform", "kind", platform)
@@ -107,6 +108,16 @@ def _fill(draft: Draft) -> None:
     if rest:
         shown = ", ".join(rest[:_SHOWN]) + (f" and {len(rest) - _SHOWN} more" if len(rest) > _SHOWN else "")
         draft.said.append(f"not described: {shown}; --answer channels.NAME.columns=... takes one up")
+
+
+def _leave_out_position(draft: Draft, place: Place | None) -> None:
+    """A position without its altitude is none to the reader; where the reference does not need it, it may stay out."""
+    pending = {question.key for question in draft.questions if question.needed}
+    if place is None or not place.altitude_open or pending & {"position.altitude_km", "position.altitude.unit"}:
+        return
+    if draft.sections.pop("position", None) is not None:
+        asks = "no column says how high it was, and a position needs that"
+        draft.ask(Question("position.altitude_km", asks, (), "0.2", needed=False))
 
 
 def _delimiter(given: Answers) -> str | None:

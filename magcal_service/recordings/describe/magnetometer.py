@@ -53,7 +53,8 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     if chosen is not None:
         x, y, z = chosen
         triple = Triple((x, y, z), x.stem, x.words)
-        return _put(draft, [_with_unit(draft, triple, model_nt)], answered("magnetometer.columns"))
+        found = _told(draft, [_with_unit(draft, triple, model_nt)])
+        return _put(draft, found, answered("magnetometer.columns"))
     named = [group for group in groups if kind_of_triple(group) is Kind.MAGNETOMETER]
     named = named or _by_file(draft, groups)
     doubted = [group for group in named if {c.number for c in group.columns} & draft.reserved]
@@ -65,7 +66,7 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     if doubted or (draft.doubted and not named):
         _ask_columns(draft, groups, model_nt, "the header seems to name the wrong columns. ")
         return []
-    found = [_with_unit(draft, group, model_nt) for group in named]
+    found = _told(draft, [_with_unit(draft, group, model_nt) for group in named])
     possible = [(group, unit) for group, unit in found if unit.possible]
     if found and not possible:
         return _ask_counts(draft, *found[0])
@@ -86,14 +87,22 @@ def _by_file(draft: Draft, groups: list[Triple]) -> list[Triple]:
     return [group for group in groups if not group.words][:1]
 
 
+def _told(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> list[tuple[Triple, UnitFound]]:
+    """The unit as it was answered; of several groups, for those whose numbers allow it, or for the first."""
+    answer = draft.answers.get("magnetometer.unit")
+    if answer is None or not found:
+        return found
+    if answer not in list(FieldUnit):
+        accepted = f"{' '.join(FieldUnit)} are accepted"
+        raise InputRefusedError([Fault("--answer magnetometer.unit", answer, accepted)])
+    told = UnitFound(answer, True, answered("magnetometer.unit"), (answer,))
+    fits = [answer in unit.possible for _, unit in found]
+    fits[0] = fits[0] or not any(fits)
+    return [(triple, told if fit else unit) for (triple, unit), fit in zip(found, fits, strict=True)]
+
+
 def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tuple[Triple, UnitFound]:
     size = size_of(triple.values)
-    answer = draft.answers.get("magnetometer.unit")
-    if answer is not None:
-        if answer not in list(FieldUnit):
-            accepted = f"{' '.join(FieldUnit)} are accepted"
-            raise InputRefusedError([Fault("--answer magnetometer.unit", answer, accepted)])
-        return triple, UnitFound(answer, True, answered("magnetometer.unit"), (answer,))
     scale = None if model_nt is None else scale_by_model(triple.values, model_nt)
     by_model = unit_by_model(triple.unit, scale)
     said = triple.unit or _unit_by_maker(draft, triple)

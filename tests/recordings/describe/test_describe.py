@@ -138,3 +138,25 @@ def test_a_real_log_is_described_as_by_hand(name: str, tmp_path: Path) -> None:
         left, right = made[section], wanted[section]
         assert (left[channel], key) == (right[channel], key) if channel else (left, key) == (right, key)
     assert made["time"]["format"] == wanted["time"]["format"]
+
+
+def test_an_answered_unit_is_for_the_columns_that_can_have_it(tmp_path: Path) -> None:
+    milligauss, counts = np.round(maker_logs.ground() / 100.0), np.round(maker_logs.ground(seed=9) / 13.0)
+    rows = [f"{0.5 * i},{','.join(f'{v:.0f}' for v in both)}" for i, both in enumerate(np.hstack([milligauss, counts]))]
+    log = tmp_path / "two.csv"
+    log.write_text("\n".join(["t,imu_mx,imu_my,imu_mz,mag_x,mag_y,mag_z", *rows]))
+    result = describe(log, {"magnetometer.unit": "mG", "reference": "49.2 uT"})
+    assert result.text is not None
+    assert 'columns = ["imu_mx", "imu_my", "imu_mz"]\nunit = "mG"' in result.text
+    assert "mag_x" not in result.text
+
+
+def test_a_position_without_its_altitude_stays_out_where_nothing_needs_it(tmp_path: Path) -> None:
+    rows = [f"{0.5 * i},{x:.1f},{y:.1f},{z:.1f},48.1,11.5" for i, (x, y, z) in enumerate(maker_logs.ground())]
+    log = tmp_path / "still.csv"
+    log.write_text("\n".join(["t,mx_nT,my_nT,mz_nT,lat,lon", *rows]))
+    result = described(log, reference="48.2 uT")
+    assert {question.key for question in result.questions} == {"position.altitude_km"}
+    assert result.text is not None
+    assert "[position]" not in result.text
+    assert "altitude_km = 0.5" in (described(log, reference="48.2 uT", position__altitude_km="0.5").text or "")
