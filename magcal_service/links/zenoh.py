@@ -11,6 +11,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -21,8 +22,9 @@ from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
-from magcal_service.links.joining import Joining
+from magcal_service.links.joining import Joining, StreamName
 from magcal_service.links.presence import Presence, PresenceBoard, presence_of
+from magcal_service.links.publishers import ask, stream_of, stream_of_token
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.links.states import BackOff, LinkEvent, LinkLife, LinkState
 from magcal_service.links.zenoh_log import DENIALS, watch
@@ -73,7 +75,7 @@ class ZenohLink(Link):
         )
         self._rate = RateLimit(self._settings.rate, float(self._settings.queue))
         self._board = PresenceBoard(self._count)
-        self._joining = Joining(TURN)
+        self._joining: Joining[zenoh.Sample] = Joining(TURN, self._taken, self.most_sources)
         self._lock = threading.RLock()
         self._life = LinkLife()  # ``up`` and ``down`` count the other ends, see ``_connection``
         self._closed = threading.Event()  # wakes the keeper out of its pause
@@ -124,9 +126,17 @@ class ZenohLink(Link):
     def _poll(self, wait_s: float) -> list[Message]:
         arrived = self._inbox.drain(self._joining.wait_s(time.monotonic(), wait_s))
         now_s = time.monotonic()
-        messages = [message for message in map(self._taken, arrived) if message is not None]
-        passed = [one for one in messages if isinstance(one, Command) or not self._joining.keeps(one, now_s)]
+        passed = [message for sample in arrived if (message := self._passed(sample, now_s)) is not None]
         return [*self._joining.due(now_s), *passed]
+
+    def _passed(self, sample: zenoh.Sample, now_s: float) -> Message | None:
+        """The message of what has arrived, where it needs not wait for what its publisher sends again."""
+        message = self._taken(sample)
+        recovers = self.role is Role.SERVICE and self.history
+        if message is None or isinstance(message, Command) or not recovers or message.craft not in self.crafts:
+            return message
+        found = stream_of(sample)
+        return message if found is None or not self._joining.keeps(*found, message, now_s) else None
 
     def send(self, message: Message) -> None:
         """Put one message; never waits for the other end and never raises.
@@ -250,9 +260,26 @@ class ZenohLink(Link):
                 self._count("up" if up else "down")
 
     def _presence(self, sample: zenoh.Sample) -> None:
-        appeared = self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
-        if self.role is Role.SERVICE and appeared is not None and appeared.role is Role.NODE:
-            self._joining.begin(appeared.craft, time.monotonic())
+        self._board.change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+    def _publisher_seen(self, token: zenoh.Sample) -> None:
+        """A node's publisher appears or is gone: it is asked for its newest messages."""
+        name, session = stream_of_token(token), self._session
+        if name is None or session is None or name.craft not in self.crafts:
+            return
+        if token.kind != zenoh.SampleKind.PUT:
+            self._joining.gone(name)
+        elif self._joining.shown(name, time.monotonic()):
+            ask(session, token.key_expr, self.history, partial(self._sent_again, name), partial(self._asked, name))
+
+    def _sent_again(self, name: StreamName, sample: zenoh.Sample) -> None:
+        found = stream_of(sample)
+        if found is not None and found[0] == name and len(sample.payload) <= MAX_PAYLOAD_BYTES:
+            self._joining.again(*found, sample)
+
+    def _asked(self, name: StreamName) -> None:
+        self._joining.complete(name, time.monotonic())
+        self._inbox.wake()
 
     # The session
 
@@ -297,9 +324,7 @@ class ZenohLink(Link):
 
     def _declare(self, session: zenoh.Session) -> None:
         self._held.append(session.info.declare_transport_events_listener(_direct(self._transport), history=True))
-        if self.role is Role.SERVICE:  # nodes that are present already send missed messages again
-            for craft in self.crafts:
-                self._joining.begin(craft, time.monotonic())
+        if self.role is Role.SERVICE:
             self._prepare(session)
         names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
         if not names or self._settings.listen:  # at a listening end, what is addressed to nobody is counted as well
@@ -326,11 +351,14 @@ class ZenohLink(Link):
             samples = ext.declare_advanced_subscriber(
                 session, f"{name}/sample/**", arrived, recovery=_RECOVERY, history=history
             )
-            return [samples, session.declare_subscriber(f"{name}/command", arrived)]
+            held: list[object] = [samples, session.declare_subscriber(f"{name}/command", arrived)]
+            if history is not None:
+                held.append(samples.detect_publishers(_direct(self._publisher_seen), history=True))
+            return held
         results = ext.declare_advanced_subscriber(
             session, f"{name}/result/**", arrived, recovery=_RECOVERY, history=_history(1)
         )
-        held: list[object] = [results, session.declare_subscriber(f"{name}/reply", arrived)]
+        held = [results, session.declare_subscriber(f"{name}/reply", arrived)]
         if self.role is Role.VIEWER and self._settings.samples:
             held.append(session.declare_subscriber(f"{name}/sample/**", arrived))
         return held

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import takewhile
 
 from magcal_service.links.base import Link
 from magcal_service.links.states import LinkState
@@ -19,8 +20,9 @@ class WindowedLink(Link):
 
     A real magnetometer sends one sample a second and cannot be asked to wait.  A simulated one that sends hundreds
     can, and does: the daemon answers every accepted sample with its calibrated vector, so the samples on the way are
-    those sent after the newest one answered.  A sample overtaken by the answer to a later one was refused or lost; it
-    counts as ``unanswered``, and so does everything on the way when no answer came for ``patience_s``.
+    those sent after the newest one answered.  A sample overtaken by the answer to a later one of its source was
+    refused or lost; it counts as ``unanswered``, and so does everything on the way when no answer came for
+    ``patience_s``.
 
     Parameters
     ----------
@@ -107,10 +109,9 @@ class WindowedLink(Link):
         answered = (answer.craft, answer.source, answer.sequence)
         if answered not in self._on_the_way:
             return
-        while self._on_the_way:
-            oldest = next(iter(self._on_the_way))
-            del self._on_the_way[oldest]
-            if oldest == answered:
-                break
-            self.counters["unanswered"] += 1
+        for before in list(takewhile(lambda one: one != answered, self._on_the_way)):
+            if before[:2] == answered[:2]:  # those of other sources have an order of their own
+                del self._on_the_way[before]
+                self.counters["unanswered"] += 1
+        del self._on_the_way[answered]
         self.counters["answered"] += 1
