@@ -27,6 +27,7 @@ from magcal_service.errors import ConfigError, Fault
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
 
+PRIOR_HELP = "an earlier result of this sensor: the filter goes on from it, without a start of its own"
 START_HELP = "first seconds that a filter starts from; a log that is no longer is taken as one batch (default: 120)"
 
 
@@ -38,6 +39,7 @@ def add_calibrate(parser: Parser) -> None:
     parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
     parser.more = methods_text
     parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
+    parser.add_argument("--prior", type=Path, metavar="RESULT.json", help=PRIOR_HELP)
     parser.add_argument("--start-s", type=float, metavar="S", help=START_HELP)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
     parser.add_argument("--out", type=Path, metavar="DIR", help="several recordings: folder for a result of each")
@@ -57,7 +59,7 @@ def _calibrate_each(options: argparse.Namespace) -> int:
     if options.json is not None:
         accepted = "a recording's result is in its own folder of --out; leave --json out"
         raise ConfigError([Fault("--json", str(options.json), accepted)])
-    given = {"--config": options.config, "--start-s": options.start_s}
+    given = {"--config": options.config, "--prior": options.prior, "--start-s": options.start_s}
     accepted = "it goes with one recording, without --out; leave it out"
     if faults := [Fault(name, str(value), accepted) for name, value in given.items() if value is not None]:
         raise ConfigError(faults)
@@ -86,7 +88,7 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     recording = read_recording(path, craft_to_read(path, options.config, options.craft), source=options.source)
     if configured is not None and method:
         configured = replace(configured, filter=replace(configured.filter, method=method))
-    result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s)
+    result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s, prior=options.prior)
     print(
         "\n".join([*source_lines(recording), *recording.report.lines(), *(f"found: {one}" for one in result.findings)])
     )

@@ -133,6 +133,7 @@ class Method:
     estimates_matrix: whether it estimates D; without, D is zero and its sigma stays the prior's.
     takes_wide_prior: whether it finds errors of tens of percent of the field from a prior as wide; without, the prior
         has to be one that the tangent at zero still fits.
+    takes_prior: whether it can go on from nine errors that are known (``offline.prior``).
     bound: the information set whose Cramer-Rao bound its results are held against.
     """
 
@@ -143,6 +144,7 @@ class Method:
     has_process_noise: bool = True
     estimates_matrix: bool = True
     takes_wide_prior: bool = True
+    takes_prior: bool = False
     bound: InformationSet = InformationSet.SCALAR
 
     def missing(self) -> tuple[str, ...]:

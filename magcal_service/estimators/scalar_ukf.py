@@ -30,4 +30,4 @@ class ScalarUkf(Ukf):
         super().__init__(replace(config, spin=None))
 
 
-METHOD = Method("scalar-ukf", "nine-state UKF with the scalar measurement alone", ScalarUkf)
+METHOD = Method("scalar-ukf", "nine-state UKF with the scalar measurement alone", ScalarUkf, takes_prior=True)

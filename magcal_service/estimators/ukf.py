@@ -153,6 +153,20 @@ class Ukf(Stateful, UkfMemory):
         self.changes = 0
         self._begin()
 
+    def begin_with(self, x: Array, covariance: Array, noise_nt: float) -> None:
+        """Run from now on without a start, from nine errors that are known.
+
+        Parameters
+        ----------
+        x, covariance: state (9,) and covariance (9, 9) [nT, -].
+        noise_nt: of the sensor, 1 sigma per axis [nT]; learnt on from there where the configuration states none.
+        """
+        self.reset()
+        self._x, self._covariance = x.copy(), covariance.copy()
+        self._noise_variance = self._white_variance = max(noise_nt**2, SMALLEST_VARIANCE_NT2)
+        self._noise_samples = _NOISE_MEMORY
+        self._phase = Phase.RUNNING
+
     def _begin(self) -> None:
         """Start collecting; the estimate stays what it was until the new start is accepted."""
         spin = self.config.spin
@@ -345,5 +359,6 @@ METHOD = Method(
     "ukf",
     "nine-state UKF: scalar measurement and two spin pseudo-measurements, in real time",
     Ukf,
+    takes_prior=True,
     bound=InformationSet.SCALAR_SPIN,
 )

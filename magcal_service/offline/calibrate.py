@@ -17,7 +17,9 @@ from magcal_service.estimators.interface import Method, StartGate
 from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, scalar_residual
 from magcal_service.offline import short_log
+from magcal_service.offline.given import Given, read_given
 from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.offline.prior import refuse_unfit
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.recordings.inspect.account import Account
@@ -158,6 +160,7 @@ def calibrate(
     config: CraftConfig | None = None,
     *,
     start_s: float | None = None,
+    prior: Given | Path | None = None,
 ) -> Calibration:
     """Run a method over a recording and judge the result on the whole of it.
 
@@ -167,11 +170,12 @@ def calibrate(
     method: name of an estimator; of a given ``config`` its own.
     config: the craft's configuration; None: as the recording states it.
     start_s: in place of its ``filter.start_s`` [s].
+    prior: an earlier result, or its file, that the filter goes on from; its sigmas count as they are.
 
     A recording that is no longer than ``start_s`` is taken as one batch (``offline.short_log``).
 
     Raises ``RecordingError`` where the recording is refused, ``ConfigError`` for an unknown method or a ``start_s``
-    that no configuration may have.
+    that no configuration may have, ``InputRefusedError`` for a ``prior`` that does not fit (``offline.prior``).
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
     inspection = inspect(recording)
@@ -181,8 +185,13 @@ def calibrate(
     craft = short_log.starting_at(craft, start_s)
     entry = find_method(craft.filter.method)
     refuse_without_channel(recording, entry)
-    short = short_log.for_whole(inspection.to_replay, craft) if entry.estimates_matrix else None
-    result = replay(recording, short or craft, inspection=inspection)
+    prior = read_given(prior) if isinstance(prior, Path) else prior
+    short = None
+    if prior is not None:
+        refuse_unfit(prior, usable, craft)
+    elif entry.estimates_matrix and entry.takes_wide_prior:
+        short = short_log.for_whole(inspection.to_replay, craft)
+    result = replay(recording, short or craft, inspection=inspection, prior=prior)
     pipeline = result.pipeline
     state = pipeline.estimator.estimate()
     craft = pipeline.config

@@ -30,7 +30,9 @@ from magcal_service.daemon.service import Service
 from magcal_service.links.recording import RecordingLink
 from magcal_service.model import Array
 from magcal_service.offline.compensated import EffectAccount
+from magcal_service.offline.given import Given
 from magcal_service.offline.nine_errors import NineErrors
+from magcal_service.offline.prior import go_on
 from magcal_service.offline.published import ObservedPipeline, Published
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
@@ -169,6 +171,7 @@ def replay(
     *,
     as_recorded: bool = False,
     inspection: Inspection | None = None,
+    prior: Given | None = None,
 ) -> Replay:
     """Send a recording through the service, the same way a live link's samples go, but for rows that are none.
 
@@ -180,6 +183,7 @@ def replay(
     csv: where each tick's estimate is written.
     sink: is called with every message that the service publishes.
     inspection: what was found on the recording, where that is known already.
+    prior: nine errors that the estimator goes on from, where ``offline.prior`` lets them pass.
     as_recorded: begin with the state that a session began with, where it is replayed under its own configuration.
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
@@ -202,6 +206,8 @@ def replay(
         checkpoints = Checkpoints(StateConfig(Path(folder)), (craft,)) if _commanded(recording) else None
         service = Service(Config(link.address, (craft,)), link, csv, checkpoints=checkpoints, build=_pipeline)
         remark = _begin_as_recorded(service, recording, craft) if as_recorded else ""
+        if prior is not None:
+            go_on(service.magnetometers[craft.name].heard(recording.source).estimator, prior, craft)
         service.run(threading.Event())
     if service.csv_error is not None:
         raise service.csv_error

@@ -1,5 +1,6 @@
 """Logs shorter than a live start: nine numbers with a sigma that holds, or the one reason why there are none."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,3 +90,37 @@ def test_calibrate_takes_the_craft_of_a_configuration(tmp_path: Path) -> None:
     refused = run("calibrate", log, log, "--config", config, "--out", tmp_path / "out")
     assert (refused.code, refused.out) == (2, "")
     assert "--config" in refused.err
+
+
+def test_a_recording_goes_on_from_an_earlier_result(tmp_path: Path) -> None:
+    """Two minutes after the first minute, each with its own noise: together surer than either, and still right."""
+    first = answered(seconds=110.0)
+    (tmp_path / "first.json").write_text(first.as_json())
+    time_s, field_nt, magnitude_nt = hand_turned(4, seconds=110.0)
+    recording = magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt, noise_nt=100.0)
+    both, alone = calibrate(recording, prior=tmp_path / "first.json"), calibrate(recording)
+    expected = np.linalg.inv(np.linalg.inv(first.covariance) + np.linalg.inv(alone.covariance))
+    assert both.sigma_bias_nt == pytest.approx(np.sqrt(np.diagonal(expected))[:3], rel=0.05)
+    error = both.x - TRUTH
+    assert error @ np.linalg.solve(both.covariance, error) < 23.6
+    changed = magcal.Recording.from_arrays(time_s, field_nt + np.array([3e3, 0.0, 0.0]), magnitude_nt, noise_nt=100.0)
+    assert Reason.RESTARTED in calibrate(changed, prior=tmp_path / "first.json").reasons
+
+
+@pytest.mark.parametrize(
+    ("method", "spoiled", "said"),
+    [
+        ("two-step", {}, "--prior with the method: 'two-step' is refused; scalar-ukf, ukf are accepted"),
+        ("ukf", {"reasons": ["collapsed"]}, "reasons: 'collapsed' is refused; a result that is trusted"),
+        ("ukf", {"covariance": np.eye(9).tolist()}, "1 sigma of a calibrated vector here"),
+    ],
+)
+def test_a_prior_that_does_not_fit_is_refused(
+    tmp_path: Path, method: str, spoiled: dict[str, object], said: str
+) -> None:
+    (tmp_path / "prior.json").write_text(json.dumps({**answered().to_dict(), **spoiled}))
+    (tmp_path / "log.csv").write_text(log_rows(130))
+    (tmp_path / "log.toml").write_text(DESCRIPTOR)
+    refused = run("calibrate", tmp_path / "log.toml", "--method", method, "--prior", tmp_path / "prior.json")
+    assert refused.code == 2
+    assert said in refused.err
