@@ -191,12 +191,17 @@ def toml(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return "".join(one if one.isprintable() else _escaped(one) for one in json.dumps(value, ensure_ascii=False))
     if isinstance(value, list | tuple):
         return f"[{', '.join(toml(one) for one in value)}]"
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_key(key)} = {toml(one)}" for key, one in value.items()) + " }"
     return repr(value)
+
+
+def _escaped(sign: str) -> str:
+    """A sign that a terminal might obey, as TOML writes it."""
+    return f"\\U{ord(sign):08X}"
 
 
 def _key(key: str) -> str:

@@ -13,6 +13,7 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Log, Triple
 from magcal_service.recordings.describe.draft import NO, Draft, Question, answered
 from magcal_service.recordings.describe.kinds import kind_of_triple
+from magcal_service.recordings.describe.orbit_height import orbit_height_km
 from magcal_service.recordings.describe.times import Times
 from magcal_service.recordings.describe.vocabulary import ALTITUDE, LATITUDE, LONGITUDE, Kind, frame_of
 
@@ -25,6 +26,7 @@ _ORBIT_KM_S: Final = (5.6, 8.2)
 _FASTEST_KM_S: Final = 12.0  # nothing near the Earth goes faster
 _AIR_KM_S: Final = 0.6  # and no aircraft than this
 _RADIUS_KM: Final = (6330.0, 60000.0)  # from the polar ice to beyond the geostationary ring
+_LOW_KM: Final = (120.0, 2500.0)  # heights of a low orbit
 _STRIDE: Final = 8  # rows that a speed is taken over
 _NEEDED: Final = 8  # steps that a speed is judged by
 
@@ -120,6 +122,16 @@ def _asked(pair: tuple[Column, Column]) -> Place:
     latitude, longitude = pair
     numbers = (latitude.number, longitude.number)
     return Place(numbers, True, latitude.values, longitude.values, altitude_open=True)
+
+
+def likely_height(place: Place, times: Times | None) -> tuple[tuple[str, str], ...]:
+    """The height [km] that the motion of a craft in orbit speaks for, as a candidate for an answer."""
+    if times is None or not place.in_orbit or place.latitude_deg is None or place.longitude_deg is None:
+        return ()
+    height = orbit_height_km(place.latitude_deg, place.longitude_deg, times.seconds)
+    if height is None or not _LOW_KM[0] < height < _LOW_KM[1]:
+        return ()
+    return ((f"{height:.0f}", "that of a round orbit that moves so"),)
 
 
 def _still(values: FloatArray) -> bool:

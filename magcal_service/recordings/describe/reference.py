@@ -13,7 +13,7 @@ from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.field import Size, find_unit, size_of
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
-from magcal_service.recordings.describe.place import Place
+from magcal_service.recordings.describe.place import Place, likely_height
 from magcal_service.recordings.describe.times import Times
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.units import FIELD_NT, FieldUnit
@@ -46,7 +46,12 @@ def find_reference(
     if _magnitude_in_log(draft, groups, magnetometers, times):
         return
     if place is not None and times is not None and times.absolute:
-        _model(draft, place, "no reference is in the log; its position and its date are, which the field model needs")
+        _model(
+            draft,
+            times,
+            place,
+            "no reference is in the log; its position and its date are, which the field model needs",
+        )
         return
     _ask(draft, times, place)
 
@@ -117,22 +122,18 @@ def _model_by_answer(draft: Draft, times: Times | None, place: Place | None) -> 
         asks = "the field model needs a position; which columns are latitude and longitude (or x, y, z)?"
         draft.ask(Question("position.columns", asks, (), "lat,lon"))
         return True
-    _model(draft, place, answered("reference"))
+    _model(draft, times, place, answered("reference"))
     return True
 
 
-def _model(draft: Draft, place: Place, why: str) -> None:
+def _model(draft: Draft, times: Times | None, place: Place, why: str) -> None:
     draft.put("reference", "model", "igrf")
     draft.conclude("reference.model", "igrf", why)
     pending = {question.key for question in draft.questions}
     if place.altitude_open and "position.altitude.unit" not in pending:
         asks = "how high was it? no column says, and the field falls by a twentieth in 100 km"
-        known = (
-            (("415", "a station's height, for example"),)
-            if place.in_orbit
-            else (("0.2", "metres above the sea / 1000"),)
-        )
-        draft.ask(Question("position.altitude_km", asks, known, known[0][0]))
+        known = likely_height(place, times)
+        draft.ask(Question("position.altitude_km", asks, known, known[0][0] if known else "0.2"))
 
 
 def _vector(draft: Draft, triple: Triple, by: str) -> bool:

@@ -64,6 +64,8 @@ def read_sample(path: Path) -> Sample:
         raise _refused(path, path.suffix, "a raw log is described; magcal calibrate takes this file as it is")
     try:
         size = path.stat().st_size
+        if not path.is_file():
+            raise _refused(path, "no plain file", "give the log itself, a text file of rows")
         pieces, whole = _pieces(path, size)
     except (OSError, EOFError, zlib.error) as exc:
         raise _refused(path, getattr(exc, "strerror", None) or str(exc), "give a readable log") from None

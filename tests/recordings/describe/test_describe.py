@@ -67,6 +67,17 @@ def test_a_header_that_names_the_wrong_columns_is_not_believed(tmp_path: Path) -
     np.testing.assert_allclose(recording.reference.magnitude_nt, flight.magnitude_nt, atol=2.0)
 
 
+def test_the_height_of_an_orbit_is_offered_by_its_motion(tmp_path: Path) -> None:
+    flight = maker_logs.orbit()
+    columns = (flight.time_s, flight.latitude_deg, flight.longitude_deg, *flight.field_nt.T)
+    rows = [",".join(f"{value:.3f}" for value in row) for row in zip(*columns, strict=True)]
+    log = tmp_path / "orbit.csv"
+    log.write_text("\n".join(["unix,lat,lon,mx_nT,my_nT,mz_nT", *rows]))
+    (question,) = describe(log, {}).needed
+    assert question.key == "position.altitude_km"
+    assert float(question.candidates[0][0]) == pytest.approx(500.0, abs=15.0)
+
+
 def test_the_sensor_s_own_length_is_no_reference(tmp_path: Path) -> None:
     result = describe(maker_logs.phone(tmp_path).path, {})
     assert asked(result) == {"reference"}
@@ -160,3 +171,13 @@ def test_a_position_without_its_altitude_stays_out_where_nothing_needs_it(tmp_pa
     assert result.text is not None
     assert "[position]" not in result.text
     assert "altitude_km = 0.5" in (described(log, reference="48.2 uT", position__altitude_km="0.5").text or "")
+
+
+def test_names_that_a_terminal_would_obey_are_escaped_and_found_again(tmp_path: Path) -> None:
+    rows = [f"{0.5 * i},{x:.1f},{y:.1f},{z:.1f}" for i, (x, y, z) in enumerate(maker_logs.ground())]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["t,mag\x9b31m_x_nT,mag\x9b31m_y_nT,mag\x9b31m_z_nT", *rows]), encoding="utf-8")
+    result = described(log, reference="49.2 uT")
+    assert result.text is not None
+    assert all(one.isprintable() for line in [*result.lines(), *result.text.splitlines()] for one in line)
+    assert read(log, result.text).report.used == len(rows)
