@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, refuse_unwritable
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.describe.describe import Described
 
 
-def add_describe(parser: argparse.ArgumentParser) -> None:
+def add_describe(parser: Parser) -> None:
     """The arguments of ``magcal describe``."""
     parser.add_argument("log", type=Path, metavar="LOG", help="a text file of rows, as it was logged")
     parser.add_argument("--out", type=Path, metavar="RECORDING.toml", help="write it here; printed where absent")
     parser.add_argument(
         "--answer", action="append", default=[], metavar="KEY=VALUE", help="the answer to a question; may be repeated"
     )
+    parser.more = _keys_text
     parser.set_defaults(command=_describe)
+
+
+def _keys_text() -> str:
+    """Every key of an answer, for the command's help."""
+    from magcal_service.recordings.describe.draft import KEYS
+
+    keys = textwrap.fill(" ".join((*KEYS, "channels.NAME.KEY")), 78, initial_indent="  ", subsequent_indent="  ")
+    return f"\nkeys of --answer:\n{keys}\n"
 
 
 def _describe(options: argparse.Namespace) -> int:

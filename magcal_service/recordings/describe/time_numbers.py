@@ -36,6 +36,9 @@ _STEP_S: Final = (0.0009, 3700.0)
 
 _FAR_BACK: Final = 0.3  # of all that a column runs through: no row comes that late
 
+_FRACTIONS_S: Final = 2.0
+"""Steps up to here with a fraction are seconds; longer ones may as well be ms with a fraction."""
+
 _USUAL_STEP_S: Final = 0.1  # of a logger: of several readings, the one nearest to it is named first
 
 _CLEAR_STEP_S: Final = (0.0045, 130.0)
@@ -149,7 +152,7 @@ def _elapsed(column: Column, step: float, named: bool) -> list[Form]:
         return [Form((column,), f"elapsed_{unit}", column.values * S[unit], False, why, True, 5)]
     possible = [one for one, factor in S.items() if _CLEAR_STEP_S[0] <= step * factor <= _CLEAR_STEP_S[1]]
     possible = possible or [one for one, factor in S.items() if _STEP_S[0] <= step * factor <= _STEP_S[1]]
-    if not column.whole and "s" in possible and not unit:
+    if not column.whole and step <= _FRACTIONS_S and "s" in possible and not unit:
         possible = ["s"]
     possible.sort(key=lambda one: abs(np.log(step * S[one] / _USUAL_STEP_S)))
     counts = column.whole and _steps_are_one(column.values)

@@ -104,6 +104,7 @@ def test_gps_weeks_are_columns_together(tmp_path: Path) -> None:
 
 ASKED: dict[str, tuple[str, Callable[[int], str], str]] = {
     "20 of what": ("time", lambda i: f"{20 * i}", "time.format"),
+    "20.5 of what": ("time", lambda i: f"{20.5 * i:.1f}", "time.format"),
     "unit and numbers differ": ("t_ms", lambda i: f"{0.5 * i}", "time.format"),
     "day or month": ("when", lambda i: f"05/06/2025 {at(2 * i % 80):%H:%M:%S}", "time.pattern"),
     "seconds within a minute": ("second", lambda i: f"{at(i).second + at(i).microsecond / 1e6}", "time.rate_hz"),
