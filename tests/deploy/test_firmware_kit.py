@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+import re
 import runpy
 import shutil
 import struct
@@ -25,7 +26,16 @@ from magcal_service.errors import DecodeError
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder, pack_frame
 from magcal_service.wire.kinds import FIRST_RESULT, MAX_COUNTERS, kind_of
-from magcal_service.wire.messages import Clock, Command, Estimate, Message, Status, TelemetrySample, Verdict
+from magcal_service.wire.messages import (
+    Clock,
+    Command,
+    CommandReply,
+    Estimate,
+    Message,
+    Status,
+    TelemetrySample,
+    Verdict,
+)
 from magcal_service.wire.seal import SEALED, seal
 from tests.fuzz.mutate import mutate
 
@@ -225,6 +235,17 @@ def test_a_small_board_skips_a_long_status_and_reads_what_follows(kit):
     told, counts = run(kit, encoder.encode(long) + encoder.encode(after), capacity=200)
     assert told["message"] == [shown(after)]
     assert counts == {"frames": 2, "skipped": 1}
+
+
+def test_the_decoder_s_usual_size_holds_the_longest_estimate_and_reply():
+    name, text = "n" * 32, "t" * 512
+    common = {"craft": name, "source": name, "sequence": 2**32 - 1, "time_ns": -(2**63), "clock": Clock.UTC}
+    most = {"tick": 2**53 - 1, "samples_used": 2**53 - 1, "protection_nt": 0.1, "protection_by": name, "remedy": text}
+    numbers = {"bias_nt": (0.1,) * 3, "D": (0.1,) * 6, "covariance": (0.1,) * 45}
+    estimate = Estimate(**common, method=name, verdict=Verdict.DOUBTFUL, reasons=(name,) * 16, **numbers, **most)
+    reply = CommandReply(**common, name=name, command_source=name, command_sequence=2**32 - 1, accepted=True, text=text)
+    held = int(re.findall(r"#define MAGCAL_DECODER_BYTES (\d+)", (KIT / "magcal_decode.h").read_text())[0])
+    assert max(len(encode(estimate)), len(encode(reply))) + 10 <= held
 
 
 @needs_cc

@@ -12,7 +12,7 @@
 #include "world.h"
 
 #define KEPT 512         /* samples whose truth is kept until their vector comes back */
-#define MOST_AHEAD 100   /* samples on the way where the speed is 0 */
+#define MOST_AHEAD 20    /* samples on the way where the speed is 0 */
 #define SECOND_NS INT64_C(1000000000)
 #define PATIENCE_NS (2 * SECOND_NS)
 #define HZ 10
