@@ -15,6 +15,7 @@ from magcal_service.recordings.describe.times import Times
 FloatArray = npt.NDArray[np.float64]
 
 _ROWS: Final = 400  # spread over the sample: enough for a fit, and quick
+_NEAR: Final = 0.05  # of the field: another model or year, and not another frame
 _LOW_ORBIT_KM: Final = 450.0  # taken for a height that is not known: the field changes by a twentieth in 100 km
 
 
@@ -36,6 +37,31 @@ def expected_nt(times: Times | None, place: Place | None) -> FloatArray | None:
     magnitude = np.full(len(times.seconds), np.nan)
     magnitude[good] = np.sqrt((field**2).sum(axis=1))
     return magnitude
+
+
+def frame_of_field(vectors_nt: FloatArray, times: Times | None, place: Place | None) -> str:
+    """The frame in which a reference (n, 3) [nT] is the model's; empty where it is in none, or that cannot be told."""
+    if times is None or place is None or not times.absolute or (position := _ecef_km(times, place)) is None:
+        return ""
+    good = np.flatnonzero(np.isfinite(np.column_stack([position, vectors_nt, times.seconds])).all(axis=1))
+    good = good[:: max(len(good) // _ROWS, 1)]
+    if not len(good):
+        return ""
+    time_ns, position, vectors = (times.seconds[good] * 1e9).astype(np.int64), position[good], vectors_nt[good]
+    try:
+        field = geomagnetic.igrf_ecef_nt(time_ns, position)
+    except MagcalError:
+        return ""
+    latitude, longitude, _ = geomagnetic.geodetic_from_ecef(position)
+    in_frame = {
+        "ecef": field,
+        "eci": geomagnetic.eci_from_ecef(time_ns, field),
+        "ned": geomagnetic.ned_from_ecef(latitude, longitude, field),
+    }
+    off = {frame: float(np.median(np.linalg.norm(one - vectors, axis=1))) for frame, one in in_frame.items()}
+    usual = float(np.median(np.linalg.norm(field, axis=1)))
+    near = [frame for frame, distance in off.items() if distance < _NEAR * usual]
+    return near[0] if len(near) == 1 else ""
 
 
 def _ecef_km(times: Times, place: Place) -> geomagnetic.Floats | None:

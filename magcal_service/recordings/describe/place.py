@@ -13,7 +13,7 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Log, Triple
 from magcal_service.recordings.describe.draft import NO, Draft, Question, answered
 from magcal_service.recordings.describe.kinds import kind_of_triple
-from magcal_service.recordings.describe.orbit_height import orbit_height_km
+from magcal_service.recordings.describe.orbit_motion import frame_of_way, orbit_height_km
 from magcal_service.recordings.describe.times import Times
 from magcal_service.recordings.describe.vocabulary import ALTITUDE, LATITUDE, LONGITUDE, Kind, frame_of
 
@@ -72,8 +72,8 @@ def find_place(draft: Draft, times: Times | None, groups: list[Triple]) -> Place
         return _geodetic(draft, times, chosen[0], chosen[1], answered("position.columns"))
     if chosen is not None:
         x, y, z = chosen
-        return _cartesian(draft, Triple((x, y, z), "", x.words), answered("position.columns"))
-    return _by_names(draft, times) or _cartesian_by_names(draft, groups) or _by_motion(draft, times)
+        return _cartesian(draft, times, Triple((x, y, z), "", x.words), answered("position.columns"))
+    return _by_names(draft, times) or _cartesian_by_names(draft, times, groups) or _by_motion(draft, times)
 
 
 def ground_speed_km_s(latitude_deg: FloatArray, longitude_deg: FloatArray, times: Times, log: Log) -> FloatArray:
@@ -282,11 +282,11 @@ def _number(key: str, text: str) -> float:
     return value
 
 
-def _cartesian_by_names(draft: Draft, groups: list[Triple]) -> Place | None:
+def _cartesian_by_names(draft: Draft, times: Times | None, groups: list[Triple]) -> Place | None:
     for triple in groups:
         kind, unit = kind_of_triple(triple), _cartesian_unit(triple)
         if unit and (kind is Kind.POSITION or (kind is Kind.UNKNOWN and unit == "m")):  # km could be a field in nT
-            return _cartesian(draft, triple, "")
+            return _cartesian(draft, times, triple, "")
     return None
 
 
@@ -303,7 +303,7 @@ def _cartesian_unit(triple: Triple) -> str:
     return units[0] if len(units) == 1 and triple.unit in {"", units[0]} else ""
 
 
-def _cartesian(draft: Draft, triple: Triple, by: str) -> Place | None:
+def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Place | None:
     unit = draft.answers.get("position.unit") or _cartesian_unit(triple)
     radius = float(np.nanmedian(np.sqrt((triple.values**2).sum(axis=1))))
     frame = draft.answers.get("position.frame") or frame_of(triple.words)
@@ -311,6 +311,10 @@ def _cartesian(draft: Draft, triple: Triple, by: str) -> Place | None:
         asks = f"in which unit are {triple.label}? they are {radius:.6g} from the Earth's centre"
         draft.ask(Question("position.unit", asks, (("km", ""), ("m", "")), "km"))
         return None
+    by_way = "" if frame or times is None else frame_of_way(triple.values, times.seconds)
+    if by_way:
+        frame = by_way
+        draft.conclude("position.frame", frame, "the plane of the orbit stands still in it, and turns in the other")
     if not frame:
         asks = f"in which frame are {triple.label}? no name says whether it turns with the Earth"
         candidates = (("ecef", "turns with the Earth, as GPS gives"), ("eci", "inertial, as SGP4 gives"))

@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.expected import frame_of_field
 from magcal_service.recordings.describe.field import Size, find_unit, size_of
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
@@ -41,7 +42,7 @@ def find_reference(
         return
     triples = [g for g in groups if kind_of_triple(g) is Kind.REFERENCE and not {c.number for c in g.columns} & own]
     for triple in triples:
-        if _vector(draft, triple, ""):
+        if _vector(draft, times, place, triple, ""):
             return
     if _magnitude_in_log(draft, groups, magnetometers, times):
         return
@@ -95,7 +96,7 @@ def _by_answer(draft: Draft, times: Times | None, place: Place | None) -> bool:
         size = _size(named[0])
         return _magnitude(draft, named[0], size, answered(key), None)
     x, y, z = named
-    _vector(draft, Triple((x, y, z), x.stem, x.words), answered(key))
+    _vector(draft, times, place, Triple((x, y, z), x.stem, x.words), answered(key))
     return True
 
 
@@ -136,7 +137,7 @@ def _model(draft: Draft, times: Times | None, place: Place, why: str) -> None:
         draft.ask(Question("position.altitude_km", asks, known, known[0][0] if known else "0.2"))
 
 
-def _vector(draft: Draft, triple: Triple, by: str) -> bool:
+def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Triple, by: str) -> bool:
     """A reference vector for each row; false where the numbers are no field."""
     said = draft.answers.get("reference.unit") or triple.unit
     unit = find_unit(size_of(triple.values), said, whole=False)
@@ -147,6 +148,10 @@ def _vector(draft: Draft, triple: Triple, by: str) -> bool:
         asks = f"in which unit is the reference {triple.label}? {unit.why}"
         draft.ask(Question("reference.unit", asks, tuple((one, "") for one in unit.possible), "nT"))
     frame = draft.answers.get("reference.frame") or frame_of(triple.words)
+    if not frame and unit.sure:
+        frame = frame_of_field(triple.values * FIELD_NT[FieldUnit(unit.unit)], times, place)
+        if frame:
+            draft.conclude("reference.frame", frame, "in it, and in no other, they are IGRF's")
     if not frame:
         asks = f"in which frame is the reference {triple.label}? no name says"
         candidates = (("eci", "inertial"), ("ecef", "turns with the Earth"), ("ned", "north, east, down"))

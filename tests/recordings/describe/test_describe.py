@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service.errors import InputRefusedError
+from magcal_service.geomagnetic import eci_from_ecef, igrf_ecef_nt
 from magcal_service.recordings.describe.describe import Described, describe
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -76,6 +77,22 @@ def test_the_height_of_an_orbit_is_offered_by_its_motion(tmp_path: Path) -> None
     (question,) = describe(log, {}).needed
     assert question.key == "position.altitude_km"
     assert float(question.candidates[0][0]) == pytest.approx(500.0, abs=15.0)
+
+
+@pytest.mark.parametrize("frame", ["eci", "ecef"])
+def test_frames_are_told_by_the_orbit_s_plane_and_by_igrf(frame: str, tmp_path: Path) -> None:
+    flight = maker_logs.orbit()
+    time_ns = (flight.time_s * 1e9).astype(np.int64)
+    place, field = flight.ecef_km, igrf_ecef_nt(time_ns, flight.ecef_km)
+    if frame == "eci":
+        place, field = eci_from_ecef(time_ns, place), eci_from_ecef(time_ns, field)
+    columns = (flight.time_s, *place.T, *field.T, *flight.field_nt.T)
+    rows = [",".join(f"{value:.3f}" for value in row) for row in zip(*columns, strict=True)]
+    log = tmp_path / "orbit.csv"
+    log.write_text("\n".join(["unix,x_km,y_km,z_km,ref_x_nT,ref_y_nT,ref_z_nT,mx_nT,my_nT,mz_nT", *rows]))
+    text = describe(log, {}).text or ""
+    assert f'columns = ["x_km", "y_km", "z_km"]\nunit = "km"\nframe = "{frame}"' in text
+    assert f'columns = ["ref_x_nT", "ref_y_nT", "ref_z_nT"]\nunit = "nT"\nframe = "{frame}"' in text
 
 
 def test_the_sensor_s_own_length_is_no_reference(tmp_path: Path) -> None:
