@@ -12,6 +12,7 @@ from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.specs import (
     SESSION_SUFFIX,
     Descriptor,
+    ElementsPosition,
     MagnetometerSpec,
     MagnitudeReference,
     ModelReference,
@@ -31,6 +32,8 @@ _VERSION = 1
 _SESSION_BRINGS = ("time", "reference", "position", "channels", "beside")
 """Sections that a recorded session makes superfluous."""
 
+_NAMES_COLUMNS: Final = ("column", "columns", "magnitude")
+"""Keys that name columns, in every section."""
 
 SAMPLES_IN_MEMORY: Final = "rows.csv"
 """Stands for the file of samples where there is none: rows that a program holds."""
@@ -53,15 +56,19 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
     given: dict[str, Any] = {
         "path": path,
         "samples": path.parent / samples.file,
-        "delimiter": samples.delimiter,
+        "form": samples.form,
+        "joins": samples.joins,
         "craft": samples.craft,
         "max_rows": samples.max_rows,
     }
     if samples.file.lower().endswith(SESSION_SUFFIX):
         given |= _of_session(top)
+    _name_by_number(top, samples)
     descriptor = read_record(top, Descriptor, given)
     _check_model(top, descriptor)
     _check_columns(top, descriptor)
+    _check_elements(top, descriptor)
+    _check_joins(top, descriptor)
     if top.faults:
         raise RecordingError(top.faults)
     return descriptor
@@ -74,6 +81,31 @@ def _list_magnetometers(top: Table) -> None:
     listed = top.content.get("magnetometer")
     if isinstance(listed, list) and listed and all(isinstance(one, dict) for one in listed):
         top.content = {**top.content, "magnetometer": listed[0], "beside": listed[1:]}
+
+
+def _name_by_number(top: Table, samples: SamplesSpec) -> None:
+    """Columns of a log without a header go by number, which is their name from here on."""
+    if not samples.form.header:
+        sections = ("time", "magnetometer", "beside", "reference", "position", "channels")
+        numbered = {name: _numbers_as_names(top.content[name]) for name in sections if name in top.content}
+        top.content = {**top.content, **numbered}
+
+
+def _numbers_as_names(value: Any) -> Any:
+    """A section of the descriptor with whole numbers, where columns are named, as text."""
+    if isinstance(value, list):
+        return [_numbers_as_names(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: _as_name(one) if key in _NAMES_COLUMNS else _numbers_as_names(one) for key, one in value.items()}
+
+
+def _as_name(value: Any) -> Any:
+    if isinstance(value, dict):
+        return _numbers_as_names(value)
+    if isinstance(value, list):
+        return [_as_name(one) for one in value]
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def _of_session(top: Table) -> dict[str, Any]:
@@ -120,6 +152,25 @@ def _check_model(top: Table, descriptor: Descriptor) -> None:
     if not isinstance(descriptor.reference, ModelReference):
         return
     if descriptor.position is None and "position" not in top.content:
-        top.refuse("position", "missing", 'required with model = "igrf"')
+        top.refuse("position", "missing", 'required with model = "igrf"; tle = "FILE" takes element sets of the craft')
     if descriptor.time.clock is not Clock.UTC:
         top.faults.append(Fault(f"{top.file}: time.start", "missing", 'required with elapsed_s and model = "igrf"'))
+
+
+def _check_elements(top: Table, descriptor: Descriptor) -> None:
+    """Elements say where the craft was at a date."""
+    if isinstance(descriptor.position, ElementsPosition) and descriptor.time.clock is not Clock.UTC:
+        top.faults.append(Fault(f"{top.file}: time.start", "missing", "required with elapsed_s and position.tle"))
+
+
+def _check_joins(top: Table, descriptor: Descriptor) -> None:
+    """Rows can be joined by their times where these are of one clock."""
+    for number, join in enumerate(descriptor.joins):
+        if join.time is not None and join.time.clock is not descriptor.time.clock:
+            accepted = (
+                f"times as of the log, {descriptor.time.clock.value}, are accepted; start makes elapsed times UTC"
+            )
+            top.faults.append(Fault(f"{top.file}: samples.join[{number}].time", join.time.clock.value, accepted))
+        if join.time is None and not descriptor.time.named:
+            accepted = "required where the log's own rows come by rate_hz"
+            top.faults.append(Fault(f"{top.file}: samples.join[{number}].time", "missing", accepted))

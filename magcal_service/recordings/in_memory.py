@@ -42,6 +42,10 @@ class DataFrame(Protocol):
         """The column of a name, convertible by ``numpy.asarray``."""
 
 
+_SAMPLES = ("craft", "max_rows")
+"""Keys of ``[samples]`` that mean something where there is no file."""
+
+
 def from_arrays(
     time: npt.ArrayLike,
     B: npt.ArrayLike,
@@ -74,7 +78,6 @@ def from_arrays(
     descriptor = Descriptor(
         path=Path(ARRAYS),
         samples=Path(ARRAYS),
-        delimiter=",",
         time=TimeSpec("time", TimeFormat.UNIX_S if utc else TimeFormat.ELAPSED_S, None),
         magnetometer=MagnetometerSpec((), FieldUnit.NT, noise_nt),
         reference=ConstantReference(float(np.nanmean(reference.magnitude_nt))),
@@ -99,6 +102,10 @@ def from_arrays(
 
 def from_dataframe(frame: DataFrame, tables: Mapping[str, Any]) -> Recording:
     """A recording of a data frame; the parameters are those of ``Recording.from_dataframe``."""
+    unknown = [key for key in tables.get("samples", {}) if key not in _SAMPLES]
+    if unknown:
+        accepted = f"rows in memory have no layout of a file; {nearest(unknown[0], _SAMPLES)}"
+        raise RecordingError([Fault("tables: samples", unknown[0], accepted)])
     content = {"version": 1, **tables, "samples": {**tables.get("samples", {}), "file": SAMPLES_IN_MEMORY}}
     descriptor = descriptor_of(Table(content, "tables", "", []), Path("tables"))
     header = tuple(_names(frame))

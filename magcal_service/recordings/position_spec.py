@@ -1,9 +1,10 @@
-"""``[position]`` of a descriptor: latitude and longitude with an altitude, or three Cartesian columns."""
+"""``[position]`` of a descriptor: latitude and longitude with an altitude, three columns, or a file of element sets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from magcal_service.typed_toml.keys import choice, number, section, text
 from magcal_service.typed_toml.record import Reading, read_record
@@ -12,6 +13,9 @@ from magcal_service.wire.messages import Frame
 
 _GEODETIC = 2  # columns: latitude and longitude
 _CARTESIAN = 3  # columns: x, y, z
+
+DEFAULT_MAX_AGE_DAYS: Final = 3.0
+"""Choice: up to here elements of a low orbit cost about what crust and currents do, which no model has."""
 
 
 class PositionFrame(StrEnum):
@@ -55,12 +59,33 @@ class CartesianPosition:
     frame: Frame = choice(PositionFrame, convert=lambda frame: Frame(frame.value))
 
 
-PositionSpec = GeodeticPosition | CartesianPosition
+@dataclass(frozen=True, slots=True)
+class ElementsPosition:
+    """A file of two-line element sets of the craft; the position is that of the set nearest in time, by SGP4.
+
+    Parameters
+    ----------
+    file: beside the descriptor.
+    max_age_days: rows further from the epoch of every set have no position.
+    """
+
+    file: str = text(accepted="the name of a file of two-line element sets", name="tle")
+    max_age_days: float = number(DEFAULT_MAX_AGE_DAYS, 0.01, 60.0, unit="days")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """None of the log's."""
+        return ()
+
+
+PositionSpec = GeodeticPosition | CartesianPosition | ElementsPosition
 
 
 def read_position(reading: Reading, name: str) -> PositionSpec | None:
     """The position; None where the section is absent or its columns are neither two nor three."""
     table = reading.table.table(name)
+    if table is not None and table.has("tle"):
+        return read_record(table, ElementsPosition)
     columns = None if table is None else table.texts("columns", required=True)
     if table is None or columns is None:
         return None

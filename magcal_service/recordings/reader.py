@@ -9,9 +9,10 @@ import numpy as np
 
 from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.descriptor import load_descriptor
+from magcal_service.recordings.join import join_files
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.report import RowFault, RowReport
-from magcal_service.recordings.row_arrays import RowArrays
+from magcal_service.recordings.row_arrays import RowArrays, columns_of_reference
 from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.specs import (
     DESCRIPTOR_NAME,
@@ -21,7 +22,7 @@ from magcal_service.recordings.specs import (
     Descriptor,
     GeodeticPosition,
     MagnitudeReference,
-    VectorReference,
+    TimeSpec,
 )
 from magcal_service.recordings.table import TextTable, read_table
 from magcal_service.typed_toml import nearest
@@ -99,7 +100,8 @@ def _read_session(
 
 def read_described(descriptor: Descriptor) -> Recording:
     """Read the log in rows of a descriptor that has been loaded; raises as ``read_recording``."""
-    return read_rows(descriptor, read_table(descriptor.samples, descriptor.delimiter, RowLimits(descriptor.max_rows)))
+    table = read_table(descriptor.samples, descriptor.form, RowLimits(descriptor.max_rows))
+    return read_rows(descriptor, join_files(descriptor, table))
 
 
 def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
@@ -110,7 +112,7 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
     field_nt = log.field(descriptor)
     further = {spec.source: log.further(spec) for spec in descriptor.beside}
     log.note_order(time_ns)
-    position = log.position(descriptor.position)
+    position = log.position(descriptor, time_ns)
     reference = log.reference(descriptor.reference, time_ns, position)
     channels = {spec.name: log.channel(spec) for spec in descriptor.channels}
     recording = Recording(
@@ -125,7 +127,7 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
         source=descriptor.magnetometer.source,
         others=tuple(further),
         further=further,
-        report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries)),
+        report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries), tuple(log.remarks)),
         lines=table.lines,
     ).select(log.kept)
     _check_usable(recording)
@@ -134,13 +136,12 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
 
 def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
     """Every column the descriptor names, by the key that names it."""
-    named: dict[str, tuple[str, ...]] = {"time.column": (descriptor.time.column,)} if descriptor.time.column else {}
+    time = descriptor.time
+    named: dict[str, tuple[str, ...]] = {"time.columns" if time.columns else "time.column": time.named}
     named["magnetometer.columns"] = descriptor.magnetometer.columns
     named |= {f"magnetometer.columns of {one.source}": one.columns for one in descriptor.beside}
-    if isinstance(descriptor.reference, VectorReference):
-        named["reference.columns"] = descriptor.reference.columns
-    if isinstance(descriptor.reference, MagnitudeReference):
-        named["reference.magnitude"] = (descriptor.reference.column,)
+    key = "reference.magnitude" if isinstance(descriptor.reference, MagnitudeReference) else "reference.columns"
+    named[key] = columns_of_reference(descriptor.reference)
     if descriptor.position is not None:
         named["position.columns"] = descriptor.position.columns
     if isinstance(descriptor.position, GeodeticPosition) and descriptor.position.altitude is not None:
@@ -156,6 +157,8 @@ def _check_columns(descriptor: Descriptor, table: TextTable) -> None:
             times = table.header.count(column)
             if times != 1:
                 accepted = f"it stands {times} times in the header" if times else nearest(column, set(table.header))
+                if not times and column.isdecimal() and descriptor.form.header:
+                    accepted += "; header = false under [samples] counts columns from 1"
                 problem = f"a column of {descriptor.samples.name} is accepted; {accepted}"
                 faults.append(Fault(f"{descriptor.path.name}: {key}", column, problem))
     if faults:
@@ -176,12 +179,23 @@ def _check_usable(recording: Recording) -> None:
 
 def _guesses(recording: Recording) -> list[str]:
     """What may be meant where most values of a part are beyond anything that it can be: mostly another unit."""
-    kind = recording.descriptor.time.format.kind
     guesses = {
-        "time": f'are the times in ms, us or ns? then write format = "{kind}_ms", "{kind}_us" or "{kind}_ns"',
+        "time": _guess_of_time(recording.descriptor.time),
         "magnetometer": "is the field in another unit? check magnetometer.unit, and that its columns hold the field",
         "position": "is the place in another unit? km and m are accepted",
         "reference": "is its unit, place or year mistaken? check [reference], [position] and [time]",
     }
     absurd = {e.part: e.count for e in recording.report.entries if e.fault is RowFault.ABSURD}
     return [guess for part, guess in guesses.items() if 2 * absurd.get(part, 0) > recording.report.rows]
+
+
+def _guess_of_time(spec: TimeSpec) -> str:
+    kind = spec.format.kind
+    if kind in {"unix", "elapsed"}:
+        return f'are the times in ms, us or ns? then write format = "{kind}_ms", "{kind}_us" or "{kind}_ns"'
+    if kind == "gps":
+        return (
+            "are the weeks counted in ten bits (0 to 1023)? then write gps_rollovers = 2 (weeks from 2019-04-07 to "
+            '2038-11-20) or 1 (from 1999-08-22); is the time of week in ms? then write format = "gps_week_ms"'
+        )
+    return "check the format of the times"

@@ -6,6 +6,17 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
 
+from magcal_service.errors import printable
+
+_SHOWN = 40
+"""Characters of a cell that are shown."""
+
+
+def shown(text: str) -> str:
+    """A cell in quotes: escaped where a terminal might obey it, and cut where it is long."""
+    escaped = printable(text)
+    return f"'{escaped}'" if len(escaped) <= _SHOWN else f"'{escaped[:_SHOWN]}'..."
+
 
 class RowFault(StrEnum):
     """Kinds of fault in a row, a cell or its time."""
@@ -24,6 +35,8 @@ class RowFault(StrEnum):
     OTHER_FORM = "other_form"
     UNKNOWN_UNIT = "unknown_unit"
     NOT_RECORDED = "not_recorded"
+    UNMATCHED = "unmatched"
+    OLD_ELEMENTS = "old_elements"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +52,7 @@ class RowCount:
     first_line: line of the file, or number of the record in a session, from 1, that has it first.
     kept: whether the row is used all the same (without the faulty part).
     place: what ``first_line`` counts.
+    shows: what stands there in place of what was expected, in words; empty where the kind says it all.
     """
 
     part: str
@@ -47,19 +61,25 @@ class RowCount:
     first_line: int
     kept: bool
     place: str = "line"
+    shows: str = ""
 
     def __str__(self) -> str:
         fate = "kept" if self.kept else "refused"
-        return f"{self.part}: {self.fault.value} x {self.count}, first on {self.place} {self.first_line}, {fate}"
+        shows = f" ({self.shows})" if self.shows else ""
+        return f"{self.part}: {self.fault.value} x {self.count}, first on {self.place} {self.first_line}{shows}, {fate}"
 
 
 @dataclass(frozen=True, slots=True)
 class RowReport:
-    """The account of one log: ``rows`` seen, ``used`` of them (read; later steps leave more out), and every fault."""
+    """The account of one log: ``rows`` seen, ``used`` of them (read; later steps leave more out), and every fault.
+
+    ``remarks`` are sentences on what the rows were read with, where that is not in the log alone.
+    """
 
     rows: int
     used: int
     entries: tuple[RowCount, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def refused(self) -> int:
@@ -80,4 +100,4 @@ class RowReport:
 
     def lines(self) -> list[str]:
         """The account in words, one line per kind."""
-        return [f"{self.rows} rows, {self.used} read, {self.refused} refused", *map(str, self.entries)]
+        return [f"{self.rows} rows, {self.used} read, {self.refused} refused", *map(str, self.entries), *self.remarks]

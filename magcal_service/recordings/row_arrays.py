@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial, reduce
+from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Reference
-from magcal_service.recordings.report import RowCount, RowFault
+from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.specs import (
     MAX_FIELD_NT,
     CartesianPosition,
     Descriptor,
+    ElementsPosition,
     GeodeticPosition,
     MagnetometerSpec,
     MagnitudeReference,
     ModelReference,
-    PositionSpec,
     ReferenceSpec,
-    TimeFormat,
     TimeSpec,
     VectorReference,
 )
-from magcal_service.recordings.table import CODE, FAULTS, Codes, FloatArray, IntArray, TextTable, why
-from magcal_service.recordings.timestamps import MAX_TIME_NS, decimal_to_ns, iso8601_to_ns
+from magcal_service.recordings.table import CODE, FAULTS, Codes, FloatArray, IntArray, TextTable, parse_numbers, why
+from magcal_service.recordings.time_cells import time_parser
+from magcal_service.recordings.timestamps import MAX_TIME_NS
 from magcal_service.units import FIELD_NT, LENGTH_KM
 from magcal_service.wire.messages import Frame
 
 _MAX_CHANNEL = 1e18  # as on the wire
 _RADIUS_KM = (6300.0, 1e6)
 """Of a position: from below the Earth's polar radius of 6357 km to beyond the Moon; metres given as km fall outside."""
+
+_DAY_NS = 86_400 * 10**9
+_SHOWN_FAULTS = (RowFault.UNPARSABLE, RowFault.INFINITE, RowFault.ABSURD)
+"""Faults whose first cell is shown; the others say it all."""
 
 
 class RowArrays:
@@ -46,17 +50,39 @@ class RowArrays:
     def __init__(self, table: TextTable) -> None:
         self._table = table
         self.entries: list[RowCount] = list(table.entries)
+        self.remarks: list[str] = []
         self.kept = np.ones(len(table.rows), dtype=np.bool_)
 
-    def _count(self, part: str, codes: Codes, *, kept: bool) -> None:
-        """Count the faults of rows that are still kept; where these rows cannot be used, keep them no longer."""
+    def _count(
+        self, part: str, codes: Codes, columns: tuple[str, ...] = (), *, kept: bool, expects: str = "a number"
+    ) -> None:
+        """Count the faults of rows that are still kept; where these rows cannot be used, keep them no longer.
+
+        ``columns`` hold the part, in cells that should be as ``expects`` says.
+        """
         codes = np.where(self.kept, codes, 0)
         for code in np.unique(codes[codes > 0]):
             rows = np.flatnonzero(codes == code)
             first_line = int(self._table.lines[rows[0]])
-            self.entries.append(RowCount(part, FAULTS[code - 1], len(rows), first_line, kept))
+            shows = self._shows(FAULTS[code - 1], int(rows[0]), columns, expects)
+            self.entries.append(RowCount(part, FAULTS[code - 1], len(rows), first_line, kept, shows=shows))
         if not kept:
             self.kept &= codes == 0
+
+    def _shows(self, fault: RowFault, row: int, columns: tuple[str, ...], expects: str) -> str:
+        """What stands in the cells of a row that has a fault, where that helps to mend it."""
+        if fault not in _SHOWN_FAULTS:
+            return ""
+        cells = {column: self._table.column(column)[row] for column in columns}
+        if fault is RowFault.ABSURD:
+            return " ".join(shown(cell.strip()) for cell in cells.values())
+        if expects != "a number":
+            return f"{shown(' '.join(cell.strip() for cell in cells.values()))} where {expects} is expected"
+        for column, cell in cells.items():
+            if parse_numbers([self._table.plain(cell)])[1][0] == CODE[fault]:
+                comma = " with a decimal comma" if self._table.decimal == "," else ""
+                return f"{shown(cell.strip())} in {column} where {expects}{comma} is expected"
+        return ""
 
     def _vectors(self, columns: tuple[str, ...], factor: float) -> tuple[FloatArray, Codes]:
         """Columns side by side (n, k), NaN in every component of a faulty row, and each row's first fault (n,)."""
@@ -70,8 +96,8 @@ class RowArrays:
         """The time of every row [ns]; rows without one are refused."""
         if spec.rate_hz is not None:
             return self._even_times(spec.start_ns or 0, spec.rate_hz)
-        cells = self._table.column(spec.column)
-        parse = _parser(spec.format)
+        cells = self._cells(spec.named)
+        parse = time_parser(spec, self._table.decimal)
         start_ns = spec.start_ns or 0
         codes = np.zeros(len(cells), dtype=np.uint8)
         time_ns = np.zeros(len(cells), dtype=np.int64)
@@ -83,27 +109,33 @@ class RowArrays:
                 codes[row] = CODE[RowFault.ABSURD]
             else:
                 time_ns[row] = value + start_ns
-        self._count("time", codes, kept=False)
+        self._count("time", codes, spec.named, kept=False, expects=spec.expects)
         return time_ns
+
+    def _cells(self, columns: tuple[str, ...]) -> list[str]:
+        """The cells of a column; of several, with a blank between."""
+        if len(columns) == 1:
+            return self._table.column(columns[0])
+        parts = zip(*(self._table.column(column) for column in columns), strict=True)
+        return [" ".join(cell.strip() for cell in row) for row in parts]
 
     def _even_times(self, start_ns: int, rate_hz: float) -> IntArray:
         """One row after the other, those that were refused for their cells counted too."""
-        lines = self._table.lines
-        since_first = (lines - lines[0]) / rate_hz if len(lines) else np.zeros(0)
+        since_first = self._table.rows_before() / rate_hz
         return start_ns + np.rint(since_first * 1e9).astype(np.int64)
 
     def field(self, descriptor: Descriptor) -> FloatArray:
         """The magnetometer vector of every row [nT]; rows without one, or with one beyond 1 mT, are refused."""
         spec = descriptor.magnetometer
         field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
-        self._count("magnetometer", _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT), kept=False)
+        self._count("magnetometer", _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT), spec.columns, kept=False)
         return field_nt
 
     def further(self, spec: MagnetometerSpec) -> FloatArray:
         """The vector of a further magnetometer (n, 3) [nT], NaN in rows that have none or one beyond 1 mT."""
         field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
         codes = _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT)
-        self._count(spec.source, codes, kept=True)
+        self._count(spec.source, codes, spec.columns, kept=True)
         field_nt[codes > 0] = np.nan
         return field_nt
 
@@ -118,11 +150,15 @@ class RowArrays:
         codes[rows[doubled]] = CODE[RowFault.DOUBLED_TIME]
         self._count("time", codes, kept=True)
 
-    def position(self, spec: PositionSpec | None) -> Position | None:
+    def position(self, descriptor: Descriptor, time_ns: IntArray) -> Position | None:
         """Where the craft was at every row."""
+        spec = descriptor.position
         if spec is None:
             return None
-        if isinstance(spec, CartesianPosition):
+        if isinstance(spec, ElementsPosition):
+            km, codes = self._by_elements(spec, descriptor.beside_it(spec.file), time_ns)
+            frame = Frame.ECI
+        elif isinstance(spec, CartesianPosition):
             km, codes = self._vectors(spec.columns, LENGTH_KM[spec.unit])
             frame = spec.frame
         else:
@@ -131,8 +167,24 @@ class RowArrays:
         radius_km = _length(km)
         codes = _or_absurd(codes, (radius_km < _RADIUS_KM[0]) | (radius_km > _RADIUS_KM[1]))
         km[codes > 0] = np.nan
-        self._count("position", codes, kept=True)
+        self._count("position", codes, spec.columns, kept=True)
         return Position(km, frame)
+
+    def _by_elements(self, spec: ElementsPosition, path: Path, time_ns: IntArray) -> tuple[FloatArray, Codes]:
+        from magcal_service.orbit_elements import read_element_sets
+
+        sets = read_element_sets(path)
+        ages_days = sets.ages_ns(time_ns) / _DAY_NS
+        codes = np.where(ages_days > spec.max_age_days, CODE[RowFault.OLD_ELEMENTS], 0).astype(np.uint8)
+        rows = np.flatnonzero(self.kept & (codes == 0))
+        km = np.full((len(time_ns), 3), np.nan)
+        km[rows] = sets.positions_km(time_ns[rows])
+        codes[rows[np.isnan(km[rows, 0])]] = CODE[RowFault.ABSURD]
+        if len(rows):
+            ages = ages_days[rows]
+            text = f"position: by {len(sets.satellites)} element sets, {np.median(ages):.2g} days from their epoch in"
+            self.remarks.append(f"{text} the middle, {ages.max():.2g} at most")
+        return km, codes
 
     def _geodetic(self, spec: GeodeticPosition) -> tuple[FloatArray, Codes]:
         from magcal_service.geomagnetic import ecef_from_geodetic
@@ -169,7 +221,7 @@ class RowArrays:
         magnitude_nt = np.where(codes > 0, np.nan, magnitude_nt)
         if vector_nt is not None:
             vector_nt[codes > 0] = np.nan
-        self._count("reference", codes, kept=True)
+        self._count("reference", codes, columns_of_reference(spec), kept=True)
         return Reference(magnitude_nt, vector_nt, frame)
 
     def channel(self, spec: ChannelSpec) -> Channel:
@@ -180,13 +232,16 @@ class RowArrays:
         absurd: npt.NDArray[np.bool_] = np.abs(values) > _MAX_CHANNEL
         values[absurd] = np.nan
         first = codes[np.argmax(codes > 0, axis=0), np.arange(codes.shape[1])]
-        self._count(f"channels.{spec.name}", _or_absurd(first, np.any(absurd, axis=1)), kept=True)
+        codes_of_rows = _or_absurd(first, np.any(absurd, axis=1))
+        self._count(f"channels.{spec.name}", codes_of_rows, spec.columns, kept=True)
         return Channel(spec, values)
 
 
-def _parser(form: TimeFormat) -> Callable[[str], int | None]:
-    """What makes nanoseconds of a time cell."""
-    return iso8601_to_ns if form is TimeFormat.ISO8601 else partial(decimal_to_ns, decimals=form.decimals)
+def columns_of_reference(spec: ReferenceSpec) -> tuple[str, ...]:
+    """Columns that hold the reference; none where it is a model or a constant."""
+    if isinstance(spec, VectorReference):
+        return spec.columns
+    return (spec.column,) if isinstance(spec, MagnitudeReference) else ()
 
 
 def _length(vectors: FloatArray) -> FloatArray:

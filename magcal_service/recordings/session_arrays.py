@@ -276,7 +276,6 @@ def _descriptor(
     return Descriptor(
         path=path if given is None else given.path,
         samples=path,
-        delimiter=",",
         time=TimeSpec("timestamp", TimeFormat.UNIX_S if clock is Clock.UTC else TimeFormat.ELAPSED_S),
         magnetometer=MagnetometerSpec(_columns("field_body_nt"), FieldUnit.NT, noise_nt),
         reference=spec,

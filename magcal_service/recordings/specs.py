@@ -12,7 +12,14 @@ from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
 from magcal_service.recordings.defects import Code
-from magcal_service.recordings.position_spec import CartesianPosition, GeodeticPosition, PositionSpec, read_position
+from magcal_service.recordings.join_spec import JoinSpec
+from magcal_service.recordings.position_spec import (
+    CartesianPosition,
+    ElementsPosition,
+    GeodeticPosition,
+    PositionSpec,
+    read_position,
+)
 from magcal_service.recordings.reference_spec import (
     MAX_FIELD_NT,
     ConstantReference,
@@ -23,10 +30,11 @@ from magcal_service.recordings.reference_spec import (
     VectorReference,
     read_reference,
 )
+from magcal_service.recordings.row_form import PLAIN_ROWS, RowForm
 from magcal_service.recordings.row_limits import DEFAULT_MAX_ROWS, HIGHEST_MAX_ROWS
 from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
 from magcal_service.typed_toml.keys import choice, number, section, sections, special, text, texts
-from magcal_service.typed_toml.record import Reading
+from magcal_service.typed_toml.record import Reading, read_part, read_record
 from magcal_service.units import FieldUnit
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
@@ -37,13 +45,16 @@ __all__ = [
     "CartesianPosition",
     "ConstantReference",
     "Descriptor",
+    "ElementsPosition",
     "FieldModel",
     "GeodeticPosition",
+    "JoinSpec",
     "MagnetometerSpec",
     "MagnitudeReference",
     "ModelReference",
     "PositionSpec",
     "ReferenceSpec",
+    "RowForm",
     "SamplesSpec",
     "SpinSpec",
     "TimeFormat",
@@ -59,9 +70,10 @@ DESCRIPTOR_NAME: Final = "RECORDING.toml"
 
 LOG_SUFFIXES: Final = (".csv", ".csv.gz")
 RAW_SUFFIXES: Final = (".txt", ".tsv", ".dat", ".log", ".asc", ".gz")
-"""What else raw logs are called."""
+"""What else raw logs are called; any other name is read as well."""
 
-_DELIMITERS = (",", ";", "\t")
+_NO_LOGS: Final = (".toml", ".parquet", ".xlsx", ".xls", ".ods", ".zip", ".bz2", ".xz", ".zst", ".7z", ".tar", ".pdf")
+"""Files that surely are no text in rows."""
 
 
 class Axis(StrEnum):
@@ -73,8 +85,10 @@ class Axis(StrEnum):
 
 
 def _check_file(reading: Reading, name: str, file: str) -> None:
-    if file and not file.lower().endswith((*LOG_SUFFIXES, SESSION_SUFFIX)):
-        reading.table.refuse(name, file, "a .csv, .csv.gz or .mcap file is accepted")
+    if file.lower().endswith(_NO_LOGS):
+        reading.table.refuse(
+            name, file, "a log in rows (.csv, .txt and the like, or packed as .gz) or a .mcap file is accepted"
+        )
 
 
 def _is_session(reading: Reading) -> bool:
@@ -82,14 +96,20 @@ def _is_session(reading: Reading) -> bool:
     return file.lower().endswith(SESSION_SUFFIX)
 
 
-def _delimiter(reading: Reading, name: str) -> str:
-    """What separates cells; a session has none."""
+def _row_form(reading: Reading, _: str) -> RowForm:
+    """How the rows are laid out; a session has none."""
+    return PLAIN_ROWS if _is_session(reading) else read_part(reading.table, RowForm)
+
+
+def _joins(reading: Reading, name: str) -> tuple[JoinSpec, ...]:
+    """Files that go with the rows; a session has none."""
     if _is_session(reading):
-        return ","
-    delimiter = reading.table.text(name, ",")
-    if delimiter not in _DELIMITERS:
-        reading.table.refuse(name, delimiter, r'"," ";" or "\t" is accepted')
-    return delimiter
+        return ()
+    joins = tuple(read_record(one, JoinSpec) for one in reading.table.tables(name))
+    names = [one.name for one in joins]
+    if len(set(names)) != len(names):
+        reading.table.refuse(name, names, "a name of its own for each joined file is accepted")
+    return joins
 
 
 def _craft(reading: Reading, name: str) -> str | None:
@@ -112,12 +132,13 @@ def _max_rows(reading: Reading, name: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class SamplesSpec:
-    """The log's name beside the descriptor; its rows' delimiter, most and craft, or which craft of a session."""
+    """The log's name beside the descriptor; form, most and craft of its rows, and what is joined to them."""
 
-    file: str = text(accepted="the name of a .csv, .csv.gz or .mcap file", check=_check_file)
-    delimiter: str = special(_delimiter, ",")
+    file: str = text(accepted="the name of a log in rows, or of a .mcap file", check=_check_file)
+    form: RowForm = special(_row_form, PLAIN_ROWS)
     craft: str | None = special(_craft, None)
     max_rows: int = special(_max_rows, DEFAULT_MAX_ROWS)
+    joins: tuple[JoinSpec, ...] = special(_joins, (), name="join")
 
 
 def _source(reading: Reading, name: str) -> str:
@@ -203,7 +224,8 @@ class Descriptor:
     path: the descriptor itself.
     samples: the log it describes, found beside the descriptor.
     beside: further magnetometers of the same craft in the same rows.
-    delimiter: what separates the cells of a row.
+    form: how rows stand in the log.
+    joins: further files, whose rows are joined to the log's by time.
     max_rows: how many rows are read at most.
     craft: whose rows these are, or which craft of a recorded session, where the descriptor names it.
     accepted: likely defects that whoever wrote the descriptor has looked at and found to be none.
@@ -211,7 +233,6 @@ class Descriptor:
 
     path: Path
     samples: Path
-    delimiter: str
     time: TimeSpec = section(TimeSpec)
     magnetometer: MagnetometerSpec = section(MagnetometerSpec)
     reference: ReferenceSpec = special(read_reference)
@@ -223,6 +244,8 @@ class Descriptor:
     accepted: tuple[Code, ...] = special(read_accepted, (), name="inspect")
     beside: tuple[MagnetometerSpec, ...] = sections(MagnetometerSpec)
     max_rows: int = DEFAULT_MAX_ROWS
+    form: RowForm = PLAIN_ROWS
+    joins: tuple[JoinSpec, ...] = ()
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -240,7 +263,14 @@ class Descriptor:
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that a recording comes from."""
-        return self.path, self.samples
+        beside = [join.file for join in self.joins]
+        if isinstance(self.position, ElementsPosition):
+            beside.append(self.position.file)
+        return self.path, self.samples, *map(self.beside_it, beside)
+
+    def beside_it(self, file: str) -> Path:
+        """Where a file lies that the descriptor names."""
+        return self.path.parent / file
 
     @property
     def session(self) -> bool:

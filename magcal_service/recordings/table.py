@@ -1,4 +1,4 @@
-"""A .csv or .csv.gz file as columns of text; rows that cannot be split into cells are counted, never guessed."""
+"""A log in rows, packed or not, as columns of text; rows that cannot be split into cells are counted, never guessed."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ import gzip
 import io
 import re
 import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import Fault, RecordingError
-from magcal_service.recordings.report import RowCount, RowFault
+from magcal_service.recordings.report import RowCount, RowFault, shown
+from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
 from magcal_service.recordings.row_limits import RowLimits
 
 _Stream = io.BufferedReader | gzip.GzipFile
@@ -29,6 +33,9 @@ FAULTS = tuple(RowFault)
 
 CODE = {fault: code for code, fault in enumerate(FAULTS, start=1)}
 
+POINT: Final = str.maketrans(",.", ".,")
+"""Makes a number with a decimal comma one with a point; one with a point is then none, as it may part thousands."""
+
 _ANY_END = re.compile("\r*\n|\r")
 
 _SHOWN = 80  # characters of a header in a fault: one line of a terminal
@@ -41,11 +48,14 @@ class TextTable:
 
     Parameters
     ----------
-    header: the column names, blanks stripped.
+    header: the column names, blanks stripped; the columns' numbers from 1 where the log has none.
     rows: cells as text.
     lines: (n,) line in the file of each row, from 1.
     seen: rows of the file, those that were not split included.
     entries: what was counted on the way.
+    decimal: the sign in numbers with a fraction.
+    comments: lines in the file that are comments, rising.
+    joined: further columns by name, each with a cell for every row.
     """
 
     header: tuple[str, ...]
@@ -53,18 +63,36 @@ class TextTable:
     lines: IntArray
     seen: int
     entries: tuple[RowCount, ...]
+    decimal: str = "."
+    comments: Sequence[int] = ()
+    joined: Mapping[str, list[str]] = field(default_factory=dict)
 
     def column(self, name: str) -> list[str]:
         """All cells of one column."""
+        if name in self.joined:
+            return self.joined[name]
         index = self.header.index(name)
         return [row[index] for row in self.rows]
 
     def numbers(self, name: str) -> tuple[FloatArray, Codes]:
         """One column as numbers (n,), NaN where faulty, and the fault codes (n,)."""
-        return parse_numbers(self.column(name))
+        cells = self.column(name)
+        return parse_numbers(cells if self.decimal == "." else [self.plain(cell) for cell in cells])
+
+    def plain(self, cell: str) -> str:
+        """A cell with a point where it has the log's decimal sign."""
+        return cell if self.decimal == "." else cell.translate(POINT)
+
+    def rows_before(self) -> IntArray:
+        """How many rows stand before each one (n,), those that were refused for their cells counted too."""
+        if not len(self.lines):
+            return self.lines
+        passed = np.searchsorted(np.asarray(self.comments, dtype=np.int64), self.lines)
+        numbers = self.lines - passed
+        return np.asarray(numbers - numbers[0], dtype=np.int64)
 
 
-def read_table(path: Path, delimiter: str = ",", limits: RowLimits | None = None) -> TextTable:
+def read_table(path: Path, form: RowForm = PLAIN_ROWS, limits: RowLimits | None = None) -> TextTable:
     """Read a log; raises ``RecordingError`` where the file cannot be read at all, or is beyond ``limits``.
 
     Each line is one row (a quoted cell may hold the delimiter, not a line break), so that one broken quote spoils
@@ -80,21 +108,46 @@ def read_table(path: Path, delimiter: str = ",", limits: RowLimits | None = None
     limits.check_line(path, max(map(len, lines)))
     if truncated:
         lines = lines[:-1] or [""]  # the last line is cut somewhere within
-    header = tuple(name.strip() for name in _split(lines[0].rstrip("\r"), delimiter) or ())
-    if not any(header):
-        raise RecordingError(
-            [Fault(str(path), lines[0][:_SHOWN], "a header line with the column names must come first")]
-        )
-    rows = len(lines) - 1 if lines[-1].strip() else len(lines) - 2
+    header, first = _header(path, lines, form)
+    rows = len(lines) - first if lines[-1].strip() else len(lines) - first - 1
     limits.check_rows(path, rows)
     limits.check_cells(path, len(header), rows)
-    splitter = _Splitter(delimiter, len(header))
-    for number, line in enumerate(islice(lines, 1, None), start=2):
+    splitter = _Splitter(_splitting(form.delimiter), len(header), form.comment, form.decimal)
+    for number, line in enumerate(islice(lines, first, None), start=first + 1):
         splitter.add(number, line, at_end=number == len(lines))
     if truncated:
         splitter.seen += 1
         splitter.note(RowFault.TRUNCATED_FILE, len(lines) + 1)
     return splitter.table(header)
+
+
+def _header(path: Path, lines: list[str], form: RowForm) -> tuple[tuple[str, ...], int]:
+    """The columns' names, or their numbers, and the index of the first line below."""
+    first = form.skip_lines
+    while form.comment and first < len(lines) and (not lines[first].strip() or _is_comment(lines[first], form)):
+        first += 1
+    if first >= len(lines):
+        accepted = "a file with rows below the lines that are skipped is accepted; check skip_lines under [samples]"
+        raise RecordingError([Fault(str(path), f"{len(lines)} lines", accepted)])
+    split = _splitting(form.delimiter)
+    if not form.header:
+        return tuple(map(str, range(1, _usual_width(lines[first:], form, split) + 1))), first
+    header = tuple(name.strip() for name in split(lines[first].rstrip("\r")) or ())
+    if not any(header):
+        accepted = "a header line with the column names must come first; skip_lines, comment and header = false "
+        accepted += "under [samples] say where there is another, or none"
+        raise RecordingError([Fault(f"{path}: line {first + 1}", lines[first][:_SHOWN], accepted)])
+    return header, first + 1
+
+
+def _is_comment(line: str, form: RowForm) -> bool:
+    return bool(form.comment) and line.lstrip().startswith(form.comment)
+
+
+def _usual_width(lines: list[str], form: RowForm, split: Callable[[str], list[str] | None]) -> int:
+    """How many cells most rows have."""
+    widths = Counter(len(split(line) or ()) for line in lines if line.strip() and not _is_comment(line, form))
+    return widths.most_common(1)[0][0] if widths else 0
 
 
 def _lines(path: Path, text: str, limits: RowLimits) -> list[str]:
@@ -139,52 +192,72 @@ def _read_to_the_end(path: Path, stream: _Stream, limits: RowLimits) -> tuple[by
         limits.check_bytes(path, len(content))
 
 
-def _split(line: str, delimiter: str) -> list[str] | None:
-    """The cells of one line; None where its quotes make no sense."""
-    if '"' not in line:
-        return line.split(delimiter)
+def _splitting(delimiter: str) -> Callable[[str], list[str] | None]:
+    """What makes cells of a line; gives None where the line's quotes make no sense."""
+    if delimiter == WHITESPACE:
+        return _split_blanks
+    return lambda line: line.split(delimiter) if '"' not in line else _split_quoted(line, delimiter)
+
+
+def _split_quoted(line: str, delimiter: str) -> list[str] | None:
     try:
         return next(csv.reader([line], delimiter=delimiter, strict=True))
     except csv.Error:
         return None
 
 
+def _split_blanks(line: str) -> list[str] | None:
+    return line.split() if '"' not in line else _split_quoted(" ".join(line.split()), " ")
+
+
 @dataclass(slots=True)
 class _Splitter:
-    delimiter: str
+    split: Callable[[str], list[str] | None]
     width: int
+    comment: str
+    decimal: str
     rows: list[list[str]] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
+    comments: list[int] = field(default_factory=list)
     seen: int = 0
     faults: dict[RowFault, list[int]] = field(default_factory=dict)
+    shows: dict[RowFault, str] = field(default_factory=dict)
 
-    def note(self, fault: RowFault, number: int) -> None:
-        """Count a fault on a line."""
+    def note(self, fault: RowFault, number: int, shows: str = "") -> None:
+        """Count a fault on a line, and keep what the first such line shows."""
         self.faults.setdefault(fault, []).append(number)
+        self.shows.setdefault(fault, shows)
 
     def add(self, number: int, line: str, *, at_end: bool) -> None:
         """Split one line; the empty rest after the last line break is no line."""
         if at_end and not line.strip():
             return
+        if self.comment and line.lstrip().startswith(self.comment):
+            self.comments.append(number)
+            return
         self.seen += 1
         if not line.strip():
             self.note(RowFault.BLANK_LINE, number)
             return
-        cells = _split(line, self.delimiter)
+        cells = self.split(line)
         if cells is None:
-            self.note(RowFault.UNPARSABLE, number)
+            self.note(RowFault.UNPARSABLE, number, f"{shown(line)}: its quotes do not close")
         elif len(cells) < self.width:
-            self.note(RowFault.SHORT_ROW, number)
+            self.note(RowFault.SHORT_ROW, number, f"{len(cells)} cells where {self.width} are expected")
         elif len(cells) > self.width and any(cell.strip() for cell in cells[self.width :]):
-            self.note(RowFault.LONG_ROW, number)
+            self.note(RowFault.LONG_ROW, number, f"{len(cells)} cells where {self.width} are expected")
         else:
             self.rows.append(cells)
             self.numbers.append(number)
 
     def table(self, header: tuple[str, ...]) -> TextTable:
         """The finished table."""
-        entries = tuple(RowCount("row", kind, len(at), at[0], kept=False) for kind, at in self.faults.items())
-        return TextTable(header, self.rows, np.array(self.numbers, dtype=np.int64), self.seen, entries)
+        entries = tuple(
+            RowCount("row", kind, len(at), at[0], kept=False, shows=self.shows[kind])
+            for kind, at in self.faults.items()
+        )
+        numbers = np.array(self.numbers, dtype=np.int64)
+        return TextTable(header, self.rows, numbers, self.seen, entries, self.decimal, self.comments)
 
 
 def parse_numbers(cells: list[str]) -> tuple[FloatArray, Codes]:

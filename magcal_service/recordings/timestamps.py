@@ -51,6 +51,15 @@ def _any_decimal_to_ns(text: str, decimals: int) -> int | None:
     return int(Decimal(text).scaleb(decimals, _EXACT).to_integral_value(context=_EXACT))
 
 
+def days_to_ns(text: str, epoch: Decimal) -> int | None:
+    """A decimal number of days to the nearest nanosecond since day ``epoch``; None where it is no finite number."""
+    text = text.strip()
+    if len(text) > _MAX_CHARACTERS or not _ANY_DECIMAL.fullmatch(text):
+        return None
+    days = _EXACT.subtract(Decimal(text), epoch)
+    return int(_EXACT.multiply(days, Decimal(86400 * NS_PER_S)).to_integral_value(context=_EXACT))
+
+
 def iso8601_to_ns(text: str) -> int | None:
     """An ISO 8601 instant to nanoseconds since 1970-01-01 UTC; None where it is none.
 

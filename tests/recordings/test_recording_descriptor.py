@@ -165,8 +165,8 @@ REFUSED = {
     ),
     "mcap with a delimiter": (MCAP + 'delimiter = ","\n', "samples.delimiter", "unknown key"),
     "mcap with a unit": (MCAP + '[magnetometer]\nunit = "nT"\n', "magnetometer.unit", "known: noise_nt"),
-    "other file": (descriptor(file="log.xls"), "samples.file", ".csv, .csv.gz or .mcap"),
-    "delimiter": (descriptor().replace("[time]", 'delimiter = "|"\n[time]'), "samples.delimiter", "accepted"),
+    "other file": (descriptor(file="log.xls"), "samples.file", ".csv, .txt and the like"),
+    "delimiter": (descriptor().replace("[time]", 'delimiter = "/"\n[time]'), "samples.delimiter", "accepted"),
     "time format": (descriptor(time=TIME.replace("unix_s", "unix")), "time.format", "did you mean 'unix_s'"),
     "start without elapsed": (descriptor(time=TIME + 'start = "2025-06-01T00:00:00Z"\n'), "time.start", "elapsed_s"),
     "start beside another format": (

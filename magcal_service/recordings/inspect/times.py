@@ -9,7 +9,6 @@ import numpy as np
 
 from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
 from magcal_service.recordings.inspect.log import Log
-from magcal_service.recordings.specs import TimeFormat
 from magcal_service.recordings.timestamps import ns_to_iso8601
 from magcal_service.wire.messages import Clock
 
@@ -24,6 +23,9 @@ _SLOW_S: Final = 300.0
 
 _FAST_S: Final = 1.0 / 600.0
 """Rows this close: faster than magnetometers are logged."""
+
+_IN_PARTS: Final = ("unix", "elapsed")
+"""Kinds of time that are written in s, ms, us or ns."""
 
 _EPOCHS: Final = (
     ("GPS seconds (since 1980-01-06)", 315_964_800),
@@ -67,7 +69,7 @@ def shared_times(log: Log) -> Iterator[Seen]:
 def time_unit(log: Log) -> Iterator[Seen]:
     """The step between rows is none that a magnetometer is logged at; written in another unit it would be."""
     step_s, spec = log.step_s, log.recording.descriptor.time
-    if len(log) < 3 or spec.format is TimeFormat.ISO8601 or _FAST_S < step_s < _SLOW_S or step_s <= 0.0:
+    if len(log) < 3 or spec.format.kind not in _IN_PARTS or _FAST_S < step_s < _SLOW_S or step_s <= 0.0:
         return
     name, factor = _unit(step_s)
     written = f'; is it {name}? then write format = "{spec.format.kind}_{name}"' if name else ""
