@@ -22,6 +22,9 @@ CRAFT: Final = "magcal.craft"
 STATE: Final = "magcal.state"
 DROPPED: Final = "magcal.dropped"
 
+INDEX_ENTRY_BYTES: Final = 16
+"""Of each message in the index behind its chunk: two numbers of 8 bytes, time and place."""
+
 MOST_MISSING: Final = 10**12
 """Messages that a file may say are missing, whatever a damaged or hostile one says: more than any has had."""
 

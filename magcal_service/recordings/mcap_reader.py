@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from magcal_service.errors import ExtraMissingError, Fault, RecordingError
-from magcal_service.recordings.mcap import MAGIC, MOST_MISSING, RawMessage, Topic
+from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
+from magcal_service.recordings.mcap_limits import McapLimits
 
 try:
     import zstandard
@@ -24,11 +25,6 @@ except ImportError as error:
 _LARGEST_RECORD: Final = 1 << 26
 """What a reader takes for a record at most, packed and unpacked: 64 times what the writer makes."""
 
-_UNPACKED_AT_LEAST: Final = 1 << 24  # 16 MiB
-_UNPACKED_TIMES: Final = 256
-"""All chunks together may have so many times the file's bytes and ``_UNPACKED_AT_LEAST``; choice: what the recorder
-writes has 3 to 8 times, a sensor that is stuck included, since each message has 16 bytes in an index."""
-
 _SPOILT: Final = (McapError, zstandard.ZstdError, struct.error, ValueError, OverflowError, KeyError)
 """What the package raises for a record that is none."""
 
@@ -39,7 +35,6 @@ _CHUNK = struct.Struct("<QQQII4sQ")
 
 _ZSTD: Final = b"zstd"
 _INDEX = struct.Struct("<HI")
-_INDEX_ENTRY_BYTES: Final = 16  # two numbers of 8 bytes: time, offset
 _FOOTER_BYTES: Final = 20  # two places of 8 bytes and a checksum
 _CHECKSUM_BYTES: Final = 4  # at the footer's end, not part of what it covers
 
@@ -109,7 +104,7 @@ class McapReader:
         self._read = self._indexed = self._stated = 0  # messages: read, and what indices and sound summaries say
         self._all_stated = True
         self._to_search = _SEARCH_AT_LEAST + _SEARCH_TIMES * self.size
-        self._to_unpack = self._most_unpacked = _UNPACKED_AT_LEAST + _UNPACKED_TIMES * self.size
+        self._limits = McapLimits(name, self.size)
 
     @property
     def sound(self) -> bool:
@@ -148,6 +143,7 @@ class McapReader:
                 continue
             for message in self._unpacked(content) if opcode == Opcode.CHUNK else self._taken(opcode, content):
                 self._read += 1
+                self._limits.check_messages(self._read)
                 yield message
 
     def _top_records(self) -> Iterator[tuple[int, bytes]]:
@@ -161,26 +157,14 @@ class McapReader:
             except _SpoiltError as error:
                 at = self._behind(at, error)
                 continue
-            self._count_unpacked(record)
+            if record.opcode == Opcode.CHUNK:
+                self._limits.count_bytes(len(record.content))
             self.good_bytes += record.end - at
             self._finished = False
             yield record.opcode, record.content
             at = record.end
             if record.opcode == Opcode.FOOTER:
                 at = self._ended(at, record.content)
-
-    def _count_unpacked(self, record: _Record) -> None:
-        """Refuse a file whose chunks have more in them, this one included, than a recording of its size has."""
-        if record.opcode != Opcode.CHUNK:
-            return
-        self._to_unpack -= len(record.content)
-        if self._to_unpack < 0:
-            value = f"{self.size} bytes that unpack to more than {self._most_unpacked}"
-            accepted = (
-                f"at most {_UNPACKED_TIMES} times the file and {_UNPACKED_AT_LEAST} bytes more are accepted, what "
-                "magcal records has 3 to 8 times; do not trust this file, take a copy from where it was recorded"
-            )
-            raise RecordingError([Fault(self.name, value, accepted)])
 
     # What stands at a place
 
@@ -337,7 +321,7 @@ class McapReader:
                 number, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(body)
                 yield RawMessage(self.topics[number], sequence, log_time_ns, publish_time_ns, body[_MESSAGE.size :])
             elif opcode == Opcode.MESSAGE_INDEX:
-                self._indexed += (len(body) - _INDEX.size) // _INDEX_ENTRY_BYTES
+                self._indexed += (len(body) - _INDEX.size) // INDEX_ENTRY_BYTES
             elif opcode == Opcode.STATISTICS:
                 self._summary = body
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.HEADER):
@@ -396,7 +380,7 @@ def _checked(opcode: int, body: bytes) -> bytes:
     """The bytes of a record that is no chunk; raises one of ``_SPOILT`` where the format shows that they are spoilt."""
     if opcode == Opcode.MESSAGE_INDEX:
         length = _INDEX.unpack_from(body)[1]
-        if length != len(body) - _INDEX.size or length % _INDEX_ENTRY_BYTES:
+        if length != len(body) - _INDEX.size or length % INDEX_ENTRY_BYTES:
             raise ValueError("an index of another length")
     elif opcode in _FILLED:
         _filling(_FILLED[Opcode(opcode)], body)

@@ -114,6 +114,7 @@ def kill_often(folder: Path, quick: bool) -> Outcome:
                 node.mark()
                 daemons.kill()
                 daemons.start()
+            feeder.messages = feeder.messages[: feeder.position + 20]  # the kills are over, and so is the flight
             feeder.close_books()
         outcome.fed, outcome.accepted = node.sent, node.counters()["accepted"]
         outcome.used(node.counters())

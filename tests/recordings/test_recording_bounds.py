@@ -15,7 +15,7 @@ import zstandard
 
 from magcal_service.cli.__main__ import main
 from magcal_service.errors import RecordingError
-from magcal_service.recordings import mcap_reader, row_limits
+from magcal_service.recordings import mcap_limits, mcap_reader, row_limits
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
@@ -85,8 +85,8 @@ def test_a_recording_that_unpacks_to_far_more_than_it_is_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each chunk has one record of no known use, 64 KiB of zeros; twelve of them are within the limit, forty not."""
-    monkeypatch.setattr(mcap_reader, "_UNPACKED_AT_LEAST", 1 << 20)
-    monkeypatch.setattr(mcap_reader, "_UNPACKED_TIMES", 1)
+    monkeypatch.setattr(mcap_limits, "_AT_LEAST", 1 << 20)
+    monkeypatch.setattr(mcap_limits, "_TIMES", 1)
     content = struct.pack("<BQ", 0x80, (1 << 16) - 9) + bytes((1 << 16) - 9)
     assert list(McapReader(io.BytesIO(packed(content, 12)), "file").messages()) == []
     path = tmp_path / "bomb.mcap"
@@ -113,3 +113,17 @@ def test_a_chunk_that_says_too_much_or_has_more_than_it_says_is_not_unpacked(mon
         reader = McapReader(io.BytesIO(bytes(changed)), "file")
         assert list(reader.messages()) == []
         assert reader.bad_chunks == 1
+
+
+def test_more_messages_than_the_indices_of_a_file_could_state_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand of no content in one small chunk without an index: the file has room for the index of a few."""
+    channel = struct.pack("<HH", 1, 0) + bytes(12)
+    message = struct.pack("<HIQQ", 1, 0, 1, 1)
+    records = struct.pack("<BQ", 4, len(channel)) + channel
+    records += (struct.pack("<BQ", 5, len(message)) + message) * 1000
+    file = packed(records, 1)
+    assert len(list(McapReader(io.BytesIO(file), "file").messages())) == 1000
+    monkeypatch.setattr(mcap_limits, "_MOST_UNSTATED", 100)
+    most = 100 + len(file) // 16
+    with pytest.raises(RecordingError, match=rf"file.*more than {most} messages in {len(file)} bytes"):
+        list(McapReader(io.BytesIO(file), "file").messages())
