@@ -36,7 +36,7 @@ def asked(result: Described) -> set[str]:
     return {question.key for question in result.needed}
 
 
-@pytest.mark.parametrize("maker", [maker_logs.phone])
+@pytest.mark.parametrize("maker", maker_logs.MAKERS)
 def test_a_maker_s_log_reads_as_it_was_written(maker: Callable[[Path], MakerLog], tmp_path: Path) -> None:
     log = maker(tmp_path)
     assert {key.split(".")[0] for key in asked(describe(log.path, {}))} == {key.split(".")[0] for key in log.answers}
