@@ -71,7 +71,8 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
     else:
         draft.put("time", "columns", names)
     if form.pattern:
-        draft.put("time", "pattern", form.pattern)
+        comma = draft.log.layout.decimal == "," and form.columns[-1].numeric  # a number to us, and text to a pattern
+        draft.put("time", "pattern", form.pattern.replace(".%f", ",%f") if comma else form.pattern)
     else:
         draft.put("time", "format", form.format)
     if form.format.startswith("gps_week"):

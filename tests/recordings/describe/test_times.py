@@ -58,6 +58,11 @@ SURE: dict[str, tuple[str, Callable[[int], str], str]] = {
         'pattern = "%Y %m %d %H %M %S.%f"',
     ),
 }
+SURE["six columns, decimal comma"] = (
+    "year;month;day;hour;minute;second;speed",
+    lambda i: f"{at(i):%Y;%m;%d;%H;%M;%S,%f};2,5",
+    'pattern = "%Y %m %d %H %M %S,%f"',
+)
 WHOLE_SECONDS = {"american", "month's name", "day of year"}
 """Forms without a fraction, written every other row's time."""
 
