@@ -24,7 +24,7 @@ LINE: Final = 69
 """Characters of an element line, the last of them its checksum (NORAD two-line element set format)."""
 
 _NUMBER: Final = slice(2, 7)  # columns 3-7: the craft's catalogue number
-_DAY_NS: Final = 86_400 * 10**9
+_DAY_NS: Final = 86_400 * 10**9  # nanoseconds in a day
 _UNIX_JD: Final = 2440587.5  # Julian date of 1970-01-01T00:00Z
 _MOST_BYTES: Final = 1 << 26  # 64 MiB: element sets of one craft, some a day, for a thousand years
 _SHOWN: Final = 80  # characters of a line in a fault
@@ -45,7 +45,7 @@ def satellite(line1: str, line2: str) -> Any:
     try:
         from sgp4.api import Satrec
     except ImportError:
-        raise ExtraMissingError("sgp4", "sim", "a position from element sets") from None
+        raise ExtraMissingError("sgp4", "sim", "an orbit from element sets") from None
     return Satrec.twoline2rv(line1, line2)
 
 

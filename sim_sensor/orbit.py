@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.orbit_elements import propagate, satellite
 from magcal_service.typed_toml.keys import flag, number
 from magcal_service.typed_toml.record import Reading
 
@@ -22,7 +23,6 @@ Times = npt.NDArray[np.int64]
 EARTH_GM_KM3_S2 = 398600.4418  # WGS84
 EARTH_RADIUS_KM = 6378.137  # WGS84 equatorial
 EARTH_J2 = 1.08262668e-3  # EGM96
-_UNIX_JD = 2440587.5  # Julian date of 1970-01-01T00:00 UTC
 DAY_NS = 86400 * 10**9  # nanoseconds in a day
 _LOWEST_PERIGEE_KM = 100.0
 """The edge of space by convention; an orbit that dips below is over within a turn."""
@@ -151,18 +151,13 @@ class Sgp4Orbit:
     line2: str
 
     def _state(self, times_utc_ns: Times) -> tuple[Floats, Floats]:
-        try:
-            from sgp4.api import SGP4_ERRORS, Satrec
-        except ImportError:
-            raise ExtraMissingError("sgp4", "sim", "an orbit from an element set") from None
-        times = np.asarray(times_utc_ns, dtype=np.int64)
-        days, rest_ns = np.divmod(times, DAY_NS)
-        satellite = Satrec.twoline2rv(self.line1, self.line2)
-        codes, position, velocity = satellite.sgp4_array(days + _UNIX_JD, rest_ns / DAY_NS)
+        codes, position, velocity = propagate(satellite(self.line1, self.line2), times_utc_ns)
         if np.any(codes):
+            from sgp4.api import SGP4_ERRORS
+
             said = SGP4_ERRORS[int(codes[codes != 0][0])]
             raise InputRefusedError([Fault("orbit.tle", self.line1, f"SGP4 cannot propagate it: {said}")])
-        return np.asarray(position), np.asarray(velocity)
+        return position, velocity
 
     def position_eci_km(self, times_utc_ns: Times) -> Floats:
         """See ``Orbit``; raises InputRefusedError where SGP4 reports an error such as decay."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_service.errors import MagcalError
+from magcal_service.orbit_elements import LINE, is_element_line
 from magcal_service.typed_toml import Table
 from magcal_service.typed_toml.record import Reading, read_record
 from sim_sensor.orbit import EARTH_RADIUS_KM, KeplerOrbit, Sgp4Orbit
-
-_LINE = 69
-"""Characters of an element line, the last of them its checksum (NORAD two-line element set format)."""
 
 
 def orbit_section(reading: Reading, name: str) -> KeplerOrbit | Sgp4Orbit:
@@ -26,9 +24,9 @@ def orbit_section(reading: Reading, name: str) -> KeplerOrbit | Sgp4Orbit:
 
 def _sgp4(table: Table, line1: str, line2: str, start_ns: int) -> Sgp4Orbit:
     orbit = Sgp4Orbit(line1, line2)
-    for line, begins in ((line1, "1 "), (line2, "2 ")):
-        if not (line.startswith(begins) and len(line) == _LINE and line.isascii() and _checksum(line) == line[-1]):
-            table.refuse("tle", line, f"an element line of 69 characters that begins {begins!r}, checksum right")
+    for number, line in enumerate((line1, line2), start=1):
+        if not is_element_line(line, number):
+            table.refuse("tle", line, f"an element line of {LINE} characters that begins '{number} ', checksum right")
             return orbit
     try:
         radius_km = float(np.linalg.norm(orbit.position_eci_km(np.array([start_ns], dtype=np.int64))))
@@ -40,8 +38,3 @@ def _sgp4(table: Table, line1: str, line2: str, start_ns: int) -> Sgp4Orbit:
             "tle", line1, f"at the start it is {radius_km:.0f} km from the centre; use elements near the start"
         )
     return orbit
-
-
-def _checksum(line: str) -> str:
-    """Sum of the digits, a minus counting 1, modulo 10."""
-    return str(sum(int(c) if c.isdigit() else c == "-" for c in line[: _LINE - 1]) % 10)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from shlex import quote
+from typing import Final
 
 import numpy as np
 
@@ -26,6 +28,9 @@ from magcal_service.recordings.specs import (
 )
 from magcal_service.recordings.table import TextTable, read_table
 from magcal_service.typed_toml import nearest
+
+_HEAD_BYTES: Final = 1 << 16  # far more than stands above the first section of a descriptor
+_OF_A_DESCRIPTOR: Final = re.compile(rb"^\s*(version\s*=|\[samples\])", re.MULTILINE)
 
 
 def read_recording(
@@ -79,13 +84,25 @@ def _refuse_undescribed(path: Path) -> None:
         if (path / DESCRIPTOR_NAME).is_file():
             accepted += f": {path / DESCRIPTOR_NAME}"
         raise RecordingError([Fault(str(path), "a folder", accepted)])
-    if path.name.lower().endswith((*LOG_SUFFIXES, *RAW_SUFFIXES)):
+    if path.name.lower().endswith((*LOG_SUFFIXES, *RAW_SUFFIXES)) or _is_rows(path):
         accepted = (
             f"a log is read by its description; magcal describe {quote(str(path))} --out "
             f"{quote(str(path.parent / DESCRIPTOR_NAME))} makes one "
             "(docs/describe.md), and give that"
         )
         raise RecordingError([Fault(str(path), "a log without its description", accepted)])
+
+
+def _is_rows(path: Path) -> bool:
+    """Whether a file of another name than a descriptor's begins as a log does: with no line of a descriptor."""
+    if path.suffix.lower() == ".toml":
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return False  # said where it is opened
+    return bool(head.strip()) and not _OF_A_DESCRIPTOR.search(head)
 
 
 def _read_session(

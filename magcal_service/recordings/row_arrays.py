@@ -34,7 +34,7 @@ _MAX_CHANNEL = 1e18  # as on the wire
 _RADIUS_KM = (6300.0, 1e6)
 """Of a position: from below the Earth's polar radius of 6357 km to beyond the Moon; metres given as km fall outside."""
 
-_DAY_NS = 86_400 * 10**9
+_DAY_NS = 86_400 * 10**9  # nanoseconds in a day
 _SHOWN_FAULTS = (RowFault.UNPARSABLE, RowFault.INFINITE, RowFault.ABSURD)
 """Faults whose first cell is shown; the others say it all."""
 

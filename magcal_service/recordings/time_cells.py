@@ -16,7 +16,7 @@ Parser = Callable[[str], int | None]
 """From the text of a cell, or of several with a blank between, to ns; None where it is no time."""
 
 _DAY_S: Final = 86400  # seconds in a day
-_WEEK_NS: Final = 7 * _DAY_S * NS_PER_S
+_WEEK_NS: Final = 7 * _DAY_S * NS_PER_S  # nanoseconds in a week
 _GPS_EPOCH_NS: Final = 315_964_800 * NS_PER_S  # 1980-01-06T00:00:00Z
 _WEEKS: Final = 1024  # a week counted in ten bits begins again after as many
 _FAR: Final = MAX_TIME_NS + 1

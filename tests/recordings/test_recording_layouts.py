@@ -125,6 +125,19 @@ def test_a_layout_that_cannot_be_is_refused(tmp_path: Path, case: str) -> None:
         read(tmp_path, "t,x,y,z\n0,1,2,3\n", samples, rest)
 
 
+@pytest.mark.parametrize("name", ["MAG00017", "flight.bin", "a b.TXT"])
+def test_a_log_in_place_of_its_description_is_sent_to_what_makes_one(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("t,x,y,z\n0,1,2,3\n")
+    with pytest.raises(RecordingError, match=r"log without its description.*magcal describe .* --out .*RECORDING.toml"):
+        read_recording(tmp_path / name)
+
+
+def test_a_description_under_any_name_is_read(tmp_path: Path) -> None:
+    read(tmp_path, "t,x,y,z\n0,1,2,3\n", "", BY_NAME)
+    (tmp_path / "described").write_text("# a log\n\n" + (tmp_path / "r.toml").read_text())
+    assert len(read_recording(tmp_path / "described")) == 1
+
+
 def test_rows_in_memory_have_no_layout() -> None:
     with pytest.raises(RecordingError, match="samples: 'decimal' is refused"):
         from_dataframe({"t": np.arange(2)}, {"samples": {"decimal": ","}})
