@@ -18,6 +18,7 @@ from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.export import add_export
 from magcal_service.cli.inspect import add_inspect
+from magcal_service.cli.plot import add_plot
 from magcal_service.cli.record import add_record
 from magcal_service.cli.replay import add_replay
 from magcal_service.cli.run import add_run
@@ -62,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
     add_apply(commands.add_parser("apply", help="the calibrated vectors of a recording, by a result that is given"))
     add_export(commands.add_parser("export", help="the nine numbers of a result for flight software"))
+    add_plot(commands.add_parser("plot", help="a figure for a paper: of a recording, a result, a diagnosis or a study"))
     add_study(
         commands.add_parser(
             "study", help="Monte-Carlo studies of the estimators, and real recordings held against what is known"

@@ -32,6 +32,12 @@ _FEWEST_INDEPENDENT: Final = 30.0
 _NOISE_SHARE: Final = 0.05
 """Residual over |H| beyond which the covariance is no longer consistent ([noise](methods.md#noise))."""
 
+_AGREE: Final = 1.3
+"""Sum of correlations beyond which neighbours agree: white noise of 600 samples reaches 1.2 once in forty logs."""
+
+_BANDS: Final = (6, 12, 24)
+"""Lowest frequencies over which power is averaged [bins]: of a minute those below 0.1, 0.2 and 0.4 Hz, hand turns."""
+
 
 @dataclass(frozen=True, slots=True)
 class Whole:
@@ -123,8 +129,9 @@ def spread(residual_nt: Array, noise_nt: float | None) -> tuple[float, float]:
     noise_nt: that its covariance assumes, where it was stated [nT]; None: it assumes the residual's own level.
 
     The variance of a mean of neighbours that agree is 1 + 2 (sum of their correlations) times that of white noise; the
-    sum ends at the first correlation that chance would give.  Nine numbers fitted to few independent samples n leave
-    too small a residual, put right by n / (n - 9).
+    sum ends at the first correlation that chance would give.  Where it shows that they agree, it ends too early by the
+    tail that chance hides, and the power at the lowest frequencies over that of all counts instead, the largest of some
+    bands.  Nine numbers fitted to few independent samples n leave too small a residual, put right by n / (n - 9).
     """
     count = len(residual_nt)
     spectrum = np.abs(np.fft.rfft(residual_nt - residual_nt.mean(), 2 * count)) ** 2
@@ -132,6 +139,9 @@ def spread(residual_nt: Array, noise_nt: float | None) -> tuple[float, float]:
     correlation = correlation / max(float(correlation[0]), 1e-300)
     chance = np.flatnonzero(correlation < 2.0 / count**0.5)
     together = 1.0 + 2.0 * float(correlation[1 : int(chance[0]) if chance.size else count].sum())
+    if together > _AGREE:
+        power = spectrum[2::2] / max(float(spectrum[2::2].mean()), 1e-300)  # without the bins between, of the padding
+        together = max(together, *(float(power[:band].mean()) for band in _BANDS))
     independent = count / together
     factor = together * independent / max(independent - STATE_SIZE, 1.0)
     if noise_nt is not None:

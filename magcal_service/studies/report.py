@@ -119,7 +119,11 @@ class Report:
                     "title": panel.title,
                     "x": panel.x_label,
                     "y": panel.y_label,
-                    "lines": [{"label": line.label, "x": line.x, "y": line.y} for line in panel.lines],
+                    "log_x": panel.log_x,
+                    "log_y": panel.log_y,
+                    "lines": [
+                        {"label": line.label, "x": line.x, "y": line.y, "limit": line.limit} for line in panel.lines
+                    ],
                 }
                 for panel in findings.panels
             ],

@@ -26,9 +26,12 @@ def main() -> None:
     """Print a row for each case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=200)
-    runs = parser.parse_args().runs
+    parser.add_argument("--only", default="", help="cases whose names hold this")
+    options = parser.parse_args()
     for name, (log, stated) in CASES.items():
-        print(row(name, log, runs, stated=stated), flush=True)
+        if options.only not in name:
+            continue
+        print(row(name, log, options.runs, stated=stated), flush=True)
 
 
 def row(name: str, log: dict[str, float], runs: int, *, stated: bool) -> str:

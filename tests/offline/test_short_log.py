@@ -59,8 +59,8 @@ def coloured(memory: float) -> Array:
 
 @pytest.mark.parametrize(("memory", "factor"), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])
 def test_neighbours_that_agree_widen_the_covariance(memory: float, factor: float) -> None:
-    """The variance of the mean of a first-order process is (1 + m) / (1 - m) times that of white noise."""
-    assert spread(coloured(memory), None)[0] == pytest.approx(factor, rel=0.15)
+    """The variance of the mean of a first-order process is (1 + m) / (1 - m) times that of white noise; never less."""
+    assert 0.97 * factor < spread(coloured(memory), None)[0] < 1.6 * factor
 
 
 def test_a_residual_above_the_stated_noise_widens_the_covariance() -> None:

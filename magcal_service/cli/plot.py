@@ -1,0 +1,32 @@
+"""``magcal plot``: a figure for a paper."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from magcal_service.cli.common import CRAFT_HELP, DONE, SOURCE_HELP, refuse_unwritable
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal plot``."""
+    parser.add_argument("input", type=Path, metavar="RECORDING.toml|FILE.mcap|RESULT.json")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="figure to write: .svg, .pdf or .png")
+    names = "of a recording: before-after (default), errors, track or spectrum"
+    parser.add_argument("--figure", metavar="NAME", help=names)
+    given = "of a recording: show this result on it, in place of a replay"
+    parser.add_argument("--with", dest="given", type=Path, metavar="RESULT.json", help=given)
+    parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
+    parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
+    parser.set_defaults(command=_plot)
+
+
+def _plot(options: argparse.Namespace) -> int:
+    from magcal_service.plots.paper import refuse_suffix, save
+    from magcal_service.plots.plot import sheet_of
+
+    refuse_suffix(options.out)
+    refuse_unwritable(options.out)
+    save(sheet_of(options.input, options.figure, options.given, options.craft, options.source), options.out)
+    print(f"written: {options.out}")
+    return DONE

@@ -1,0 +1,1 @@
+"""Figures for a paper (``magcal plot``, extra ``view``): of a recording, a result, a diagnosis or a study."""

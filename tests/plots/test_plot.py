@@ -1,0 +1,93 @@
+"""Figures show the numbers of what they are made of, and files that cannot be shown are refused in a line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magcal_service as magcal
+from magcal_service.plots.of_recording import before_after, errors, shown, spectrum
+from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_study
+from magcal_service.plots.paper import Sheet, save
+from magcal_service.offline.given import read_given
+from tests.cli.cli_inputs import DESCRIPTOR, log_rows, run
+from tests.offline.hand_turned import TRUTH, hand_turned
+
+figure = pytest.importorskip("matplotlib.figure")
+
+
+def drawn(sheet: Sheet):  # type: ignore[no-untyped-def]
+    """The axes of a figure, by what they are titled or labelled."""
+    made = figure.Figure()
+    sheet.draw(made)
+    return made.axes
+
+
+def test_a_recording_is_shown_before_and_after(tmp_path: Path) -> None:
+    time_s, field_nt, magnitude_nt = hand_turned(3, seconds=140.0)
+    recording = magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt, noise_nt=100.0, spin_rpm=6.0)
+    of = shown(recording, None)
+    upper, lower = drawn(before_after(of))
+    assert np.median(np.asarray(upper.collections[1].get_offsets())[:, 1]) == pytest.approx(48.5, abs=0.05)
+    assert lower.get_title().endswith(" nT after")
+    nine = drawn(errors(of))
+    assert [axes.get_title() for axes in nine[:4]] == ["bx [nT]", "by [nT]", "bz [nT]", "D11 [1e-3]"]
+    assert nine[0].lines[0].get_ydata()[-1] == 0.0
+    (axes,) = drawn(spectrum(of))
+    assert [line.get_xdata()[0] for line in axes.lines[2:]] == pytest.approx([0.1, 0.2])
+
+
+def test_a_result_is_shown_on_a_recording_and_by_itself(tmp_path: Path) -> None:
+    time_s, field_nt, magnitude_nt = hand_turned(3)
+    recording = magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt, noise_nt=100.0)
+    (tmp_path / "result.json").write_text(magcal.calibrate(recording).as_json())
+    given = read_given(tmp_path / "result.json")
+    assert "nT rms before, 10" in drawn(before_after(shown(recording, given)))[1].get_title()
+    bias, _, levels = drawn(of_calibration(json.loads((tmp_path / "result.json").read_text()), given))
+    assert bias.lines[0].get_ydata() == pytest.approx(TRUTH[:3], abs=100.0)
+    assert levels.patches[1].get_height() == pytest.approx(100.0, rel=0.1)
+
+
+def test_a_diagnosis_and_a_study_are_shown() -> None:
+    effect = {"effect": "thermal_bias", "probability": 0.998, "where": {"share_of_mismatch": 0.93}}
+    fit = {"noise_floor_nt": 300.0, "held_out_rms_nt": {"recalibrated": 318.4, "with_effects": 300.6}}
+    held, share = drawn(of_diagnosis({"fit": fit, "effects": [effect]}))
+    assert [bar.get_height() for bar in held.patches] == [318.4, 300.6]
+    assert share.patches[0].get_width() == pytest.approx(93.0)
+    lines = [{"label": "ukf", "x": [1, 2], "y": [3.0, None], "limit": False}]
+    lines.append({"label": "least", "x": [1, 2], "y": [2.0, 1.0], "limit": True})
+    panel = {"title": "bx", "x": "time [s]", "y": "3 sigma [nT]", "log_x": False, "log_y": True, "lines": lines}
+    (axes,) = drawn(of_study({"study": "table2", "curves": [panel]}))
+    assert [line.get_linestyle() for line in axes.lines] == ["-", "--"]
+    assert axes.get_yscale() == "log"
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".png"])
+def test_the_same_figure_has_the_same_bytes(tmp_path: Path, suffix: str) -> None:
+    sheet = Sheet(lambda made: made.subplots().plot([1, 2]), 1.0, 1.0)
+    for name in "ab":
+        save(sheet, tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(log_rows(60))
+    (tmp_path / "log.toml").write_text(DESCRIPTOR)
+    (tmp_path / "other.json").write_text("[1]")
+    (tmp_path / "study.json").write_text('{"study": "reality", "curves": []}')
+    (tmp_path / "half.json").write_text('{"study": "reality"}')
+    log, out = tmp_path / "log.toml", tmp_path / "out.png"
+    for arguments, said in (
+        ((log, "--out", "x.gif"), ".svg, .pdf, .png is accepted"),
+        ((log, "--out", out, "--figure", "sphere"), "one of before-after, errors, track, spectrum is accepted"),
+        ((log, "--out", out), "magcal calibrate says why there is none"),
+        ((tmp_path / "other.json", "--out", out), "a RECORDING.toml, a session .mcap"),
+        ((tmp_path / "study.json", "--out", out), "this one has tables alone"),
+        ((tmp_path / "half.json", "--out", out), "without 'curves'"),
+        ((tmp_path / "study.json", "--out", out, "--figure", "track"), "it goes with a recording"),
+    ):
+        refused = run("plot", *arguments)
+        assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
+        assert said in refused.err
+    assert not out.exists()
