@@ -12,10 +12,10 @@ from magcal_service import geomagnetic
 from magcal_service.diagnosis.report.drawing import DIVERGING
 from magcal_service.diagnosis.report.figures import coastlines
 from magcal_service.errors import Fault, InputRefusedError
-from magcal_service.plots.paper import AFTER, BEFORE, COAST, QUIET, Sheet, thinned, time_axis
 from magcal_service.model import STATE_NAMES, STATE_SIZE, Array, calibrate, scalar_residual
 from magcal_service.offline.given import Given
 from magcal_service.offline.replay import replay
+from magcal_service.plots.paper import AFTER, BEFORE, COAST, QUIET, Sheet, thinned, time_axis
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import rms

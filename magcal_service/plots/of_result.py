@@ -6,9 +6,9 @@ import math
 from typing import Any, Final
 
 from magcal_service.errors import Fault, InputRefusedError
-from magcal_service.plots.paper import AFTER, LINES, QUIET, Sheet
 from magcal_service.model import STATE_NAMES
 from magcal_service.offline.given import Given
+from magcal_service.plots.paper import AFTER, LINES, QUIET, Sheet
 
 _COLUMNS: Final = 3
 """Panels side by side: the width of a page."""

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_study
 from magcal_service.plots.paper import Sheet
-from magcal_service.offline.given import read_given
 from magcal_service.recordings.reader import read_recording
 
 _ACCEPTED: Final = (

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import magcal_service as magcal
+from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import before_after, errors, shown, spectrum
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_study
 from magcal_service.plots.paper import Sheet, save
-from magcal_service.offline.given import read_given
 from tests.cli.cli_inputs import DESCRIPTOR, log_rows, run
 from tests.offline.hand_turned import TRUTH, hand_turned
 
