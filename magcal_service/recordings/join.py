@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from magcal_service.recordings.report import RowCount, RowFault
 from magcal_service.recordings.row_arrays import RowArrays
 from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.specs import Descriptor
-from magcal_service.recordings.table import IntArray, TextTable, read_table
+from magcal_service.recordings.table import POINT, IntArray, TextTable, read_table
 from magcal_service.typed_toml import nearest
 
 
@@ -45,10 +46,7 @@ def _join(
     joined = dict(table.joined)
     for column in dict.fromkeys(other.header):
         if other.header.count(column) == 1:
-            cells = [*other.column(column), ""]
-            if other.decimal != table.decimal:
-                cells = [_in_decimal(cell, other, table) for cell in cells]
-            joined[f"{spec.name}.{column}"] = [cells[at] for at in taken]
+            joined[f"{spec.name}.{column}"] = partial(_cells, other, column, taken, table)
     entries = [replace(entry, part=f"{spec.name}.{entry.part}") for entry in rows.entries]
     lonely = np.flatnonzero(log.kept & (taken < 0))
     if len(lonely):
@@ -76,7 +74,9 @@ def _newest(time_ns: IntArray, other_ns: IntArray, usable: IntArray, tolerance_n
     return np.asarray(taken, dtype=np.int64)
 
 
-def _in_decimal(cell: str, of: TextTable, wanted: TextTable) -> str:
-    """A cell of one file as the other writes its numbers."""
-    plain = of.plain(cell)
-    return plain if wanted.decimal == "." else wanted.plain(plain)
+def _cells(other: TextTable, column: str, taken: IntArray, table: TextTable) -> list[str]:
+    """A column of the other file for every row of the log, with numbers as the log writes them."""
+    cells = [*other.column(column), ""]
+    if other.decimal != table.decimal:
+        cells = [cell.translate(POINT) for cell in cells]
+    return [cells[at] for at in taken.tolist()]

@@ -176,6 +176,8 @@ def _check_columns(descriptor: Descriptor, table: TextTable) -> None:
                 accepted = f"it stands {times} times in the header" if times else nearest(column, set(table.header))
                 if not times and column.isdecimal() and descriptor.form.header:
                     accepted += "; header = false under [samples] counts columns from 1"
+                if not times and len(table.header) == 1:
+                    accepted += "; the header is one cell: check delimiter under [samples]"
                 problem = f"a column of {descriptor.samples.name} is accepted; {accepted}"
                 faults.append(Fault(f"{descriptor.path.name}: {key}", column, problem))
     if faults:

@@ -24,7 +24,17 @@ from magcal_service.recordings.specs import (
     TimeSpec,
     VectorReference,
 )
-from magcal_service.recordings.table import CODE, FAULTS, Codes, FloatArray, IntArray, TextTable, parse_numbers, why
+from magcal_service.recordings.table import (
+    CODE,
+    FAULTS,
+    POINT,
+    Codes,
+    FloatArray,
+    IntArray,
+    TextTable,
+    parse_numbers,
+    why,
+)
 from magcal_service.recordings.time_cells import time_parser
 from magcal_service.recordings.timestamps import MAX_TIME_NS
 from magcal_service.units import FIELD_NT, LENGTH_KM
@@ -81,8 +91,13 @@ class RowArrays:
         for column, cell in cells.items():
             if parse_numbers([self._table.plain(cell)])[1][0] == CODE[fault]:
                 comma = " with a decimal comma" if self._table.decimal == "," else ""
-                return f"{shown(cell.strip())} in {column} where {expects}{comma} is expected"
+                hint = '; decimal = "," under [samples] reads it' if self._is_with_comma(cell) else ""
+                return f"{shown(cell.strip())} in {column} where {expects}{comma} is expected{hint}"
         return ""
+
+    def _is_with_comma(self, cell: str) -> bool:
+        """Whether a cell would be a number with the other decimal sign."""
+        return self._table.decimal == "." and not parse_numbers([cell.translate(POINT)])[1][0]
 
     def _vectors(self, columns: tuple[str, ...], factor: float) -> tuple[FloatArray, Codes]:
         """Columns side by side (n, k), NaN in every component of a faulty row, and each row's first fault (n,)."""

@@ -39,6 +39,7 @@ POINT: Final = str.maketrans(",.", ".,")
 _ANY_END = re.compile("\r*\n|\r")
 
 _SHOWN = 80  # characters of a header in a fault: one line of a terminal
+_LOOKED_AT = 2000  # rows: enough to know how wide they are
 _CHUNK_BYTES = 1 << 13  # small, because what a broken gzip stream would have given within one chunk is lost
 
 
@@ -55,7 +56,7 @@ class TextTable:
     entries: what was counted on the way.
     decimal: the sign in numbers with a fraction.
     comments: lines in the file that are comments, rising.
-    joined: further columns by name, each with a cell for every row.
+    joined: further columns by name, each made when it is asked for, with a cell for every row.
     """
 
     header: tuple[str, ...]
@@ -65,12 +66,12 @@ class TextTable:
     entries: tuple[RowCount, ...]
     decimal: str = "."
     comments: Sequence[int] = ()
-    joined: Mapping[str, list[str]] = field(default_factory=dict)
+    joined: Mapping[str, Callable[[], list[str]]] = field(default_factory=dict)
 
     def column(self, name: str) -> list[str]:
         """All cells of one column."""
         if name in self.joined:
-            return self.joined[name]
+            return self.joined[name]()
         index = self.header.index(name)
         return [row[index] for row in self.rows]
 
@@ -129,6 +130,9 @@ def _header(path: Path, lines: list[str], form: RowForm) -> tuple[tuple[str, ...
     if first >= len(lines):
         accepted = "a file with rows below the lines that are skipped is accepted; check skip_lines under [samples]"
         raise RecordingError([Fault(str(path), f"{len(lines)} lines", accepted)])
+    if "\0" in lines[first]:
+        accepted = "a text in UTF-8 is accepted; iconv -f UTF-16 -t UTF-8 converts one in UTF-16"
+        raise RecordingError([Fault(f"{path}: line {first + 1}", lines[first][:_SHOWN], accepted)])
     split = _splitting(form.delimiter)
     if not form.header:
         return tuple(map(str, range(1, _usual_width(lines[first:], form, split) + 1))), first
@@ -146,7 +150,8 @@ def _is_comment(line: str, form: RowForm) -> bool:
 
 def _usual_width(lines: list[str], form: RowForm, split: Callable[[str], list[str] | None]) -> int:
     """How many cells most rows have."""
-    widths = Counter(len(split(line) or ()) for line in lines if line.strip() and not _is_comment(line, form))
+    rows = (line for line in lines if line.strip() and not _is_comment(line, form))
+    widths = Counter(len(split(line) or ()) for line in islice(rows, _LOOKED_AT))
     return widths.most_common(1)[0][0] if widths else 0
 
 

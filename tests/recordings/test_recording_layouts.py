@@ -108,6 +108,17 @@ def test_a_time_that_cannot_be_read_is_shown_in_a_refusal(tmp_path: Path) -> Non
         read(tmp_path, "t,x,y,z\nnoon,1,2,3\n", "", BY_NAME.replace("elapsed_s", "iso8601"))
 
 
+def test_the_remedy_of_another_layout_is_named(tmp_path: Path) -> None:
+    content = 't;x;y;z\n0;"0,5";2;3\n'
+    with pytest.raises(RecordingError, match="one cell: check delimiter"):
+        read(tmp_path, content, "", BY_NAME)
+    with pytest.raises(RecordingError, match="'0,5' in x where a number is expected; decimal = \",\" under"):
+        read(tmp_path, content, 'delimiter = ";"', BY_NAME)
+    (tmp_path / "LOG.TXT").write_text("t,x,y,z\n0,1,2,3\n", encoding="utf-16")
+    with pytest.raises(RecordingError, match="iconv -f UTF-16"):
+        read_recording(tmp_path / "r.toml")
+
+
 REFUSED = {
     "decimal": ('decimal = "x"', "samples.decimal"),
     "blank comment": ('comment = " "', "samples.comment"),
