@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _MOST_ROWS: Final = 12000  # of the sample: enough for every question, and quick
 _WORD: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_AXES: Final = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
+_AXES: Final = (("x", "y", "z"), ("n", "e", "d"), ("1", "2", "3"), ("0", "1", "2"))
 _ABSURD: Final = 1e20  # beyond nanoseconds since 1970, the largest number that a log has a reason for
 _MOSTLY: Final = 0.8  # share of cells that are numbers in a column of numbers
 

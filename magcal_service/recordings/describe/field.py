@@ -44,10 +44,10 @@ class Size:
         return self.usual if self.radius is None else self.radius
 
 
-def size_of(vectors: FloatArray) -> Size | None:
-    """The size of vectors (n, 3); None where too few are finite, or they never change."""
+def size_of(vectors: FloatArray, *, still: bool = False) -> Size | None:
+    """The size of vectors (n, 3); None where too few are finite, or they never change and are not allowed to."""
     good = vectors[np.isfinite(vectors).all(axis=1)]
-    if len(good) < 2 or float(np.ptp(good, axis=0).max()) == 0.0:
+    if len(good) < 2 or (not still and float(np.ptp(good, axis=0).max()) == 0.0):
         return None
     lengths = np.sqrt((good**2).sum(axis=1))
     return Size(float(np.quantile(lengths, 0.8)), _radius(good))
@@ -58,6 +58,8 @@ def _radius(vectors: FloatArray) -> float | None:
     if len(vectors) < _FEWEST:
         return None
     scale = float(np.abs(vectors).max())
+    if scale == 0.0:
+        return None
     unit = vectors / scale
     terms = np.column_stack([2.0 * unit, np.ones(len(unit))])
     solution, *_ = np.linalg.lstsq(terms, (unit**2).sum(axis=1), rcond=None)

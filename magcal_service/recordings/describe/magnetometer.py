@@ -238,7 +238,7 @@ def _neighbours(draft: Draft) -> list[Triple]:
     found = []
     for x, y, z in zip(columns, columns[1:], columns[2:], strict=False):
         three = (x, y, z)
-        if all(_free(column, draft.reserved) for column in three):
+        if len({column.unit for column in three}) == 1 and all(_free(column, draft.reserved) for column in three):
             found.append(Triple(three, "", ()))
     return found
 

@@ -140,7 +140,7 @@ def _model(draft: Draft, times: Times | None, place: Place, why: str) -> None:
 def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Triple, by: str) -> bool:
     """A reference vector for each row; false where the numbers are no field."""
     said = draft.answers.get("reference.unit") or triple.unit
-    unit = find_unit(size_of(triple.values), said, whole=False)
+    unit = find_unit(size_of(triple.values, still=True), said, whole=False)
     if not unit.possible and not by:
         draft.said.append(f"reference: {triple.label} left out: {unit.why}")
         return False

@@ -198,3 +198,12 @@ def test_names_that_a_terminal_would_obey_are_escaped_and_found_again(tmp_path: 
     assert result.text is not None
     assert all(one.isprintable() for line in [*result.lines(), *result.text.splitlines()] for one in line)
     assert read(log, result.text).report.used == len(rows)
+
+
+def test_a_reference_in_north_east_down_may_stand_still(tmp_path: Path) -> None:
+    vectors = maker_logs.ground()
+    rows = [f"{0.5 * i},{x:.1f},{y:.1f},{z:.1f},20000,800,44900" for i, (x, y, z) in enumerate(vectors)]
+    log = tmp_path / "ned.csv"
+    log.write_text("\n".join(["t,b_x_nT,b_y_nT,b_z_nT,b_ned_n,b_ned_e,b_ned_d", *rows]))
+    text = describe(log, {}).text or ""
+    assert 'columns = ["b_ned_n", "b_ned_e", "b_ned_d"]\nunit = "nT"\nframe = "ned"' in text
