@@ -17,8 +17,8 @@ from magcal_service.offline.result_head import schema_of
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.wire.messages import Verdict
 
-_LARGEST_FILE: Final = 64 << 20
-"""A result is some 10 kB, of many recordings some MB [bytes]: what is larger is something else."""
+_LARGEST_FILE: Final = 8 << 20
+"""A result is some 10 kB [bytes]: what is larger than 8 MiB is something else."""
 
 _LARGEST_BIAS_NT: Final = 1e6  # 1 mT, as for a recording
 _LARGEST_D: Final = 10.0  # a scale of eleven: beyond, no gate of any method lets an estimate pass
@@ -82,11 +82,13 @@ def read_given(path: Path) -> Given:
     recordings, or names effects that only ``physics.toml`` can subtract.
     """
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputRefusedError([Fault(str(path), f"{path.stat().st_size} bytes", ACCEPTED)])
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST_FILE + 1)
+            size = max(len(raw), path.stat().st_size)
     except OSError as error:
         raise InputRefusedError([Fault(str(path), error.strerror or str(error), "give a readable file")]) from None
+    if len(raw) > _LARGEST_FILE:
+        raise InputRefusedError([Fault(str(path), f"{size} bytes", f"at most {_LARGEST_FILE} bytes; {ACCEPTED}")])
     digest = hashlib.sha256(raw).hexdigest()
     if path.suffix.lower() == ".toml":
         return _of_model(path.name, digest, parse_model(raw))

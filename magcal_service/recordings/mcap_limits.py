@@ -27,7 +27,7 @@ class McapLimits:
 
     def __init__(self, name: str, size: int) -> None:
         self._name, self._size = name, size
-        self._most_messages = size // INDEX_ENTRY_BYTES + _MOST_UNSTATED
+        self.most_messages = size // INDEX_ENTRY_BYTES + _MOST_UNSTATED
         self._most_bytes = _AT_LEAST + _TIMES * size
         self._bytes = 0
 
@@ -41,13 +41,12 @@ class McapLimits:
             )
             self._refuse(f"{self._size} bytes that unpack to more than {self._most_bytes}", accepted)
 
-    def check_messages(self, count: int) -> None:
-        """Refuse a file by its messages so far."""
-        if count > self._most_messages:
-            accepted = (
-                f"one for each {INDEX_ENTRY_BYTES} bytes, which its index takes, and {_MOST_UNSTATED} more are accepted"
-            )
-            self._refuse(f"more than {self._most_messages} messages in {self._size} bytes", accepted)
+    def refuse_messages(self) -> NoReturn:
+        """Refuse a file that has more than ``most_messages``."""
+        accepted = (
+            f"one for each {INDEX_ENTRY_BYTES} bytes, which its index takes, and {_MOST_UNSTATED} more are accepted"
+        )
+        self._refuse(f"more than {self.most_messages} messages in {self._size} bytes", accepted)
 
     def _refuse(self, value: str, accepted: str) -> NoReturn:
         remedy = "do not trust this file, take a copy from where it was recorded"

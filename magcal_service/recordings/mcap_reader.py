@@ -143,7 +143,8 @@ class McapReader:
                 continue
             for message in self._unpacked(content) if opcode == Opcode.CHUNK else self._taken(opcode, content):
                 self._read += 1
-                self._limits.check_messages(self._read)
+                if self._read > self._limits.most_messages:
+                    self._limits.refuse_messages()
                 yield message
 
     def _top_records(self) -> Iterator[tuple[int, bytes]]:

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import msgpack
 
-_LARGEST_BYTES: Final = 1 << 26
-"""No craft's state comes near it: 0.4 MB with 4096 samples collected towards a start."""
+_LARGEST_BYTES: Final = 1 << 23
+"""8 MiB: no craft's state comes near it: 0.4 MB with 4096 samples collected towards a start, 1 MB with physics."""
 
 
 def state_as_text(state: dict[str, Any]) -> str:

@@ -20,17 +20,21 @@ _MAX_LEVELS = 32
 _MAX_DOTS = 500
 """In one key: tomllib takes time that grows with their square, and no key of ours has more than two."""
 
+_TOO_LARGE = f"a file of at most {_MAX_FILE_BYTES} bytes is accepted"
+
 _FEW_LEVELS = "valid TOML of a few levels is accepted"
 
 
 def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
     """Read a TOML file of at most 1 MiB into a ``Table``; raise ``error`` where it cannot be read or parsed."""
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(_MAX_FILE_BYTES + 1)
+            size = max(len(raw), path.stat().st_size)
     except OSError as exc:
         raise error([Fault(str(path), exc.strerror or str(exc), "give a readable TOML file")]) from None
-    if len(raw) > _MAX_FILE_BYTES:
-        raise error([Fault(str(path), f"{len(raw)} bytes", f"a file of at most {_MAX_FILE_BYTES} bytes is accepted")])
+    if size > _MAX_FILE_BYTES:
+        raise error([Fault(str(path), f"{size} bytes", _TOO_LARGE)])
     return parse_toml(raw, str(path), path.name, error)
 
 
@@ -43,6 +47,8 @@ def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]
     where: where it is from, for faults of the whole file.
     file: the file's name, for faults of its keys.
     """
+    if len(raw) > _MAX_FILE_BYTES:
+        raise error([Fault(where, f"{len(raw)} bytes", _TOO_LARGE)])
     if _has_endless_key(raw):
         raise error([Fault(where, "nested too deeply", _FEW_LEVELS)])
     try:

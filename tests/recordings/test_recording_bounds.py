@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import re
 import struct
 import tracemalloc
@@ -14,7 +15,8 @@ import pytest
 import zstandard
 
 from magcal_service.cli.__main__ import main
-from magcal_service.errors import RecordingError
+from magcal_service.errors import InputRefusedError, RecordingError
+from magcal_service.offline.given import read_given
 from magcal_service.recordings import mcap_limits, mcap_reader, row_limits
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
@@ -127,3 +129,24 @@ def test_more_messages_than_the_indices_of_a_file_could_state_are_refused(monkey
     most = 100 + len(file) // 16
     with pytest.raises(RecordingError, match=rf"file.*more than {most} messages in {len(file)} bytes"):
         list(McapReader(io.BytesIO(file), "file").messages())
+
+
+@pytest.mark.parametrize("size", [100_000_000, 2_000_000])
+@pytest.mark.parametrize("name", ["RECORDING.toml", "physics.toml", "result.json"])
+def test_a_file_that_is_read_as_a_whole_is_refused_by_its_size(name: str, size: int, tmp_path: Path) -> None:
+    """Of 100 MB little more than the limit is held; 2 MB of TOML are not parsed either."""
+    path = tmp_path / name
+    path.touch()
+    os.truncate(path, size)
+    read = read_recording if name == "RECORDING.toml" else read_given
+    told = "no JSON" if (name, size) == ("result.json", 2_000_000) else rf"{size} bytes.*at most \d+ bytes"
+    tracemalloc.start()
+    with pytest.raises(InputRefusedError, match=rf"{name}.*{told}"):
+        read(path)
+    assert tracemalloc.get_traced_memory()[1] < 20 << 20
+    tracemalloc.stop()
+
+
+def test_a_device_that_never_ends_is_refused() -> None:
+    with pytest.raises(InputRefusedError, match="bytes"):
+        read_given(Path("/dev/zero"))
