@@ -170,6 +170,8 @@ def _read_bytes(path: Path, limits: RowLimits) -> tuple[bytearray, bool]:
             return _read_to_the_end(path, stream, limits)
     except OSError as exc:
         raise RecordingError([Fault(str(path), exc.strerror or str(exc), "give a readable log")]) from None
+    except ValueError:  # a name that no file can have
+        raise RecordingError([Fault("samples.file", str(path), "give a readable log")]) from None
 
 
 def _open(path: Path) -> _Stream:
