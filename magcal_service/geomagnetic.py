@@ -5,20 +5,19 @@ Frames: ``ECI`` is inertial with the true equator of date (TEME, as SGP4 uses it
 alone: polar motion (0.3 arcsec) and UT1 - UTC (< 0.9 s) are left out, together under 0.2 nT here against a full
 rotation chain, and at most 3 nT while |UT1 - UTC| is at its limit.
 
-Needs the extra ``sim`` (ppigrf).  Source: Alken et al. 2021 (IGRF-13) and IAGA 2024 (IGRF-14,
-doi:10.5281/zenodo.14012302); frames: Vallado 2013, sections 3.4-3.5.
+Source: IAGA 2024 (IGRF-14, doi:10.5281/zenodo.14012302); frames: Vallado 2013, sections 3.4-3.5.
 """
 
 from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
-from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service import igrf14
+from magcal_service.errors import Fault, InputRefusedError
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -26,7 +25,6 @@ Times = npt.NDArray[np.int64]
 WGS84_A_KM = 6378.137  # equatorial radius that defines the WGS84 ellipsoid
 WGS84_E2 = 6.69437999014e-3  # its first eccentricity squared, f (2 - f) with 1/f = 298.257223563
 EARTH_KM = 6371.0  # mean radius, for heights that need no ellipsoid
-IGRF_RADIUS_KM = 6371.2  # reference radius of the field's spherical harmonics
 LOWEST_ORBIT_KM = 120.0  # height below which nothing completes an orbit
 IGRF_YEARS = (1900, 2030)  # first epoch of IGRF-14, and the end of its secular variation
 RADIUS_KM = (6300.0, 60000.0)  # below the surface, and beyond synchronous orbit, the model says nothing useful
@@ -35,15 +33,6 @@ _J2000_NS = 946_728_000 * 10**9  # 2000-01-01T12:00:00Z
 _CENTURY_NS = 36525 * 86400 * 10**9  # Julian century, the unit of time of the sidereal polynomial
 _ROWS = 8192  # positions per call of the model: bounds its memory to about 100 MB
 _POLE_DEG = 1e-7  # the model divides by sin(colatitude); 1e-7 deg is 11 mm on the ground
-
-
-def _ppigrf() -> ModuleType:
-    try:
-        import ppigrf
-    except ImportError:
-        raise ExtraMissingError("ppigrf", "sim", "the geomagnetic field model") from None
-    module: ModuleType = ppigrf
-    return module
 
 
 def _epoch_ns(year: int) -> int:
@@ -141,7 +130,7 @@ def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats, max_degree: int 
     max_degree: terms above this degree are left out, 1 to 13.
 
     Returns (n, 3) [nT], ECEF.  The main field alone: crust (20 nT rms at 400 km) and currents above (20-400 nT) are
-    not in it.  Raises InputRefusedError outside the domain, ExtraMissingError without ppigrf.
+    not in it.  Raises InputRefusedError outside the domain.
     Source: IAGA, IGRF-14; within 0.2 nT of the Fortran ``igrf14syn``.
     """
     times = np.asarray(times_utc_ns, dtype=np.int64).reshape(-1)
@@ -187,11 +176,10 @@ def _within_interval(year: int, times: Times, position: Floats, max_degree: int)
     radius = np.linalg.norm(position, axis=1)
     colatitude = np.clip(np.degrees(np.arctan2(np.hypot(x, y), z)), _POLE_DEG, 180.0 - _POLE_DEG)
     longitude = np.arctan2(y, x)
-    dates = [datetime(year, 1, 1), datetime(year + 5, 1, 1)]
-    parts = _ppigrf().igrf_gc(radius, colatitude, np.degrees(longitude), dates, max_degree=max_degree)
+    theta = np.radians(colatitude)
+    parts = igrf14.field((year, year + 5), radius, theta, longitude, max_degree)
     weight = (times - _epoch_ns(year)) / float(_epoch_ns(year + 5) - _epoch_ns(year))
     up, south, east = (part[0] + weight * (part[1] - part[0]) for part in parts)
-    theta = np.radians(colatitude)
     across = up * np.sin(theta) + south * np.cos(theta)
     cosine, sine = np.cos(longitude), np.sin(longitude)
     return np.stack(

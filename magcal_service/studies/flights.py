@@ -1,7 +1,7 @@
 """Simulated flights for the studies: a circular orbit through IGRF-14, a steady spin, and a sensor of equation (1).
 
 A ``FlightPlan`` is plain numbers, hashable and small, so that it travels to worker processes; ``fly`` makes the arrays.
-What differs from run to run (noise) comes from the run's seed.  Needs the extra ``sim`` (ppigrf).
+What differs from run to run (noise) comes from the run's seed.
 """
 
 from __future__ import annotations

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import ppigrf
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_service import geomagnetic as geo
-from magcal_service.errors import ExtraMissingError, InputRefusedError, how_to_install
+from magcal_service.errors import InputRefusedError
 
 HERE = Path(__file__).parent
 DAY_NS = 86400 * 10**9
@@ -119,10 +118,32 @@ def test_times_and_places_must_pair() -> None:
         geo.igrf_ecef_nt(np.array([utc_ns(2026, 1, 1)]), np.ones((2, 3)) * 5000.0)
 
 
-def test_without_ppigrf_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ppigrf", None)
-    with pytest.raises(ExtraMissingError, match=re.escape(how_to_install("sim"))):
-        geo.igrf_ecef_nt(np.array([utc_ns(2026, 1, 1)]), np.array([[7000.0, 0.0, 0.0]]))
+def test_against_a_second_implementation_of_the_harmonics() -> None:
+    """ppigrf, at epochs of the table; and a position alone, which is computed apart, as one among many."""
+    rng = np.random.default_rng(8)
+    directions = rng.normal(size=(40, 3))
+    position = directions / np.linalg.norm(directions, axis=1)[:, None] * rng.uniform(6371.0, 9000.0, (40, 1))
+    radius = np.linalg.norm(position, axis=1)
+    theta, phi = np.arccos(position[:, 2] / radius), np.arctan2(position[:, 1], position[:, 0])
+    for year in (1900, 1965, 2025):
+        parts = ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi), datetime(year, 1, 1))
+        up, south, east = (part[0] for part in parts)
+        across = up * np.sin(theta) + south * np.cos(theta)
+        expected = np.stack([across * np.cos(phi) - east * np.sin(phi), across * np.sin(phi) + east * np.cos(phi)])
+        times = np.full(40, utc_ns(year, 1, 1))
+        field = geo.igrf_ecef_nt(times, position)
+        np.testing.assert_allclose(field[:, :2].T, expected, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(field[:, 2], up * np.cos(theta) - south * np.sin(theta), rtol=0.0, atol=1e-6)
+        alone = [geo.igrf_ecef_nt(times[:1], position[row : row + 1])[0] for row in range(40)]
+        np.testing.assert_allclose(alone, field, rtol=0.0, atol=1e-7)
+
+
+def test_fewer_degrees_leave_the_higher_ones_out() -> None:
+    """Degree 1 alone is a dipole: at twice the distance an eighth, by its three published numbers."""
+    times, position = np.full(2, utc_ns(2025, 1, 1)), np.array([[0.0, 0.0, 7000.0], [0.0, 0.0, 14000.0]])
+    near, far = geo.igrf_ecef_nt(times, position, max_degree=1)
+    np.testing.assert_allclose(near, 8.0 * far, rtol=1e-6)
+    np.testing.assert_allclose(near[2], 2.0 * (6371.2 / 7000.0) ** 3 * -29350.0, rtol=1e-6)
 
 
 def test_sidereal_time_against_a_published_example() -> None:
