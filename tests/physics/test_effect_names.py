@@ -21,6 +21,8 @@ ANOTHER_MEANING = {
     ("magcal_service/recordings/defects.py", "stuck_axis"),  # a defect of a recording, of that name
     ("sim_sensor/field.py", "reference_epoch"),  # keys of the simulator's own scenarios,
     ("sim_sensor/scenario.py", "torquer"),  # which shares nothing with the catalogue
+    ("magcal_service/recordings/describe/telemetry.py", "torquer"),  # a channel of a descriptor
+    ("magcal_service/recordings/describe/vocabulary.py", "torquer"),  # and a word in the names of columns
     ("magcal_service/studies/unseen/scenarios.py", "torquer"),  # scenarios of a study, which share nothing either
     ("magcal_service/studies/unseen/scenarios.py", "stuck_axis"),
     ("magcal_service/trust/hazards.py", "bias_step"),  # what a protection level guards against
