@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.errors import InputRefusedError
+from magcal_service.typed_toml import Table
 from magcal_service.typed_toml.record import Reading
 
 
@@ -28,8 +29,15 @@ def physics_of(path: Path) -> PhysicsConfig:
 
 
 def physics_setting(reading: Reading, name: str) -> PhysicsConfig | None:
-    """The file that ``name`` names; its faults become the configuration's."""
+    """The file that ``name`` names; its faults become the configuration's.
+
+    A recorded session holds a table instead, with the file's ``path`` and ``text``, for the file may be gone.
+    """
     table = reading.table
+    content = table.content.get(name)
+    if isinstance(content, dict) and set(content) == {"path", "text"}:
+        table.has(name)
+        return _recorded(table, str(content["path"]), str(content["text"]))
     text = table.text(name, "", accepted="a file written by magcal diagnose")
     if not text.strip():
         if isinstance(table.content.get(name), str):
@@ -37,6 +45,16 @@ def physics_setting(reading: Reading, name: str) -> PhysicsConfig | None:
         return None
     try:
         return physics_of(Path(text))
+    except InputRefusedError as error:
+        table.faults.extend(error.faults)
+        return None
+
+
+def _recorded(table: Table, path: str, text: str) -> PhysicsConfig | None:
+    from magcal_service.physics.apply.model_file import parse_model, text_of
+
+    try:
+        return PhysicsConfig(Path(path), text_of(parse_model(text.encode(), path)))
     except InputRefusedError as error:
         table.faults.extend(error.faults)
         return None

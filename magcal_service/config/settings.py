@@ -41,6 +41,8 @@ __all__ = [
     "OutputConfig",
     "PhysicsConfig",
     "RecordConfig",
+    "ReferenceConfig",
+    "ReferenceModel",
     "SensorConfig",
     "SpinConfig",
     "SpinWindow",
@@ -160,6 +162,25 @@ class FilterConfig:
     kappa: float = number(0.0, 0.0, 100.0)
     gate_sigma: float = number(6.0, 3.0, 1000.0)
     adaptive: bool = flag(False)
+
+
+class ReferenceModel(StrEnum):
+    """Where a craft's reference field comes from."""
+
+    LINK = "link"
+    IGRF = "igrf"
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceConfig:
+    """The reference field H.
+
+    Parameters
+    ----------
+    model: ``link``: as reference messages say; ``igrf``: the main field at the craft's positions, computed here.
+    """
+
+    model: ReferenceModel = choice(ReferenceModel, ReferenceModel.LINK)
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,6 +377,7 @@ class CraftConfig:
     ticks: TickConfig = defaulted_section(TickConfig)
     trust: TrustConfig = defaulted_section(TrustConfig)
     physics: PhysicsConfig | None = special(physics_setting, None)
+    reference: ReferenceConfig = defaulted_section(ReferenceConfig)
     max_sources: int = whole(8, 1, MOST_SOURCES, unit="sources")
     magnetometers: tuple[MagnetometerConfig, ...] = special(_magnetometers, (), name="magnetometer")
     hears: str = ""

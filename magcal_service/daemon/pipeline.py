@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from magcal_service.config.settings import CraftConfig
+from magcal_service.config.settings import CraftConfig, ReferenceModel
 from magcal_service.daemon.command_table import unknown
 from magcal_service.daemon.compensating import CompensatingCraft, CompensatingMemory
 from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.events import BY_COMMAND, Event
 from magcal_service.daemon.outbox import calibrated_vector, command_reply, status_message
+from magcal_service.daemon.own_reference import NOT_USED, reference_at
 from magcal_service.errors import DecodeError
 from magcal_service.estimators.interface import Phase
 from magcal_service.snapshot import SnapshotError
@@ -136,6 +137,8 @@ class Pipeline(CompensatingCraft, PipelineMemory):
                 return self._sample(message)
             case ReferenceSample() | PositionSample() | TelemetrySample() if not is_usable(message.time_ns):
                 self.counters[f"{kind_of(message).name}_time_out_of_range"] += 1
+            case ReferenceSample() if self.config.reference.model is ReferenceModel.IGRF:
+                self.counters[NOT_USED] += 1
             case ReferenceSample():
                 self._reference(message)
             case PositionSample():
@@ -143,6 +146,8 @@ class Pipeline(CompensatingCraft, PipelineMemory):
                 self.watch.drivers.position(message)
                 if self.compensation is not None:
                     self.compensation.position(message)
+                if self.config.reference.model is ReferenceModel.IGRF:
+                    self._own_reference(message)
             case TelemetrySample():
                 self.counters["telemetry"] += 1
                 self.watch.drivers.telemetry(message)
@@ -174,6 +179,14 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         ]
         self._advance_beside(flush=True)
         return estimates
+
+    def _own_reference(self, position: PositionSample) -> None:
+        """Take the main field at a position as the reference; where there is none, it is counted why."""
+        found = reference_at(position)
+        if isinstance(found, str):
+            self.counters[found] += 1
+        else:
+            self._reference(found)
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
         if self.plain is not None and self.compensation is not None and self.compensation.begins_elsewhere(sample):

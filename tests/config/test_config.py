@@ -24,6 +24,8 @@ from magcal_service.config.settings import (
     MagnetometerConfig,
     OutputConfig,
     RecordConfig,
+    ReferenceConfig,
+    ReferenceModel,
     SensorConfig,
     SpinConfig,
     SpinWindow,
@@ -75,6 +77,8 @@ hold_s = 4.0
 late_s = 40.0
 gap_s = 70.0
 step_confirm_s = 700.0
+[craft.reference]
+model = "igrf"
 [craft.trust]
 min_ticks = 400
 sigma_bias_nt = 50.0
@@ -167,6 +171,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
                 ),
                 ticks=TickConfig(20.0, 4.0, 40.0, 70.0, 700.0),
                 trust=TrustConfig(400, 50.0, 0.002, 2.0, False, False, 150.0, 50.0),
+                reference=ReferenceConfig(ReferenceModel.IGRF),
                 max_sources=3,
                 magnetometers=(
                     MagnetometerConfig(

@@ -14,6 +14,8 @@ from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
     MagnetometerConfig,
+    ReferenceConfig,
+    ReferenceModel,
     SensorConfig,
     SpinConfig,
     SpinWindow,
@@ -23,6 +25,7 @@ from magcal_service.config.settings import (
 from magcal_service.config.text import craft_as_toml, craft_from_toml, digest
 from magcal_service.errors import ConfigError
 from magcal_service.typed_toml import Table
+from tests.physics.live_models import THERMAL, physics
 
 CRAFT = CraftConfig(
     "demo",
@@ -42,7 +45,13 @@ LISTED = (
 
 @pytest.mark.parametrize(
     "craft",
-    [CRAFT, replace(CRAFT, max_sources=3, magnetometers=LISTED), CraftConfig("a"), CraftConfig("b", spin=SpinConfig())],
+    [
+        CRAFT,
+        replace(CRAFT, max_sources=3, magnetometers=LISTED),
+        CraftConfig("a"),
+        CraftConfig("b", spin=SpinConfig()),
+        CraftConfig("c", physics=physics(*THERMAL, origin_ns=0), reference=ReferenceConfig(ReferenceModel.IGRF)),
+    ],
 )
 def test_a_craft_comes_back_as_it_was(craft: CraftConfig) -> None:
     assert craft_from_toml(craft_as_toml(craft), "text") == craft

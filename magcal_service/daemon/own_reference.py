@@ -1,0 +1,50 @@
+"""The reference field of a craft that sends positions and no field: IGRF-14, computed where the position arrives."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magcal_service.errors import InputRefusedError
+from magcal_service.geomagnetic import eci_from_ecef, igrf_eci_nt
+from magcal_service.wire.messages import Clock, Frame, PositionSample, ReferenceSample
+
+NOT_USED: Final = "reference_not_used"
+"""Counts reference messages of a craft whose field is computed here: one of two would be wrong unseen."""
+
+UNPLACED: Final = "position_without_utc"
+"""Counts positions whose clock is not UTC: the field turns with the Earth."""
+
+OUTSIDE: Final = "position_out_of_range"
+"""Counts positions where the model says nothing: another unit, or a date beyond it."""
+
+
+def reference_at(position: PositionSample) -> ReferenceSample | str:
+    """The main field at a position, as a reference message in ECI; the name of a counter where there is none.
+
+    Parameters
+    ----------
+    position: in ECI or ECEF [km], on UTC.
+
+    The crust and the currents above the craft are not in it: some 20 to 100 nT (``geomagnetic``).
+    """
+    if position.clock is not Clock.UTC:
+        return UNPLACED
+    time_ns = np.array([position.time_ns], dtype=np.int64)
+    place = np.array([position.position_km])
+    try:
+        if position.frame is Frame.ECEF:
+            place = eci_from_ecef(time_ns, place)
+        x, y, z = igrf_eci_nt(time_ns, place)[0].tolist()
+    except InputRefusedError:
+        return OUTSIDE
+    return ReferenceSample(
+        craft=position.craft,
+        source=position.source,
+        sequence=position.sequence,
+        time_ns=position.time_ns,
+        clock=position.clock,
+        field_nt=(x, y, z),
+        frame=Frame.ECI,
+    )

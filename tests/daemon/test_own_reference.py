@@ -1,0 +1,92 @@
+"""A craft that sends positions and no field has its reference from IGRF-14, and is calibrated as with one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.config.settings import CraftConfig, ReferenceConfig, ReferenceModel, SensorConfig, SpinConfig
+from magcal_service.daemon.own_reference import reference_at
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.geomagnetic import ecef_from_eci, igrf_ned_nt
+from magcal_service.wire.messages import (
+    Clock,
+    Estimate,
+    Frame,
+    MagnetometerSample,
+    Message,
+    PositionSample,
+    ReferenceSample,
+    Verdict,
+)
+from sim_sensor.scenario_reader import load_scenario
+from sim_sensor.simulation import Simulation
+
+CRAFT = CraftConfig(
+    "paper", SensorConfig(noise_nt=300.0), SpinConfig(rate_rpm=7.5), reference=ReferenceConfig(ReferenceModel.IGRF)
+)
+AT = PositionSample(
+    craft="a", source="gps", sequence=3, time_ns=1_750_000_000_000_000_000, clock=Clock.UTC,
+    position_km=(6900.0, 0.0, 0.0), frame=Frame.ECI,
+)  # fmt: skip
+
+
+def test_a_craft_is_calibrated_by_positions_alone() -> None:
+    """As with references, of which it has every fifth, for a position comes every 5 s."""
+    simulation = Simulation(load_scenario("paper"), 12, 2400.0)
+    told, own = Pipeline(replace(CRAFT, reference=ReferenceConfig())), Pipeline(CRAFT)
+    last: dict[Pipeline, Estimate] = {}
+
+    def give(pipeline: Pipeline, message: Message) -> None:
+        for out in pipeline.handle(message):
+            if isinstance(out, Estimate):
+                last[pipeline] = out
+
+    for message in simulation.messages():
+        if isinstance(message, MagnetometerSample):
+            give(told, message)
+            give(own, message)
+        elif isinstance(message, ReferenceSample):
+            give(told, message)
+            if message.sequence % 5 == 0:
+                (place,) = simulation.truth.orbit.position_eci_km(np.array([message.time_ns])).tolist()
+                give(own, replace(AT, craft="paper", time_ns=message.time_ns, position_km=tuple(place)))
+    assert last[own].verdict in (Verdict.CONVERGING, Verdict.TRUSTED)
+    assert last[own].samples_used > 2300
+    np.testing.assert_allclose(last[own].bias_nt, last[told].bias_nt, rtol=0.0, atol=10.0)
+    assert last[own].residual_rms_nt < 1.01 * last[told].residual_rms_nt
+    assert own.counters["position"] == 480
+
+
+def test_the_field_is_that_of_the_model_in_either_frame() -> None:
+    time_ns = np.array([AT.time_ns])
+    inertial = reference_at(AT)
+    fixed = ecef_from_eci(time_ns, np.array([AT.position_km]))[0]
+    turned = reference_at(replace(AT, position_km=tuple(fixed.tolist()), frame=Frame.ECEF))
+    assert isinstance(inertial, ReferenceSample)
+    assert isinstance(turned, ReferenceSample)
+    assert (inertial.frame, inertial.time_ns, inertial.sequence) == (Frame.ECI, AT.time_ns, 3)
+    np.testing.assert_allclose(inertial.field_nt, turned.field_nt, rtol=0.0, atol=1e-6)
+    longitude = np.degrees(np.arctan2(fixed[1], fixed[0]))
+    north, east, down = igrf_ned_nt(time_ns, np.zeros(1), np.array([longitude]), np.array([6900.0 - 6378.137]))[0]
+    np.testing.assert_allclose(np.linalg.norm(inertial.field_nt), np.linalg.norm([north, east, down]), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "counted"),
+    [
+        (replace(AT, clock=Clock.ELAPSED), "position_without_utc"),
+        (replace(AT, position_km=(6.9, 0.0, 0.0)), "position_out_of_range"),
+        (replace(AT, time_ns=1_900_000_000_000_000_000), "position_out_of_range"),
+        (ReferenceSample(craft="a", source="m", sequence=0, time_ns=AT.time_ns, clock=Clock.UTC, magnitude_nt=4e4),
+         "reference_not_used"),
+    ],
+)  # fmt: skip
+def test_what_gives_no_field_is_counted_by_its_reason(wrong: Message, counted: str) -> None:
+    pipeline = Pipeline(CRAFT)
+    pipeline.handle(AT)
+    pipeline.handle(wrong)
+    assert pipeline.counters[counted] == 1
+    assert pipeline.ticks.references.newest(Clock.UTC)[0] == AT.time_ns  # type: ignore[index]
