@@ -20,6 +20,7 @@ from magcal_service.cli.export import add_export
 from magcal_service.cli.inspect import add_inspect
 from magcal_service.cli.plot import add_plot
 from magcal_service.cli.record import add_record
+from magcal_service.cli.reference import add_reference
 from magcal_service.cli.replay import add_replay
 from magcal_service.cli.run import add_run
 from magcal_service.cli.send import add_send
@@ -70,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         )
     )
     add_status(commands.add_parser("status", help="ask a running daemon; exit code 3 where it is not healthy"))
+    add_reference(commands.add_parser("reference", help="send the reference field of a craft that has none"))
     add_send(commands.add_parser("send", help="give a running daemon a command, and print its answer"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     add_xtce(commands.add_parser("xtce", help="the telemetry of a ccsds: output link, described for mission control"))

@@ -1,0 +1,85 @@
+"""``magcal reference``: a node that sends the reference field of a craft that has none."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import threading
+import time
+from pathlib import Path
+
+from magcal_service.cli.common import DONE, Parser
+
+_EXAMPLE = """
+Example: magcal reference --craft demo --tle demo.tle --link zenoh:tcp/127.0.0.1:7447
+
+Without --tle it hears the craft's position messages on a zenoh link and sends the field at each.  A daemon can do the
+same by itself: [craft.reference] model = "igrf".
+"""
+
+
+def add_reference(parser: Parser) -> None:
+    """The arguments of ``magcal reference``."""
+    parser.add_argument("--craft", required=True, metavar="NAME", help="whose")
+    parser.add_argument("--tle", type=Path, metavar="FILE", help="two-line element sets; read again when it changes")
+    parser.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
+    parser.add_argument("--rate-hz", type=_rate, default=1.0, metavar="HZ", help="fields a second (default: 1)")
+    parser.add_argument("--max-age-days", type=_days, default=3.0, metavar="D", help="oldest element set (default: 3)")
+    parser.add_argument(
+        "--duration-s", type=_rate, metavar="S", help="end after so long (default: at SIGTERM or Ctrl-C)"
+    )
+    parser.more = lambda: _EXAMPLE
+    parser.set_defaults(command=_reference)
+
+
+def _rate(text: str) -> float:
+    return _number(text, 0.01, 1e6)
+
+
+def _days(text: str) -> float:
+    return _number(text, 0.01, 60.0)
+
+
+def _number(text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; {low:g} to {high:g} is accepted")
+    return value
+
+
+def _reference(options: argparse.Namespace) -> int:
+    from magcal_service import log
+    from magcal_service.cli.asking import viewers_address
+    from magcal_service.config.settings import DEFAULT_LINK, default_craft
+    from magcal_service.daemon.reference_node import Elements, cost_of, run_along, run_beside
+    from magcal_service.errors import ConfigError, Fault
+    from magcal_service.links import Role, open_link
+
+    craft = default_craft(options.craft).name
+    address = options.link or viewers_address(DEFAULT_LINK)
+    elements = None
+    if options.tle is not None:
+        elements = Elements(options.tle, options.max_age_days)
+        elements.refuse_old(time.time_ns())
+        print(f"{options.tle}: {cost_of(elements.age_days(time.time_ns()))}", flush=True)
+    elif not address.startswith(("zenoh:", "loop:")):
+        accepted = "positions of others are heard on zenoh links alone; give --tle, or [craft.reference] in the daemon"
+        raise ConfigError([Fault("--link", address, accepted)])
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if options.duration_s is not None:
+        threading.Timer(options.duration_s, stop.set).start()
+    log.to_stderr()
+    with open_link(address, Role.NODE, crafts=[craft]) as link:
+        if elements is not None:
+            sent = run_along(link, craft, elements, options.rate_hz, stop)
+        else:
+            with open_link(address, Role.VIEWER, crafts=[craft]) as heard:
+                sent = run_beside(link, heard, craft, stop)
+    refused = "".join(f"; {name} {count}" for name, count in sorted(sent.refused.items()))
+    print(f"{sent.references} references sent{refused}")
+    return DONE
