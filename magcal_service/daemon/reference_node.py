@@ -25,7 +25,7 @@ SOURCE: Final = "igrf"
 """Source of what the node sends."""
 
 _LOOK_S: Final = 10.0  # between two looks at the file and at who is there; choice: an operator waits no longer
-_DAY_NS: Final = 86_400 * 10**9
+_DAY_NS: Final = 86_400 * 10**9  # ns of a day
 _AGES: Final = ((0.5, 6), (1.0, 7), (2.0, 40), (3.0, 130), (5.0, 300), (7.0, 900))
 """Age of an element set [days], and what it costs the magnitude at 450 km, rms [nT]: docs/recording-format.md."""
 
