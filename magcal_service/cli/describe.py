@@ -85,10 +85,11 @@ def _ask(described: Described) -> dict[str, str]:
         likeliest = next((value for value, _ in question.candidates if value == question.form), "")
         answer = ""
         while not answer:
-            try:
-                answer = input(f"{question.key} [{likeliest}] = ").strip() or likeliest
-            except EOFError:
-                raise KeyboardInterrupt from None
+            print(f"{question.key} [{likeliest}] = ", end="", flush=True)
+            line = sys.stdin.readline()
+            if not line:
+                raise KeyboardInterrupt
+            answer = line.strip() or likeliest
         answers[question.key] = answer
     return answers
 

@@ -20,7 +20,7 @@ def _run(options: argparse.Namespace) -> int:
     from magcal_service import log
     from magcal_service.config.private_files import check_unaltered
     from magcal_service.config.reader import load_config
-    from magcal_service.daemon.service import run_daemon
+    from magcal_service.daemon.run import run_daemon
 
     config = load_config(options.config)
     check_unaltered(options.config)

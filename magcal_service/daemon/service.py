@@ -1,4 +1,4 @@
-"""The daemon: open, loop, publish.  All estimation is in ``pipeline``."""
+"""The daemon: loop and publish.  All estimation is in ``pipeline``."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.config.magnetometers import MAGNETOMETERS, label, label_of
-from magcal_service.config.private_files import check_input, check_state_directory, check_way
 from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.schedule import Schedule
@@ -29,9 +28,8 @@ from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.status_round import StatusRound
-from magcal_service.errors import ConfigError, Fault, InputRefusedError
-from magcal_service.links import Link, Role, open_link
-from magcal_service.ticks.reference_track import REMEMBERED
+from magcal_service.errors import InputRefusedError
+from magcal_service.links import Link
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status, Verdict
@@ -424,70 +422,3 @@ class Service:
                 text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
             notify.notify(notify.WATCHDOG, notify.status(text))
         self._fed = (accepted, closed)
-
-
-def _csv(config: Config, stack: ExitStack) -> EstimateCsv | None:
-    path = config.output.csv
-    return None if path is None else stack.enter_context(EstimateCsv(path, append=True))
-
-
-def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
-    if config.record is None:
-        return None
-    from magcal_service.recordings.recorder import (
-        open_recorder,  # the packages of its extra are loaded where it is asked for
-    )
-
-    return stack.enter_context(open_recorder(config.record, config.crafts))
-
-
-def _check_directories(config: Config) -> None:
-    """Reject folders, and files on the way to them, that anybody could replace before anything is read from them."""
-    if config.record is not None and config.record.directory.exists():
-        check_state_directory(config.record.directory)
-    if config.state is not None:
-        crafts = [config.state.directory / craft.name for craft in config.crafts]
-        beside = [folder for craft in crafts if craft.is_dir() for folder in sorted(craft.iterdir()) if folder.is_dir()]
-        for folder in (config.state.directory, *crafts, *beside):
-            check_way(folder)
-            if folder.exists():
-                check_state_directory(folder)
-    for craft in config.crafts:
-        if craft.physics is not None:
-            check_input(craft.physics.path)
-
-
-def _check_history(config: Config, link: Link) -> None:
-    """Reject a longer history than the samples that a state keeps: what lies before would be used twice."""
-    if config.state is not None and link.history > REMEMBERED:
-        accepted = f"with [state], history=0 to history={REMEMBERED} is accepted"
-        raise ConfigError([Fault("link", f"history={link.history}", accepted)])
-
-
-def run_daemon(config: Config, stop: threading.Event) -> None:
-    """Open what the configuration names and serve until ``stop`` is set.
-
-    Raises ``LinkAddressError``, ``LinkError`` or ``InputRefusedError`` where something cannot be opened at all.
-    """
-    crafts = [craft.name for craft in config.crafts]
-    _check_directories(config)
-    with ExitStack() as stack:
-        checkpoints = None
-        if config.state is not None:  # first of all: another daemon's files are not to be touched
-            checkpoints = stack.enter_context(Checkpoints(config.state, config.crafts))
-        csv, recorder = _csv(config, stack), _recorder(config, stack)
-        link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
-        _check_history(config, link)
-        metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
-        outputs = stack.enter_context(Outputs(config.output.links, crafts)) if config.output.links else None
-        service = Service(config, link, csv, recorder, checkpoints, metrics, outputs=outputs)
-        if link.live:
-            service.limit = CommandLimit(config.commands, service.counters)
-        service.restore()
-        log.info("serving %s on %s", ", ".join(crafts), ", ".join((config.link, *config.output.links)))
-        for warning in link.warnings:
-            log.warning("%s: %s", config.link, warning)
-        notify.notify(notify.READY)
-        service.run(stop)
-        notify.notify(notify.STOPPING)
-        log.info("stopped")

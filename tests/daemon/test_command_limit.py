@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from magcal_service.config.settings import CommandsConfig, Config, CraftConfig
-from magcal_service.daemon import service as service_module
+from magcal_service.daemon import run as run_module
 from magcal_service.daemon.command_limit import LIMITED, CommandLimit
-from magcal_service.daemon.service import Service, run_daemon
+from magcal_service.daemon.run import run_daemon
+from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.wire.messages import Clock, Command, CommandReply, Message
@@ -104,7 +105,7 @@ def test_the_daemon_limits_what_is_live_and_not_what_was_recorded(
             yield link
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(service_module, "open_link", opened)
+    monkeypatch.setattr(run_module, "open_link", opened)
     monkeypatch.setattr(Service, "run", lambda self, _stop: found.append(self.limit is not None))
     run_daemon(Config("loop:limited", CRAFTS), None)  # type: ignore[arg-type]
     assert found == [live]

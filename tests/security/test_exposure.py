@@ -9,7 +9,8 @@ import pytest
 import zenoh
 
 from magcal_service.config.settings import Config, CraftConfig
-from magcal_service.daemon.service import Service, run_daemon
+from magcal_service.daemon.run import run_daemon
+from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.zenoh_settings import exposures
 from magcal_service.wire.messages import Status
