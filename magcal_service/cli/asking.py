@@ -31,10 +31,15 @@ class NotReachedError(MagcalError):
 
 def add_where(parser: argparse.ArgumentParser) -> None:
     """The arguments that say where the daemon is, and how long to wait for it."""
+    add_link(parser, "the daemon's configuration: its link and craft")
+    parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
+
+
+def add_link(parser: argparse.ArgumentParser, config_help: str) -> None:
+    """The arguments that say where the daemon is."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
-    where.add_argument("--config", type=Path, metavar="FILE", help="the daemon's configuration: its link and craft")
-    parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
+    where.add_argument("--config", type=Path, metavar="FILE", help=config_help)
 
 
 def _seconds(text: str) -> float:

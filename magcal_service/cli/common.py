@@ -39,6 +39,17 @@ def source_lines(recording: Recording) -> list[str]:
     return [f"magnetometer {recording.source}; --source chooses another: {', '.join(recording.others)}"]
 
 
+def speed(text: str) -> float:
+    """The speed of a replay, times real time, as an argument."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 (as fast as it goes) to 1e6 is accepted")
+    return value
+
+
 def add_executor(parser: argparse.ArgumentParser) -> None:
     """The arguments that say where many pieces of work are done, beside the command's own ``--out``."""
     engines = "processes of this machine, or the workers of a dask scheduler (default: pool)"

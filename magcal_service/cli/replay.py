@@ -12,6 +12,7 @@ from magcal_service.cli.common import (
     NOT_TRUSTED,
     SOURCE_HELP,
     source_lines,
+    speed,
     verdict_text,
 )
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
@@ -27,7 +28,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
-    parser.add_argument("--speed", type=_speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
+    parser.add_argument("--speed", type=speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
     parser.set_defaults(command=_replay)
 
@@ -66,16 +67,6 @@ def _replay(options: argparse.Namespace) -> int:
     if result.protection:
         print(result.protection)
     return DONE if result.verdict == "trusted" else NOT_TRUSTED
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 (as fast as it goes) to 1e6 is accepted")
-    return value
 
 
 def _counts(recording: Recording, result: Replay) -> str:

@@ -37,6 +37,7 @@ from magcal_service.offline.published import ObservedPipeline, Published
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
+from magcal_service.trust.doubted import doubted_reasons, doubted_verdict
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Command, Estimate, Message, Verdict
 
@@ -94,17 +95,12 @@ class Replay(NineErrors):
     @property
     def verdict(self) -> Verdict:
         """How far the last estimate is to be trusted; not, while something has to be answered about the recording."""
-        verdict = self.pipeline.trust.verdict
-        believed = verdict in (Verdict.TRUSTED, Verdict.CONVERGING)
-        return Verdict.DOUBTFUL if believed and self.inspection.open else verdict
+        return doubted_verdict(self.pipeline.trust.verdict, bool(self.inspection.open))
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why it is not trusted, where it is not; a doubtful recording is the first reason, and no physics is named."""
-        reasons = tuple(self.pipeline.trust.reasons)
-        if not self.inspection.open:
-            return reasons
-        return (Reason.RECORDING_DOUBTFUL, *(reason for reason in reasons if reason is not Reason.MODEL_DOUBTFUL))
+        return tuple(map(Reason, doubted_reasons(self.pipeline.trust.reasons, bool(self.inspection.open))))
 
     @property
     def model_doubt(self) -> str:
@@ -162,6 +158,14 @@ class Replay(NineErrors):
         return f"Replay: {self.verdict}{reasons}, {self.estimates} estimates\n{self._table()}"
 
 
+def as_played(inspection: Inspection, craft: CraftConfig) -> Recording:
+    """The recording whose messages a replay under this configuration sends through the service."""
+    recording = inspection.to_replay
+    if recording.stream is None and craft.magnetometers:  # rows that say of no source are of the craft's own
+        return replace(recording, source=recording.source or craft.magnetometers[0].source)
+    return recording
+
+
 def replay(
     recording: Recording | Path | str,
     config: CraftConfig | None = None,
@@ -188,10 +192,8 @@ def replay(
     """
     recording = recording if isinstance(recording, Recording) else read_recording(recording)
     inspection = inspect(recording) if inspection is None else inspection
-    recording = inspection.to_replay
-    craft = craft_of(recording) if config is None else config
-    if recording.stream is None and craft.magnetometers:  # rows that say of no source are of the craft's own
-        recording = replace(recording, source=recording.source or craft.magnetometers[0].source)
+    craft = craft_of(inspection.to_replay) if config is None else config
+    recording = as_played(inspection, craft)
     estimates = Counter[str]()
 
     def count(message: Message) -> None:

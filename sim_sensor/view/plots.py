@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import ExtraMissingError
-from sim_sensor.view.history import PARAMETERS, History
+from magcal_service.views.nine import PARAMETERS
+from sim_sensor.view.history import History
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.views.nine import PARAMETERS, Parameter
 from magcal_service.wire.messages import Estimate, Verdict
-from sim_sensor.view.history import PARAMETERS, FloatArray, History, Parameter, covariance_matrix, inside
+from sim_sensor.view.history import FloatArray, History, covariance_matrix, inside
 
 __all__ = ["ParameterSummary", "Summary", "summarise"]
 

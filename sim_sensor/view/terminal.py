@@ -10,8 +10,9 @@ from types import TracebackType
 from typing import Self
 
 from magcal_service.errors import ExtraMissingError
+from magcal_service.views.nine import PARAMETERS, sigmas, values
 from magcal_service.wire.messages import Estimate, Verdict
-from sim_sensor.view.history import PARAMETERS, inside, sigmas, values
+from sim_sensor.view.history import inside
 
 try:
     from rich.console import Console, Group, RenderableType

@@ -12,6 +12,7 @@ import numpy as np
 
 from magcal_service.errors import ExtraMissingError
 from magcal_service.version import __version__
+from magcal_service.views import PAGE
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ def rendered(template: Path, origin: Origin, words: Iterable[Callable[..., str]]
     check_packages()
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    loader = FileSystemLoader([template.parent, Path(__file__).parent])
+    loader = FileSystemLoader([template.parent, Path(__file__).parent, PAGE])  # its style is the live page's
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters |= {word.__name__: word for word in words}
     own = {"version": __version__, "python": platform.python_version(), "numpy": np.__version__}

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.views.nine import sigmas
 from magcal_service.wire.messages import Verdict
-from sim_sensor.view.history import History, covariance_matrix, inside, sigmas
+from sim_sensor.view.history import History, covariance_matrix, inside
 from sim_sensor.view.summary import summarise
 from tests.sim_sensor.view.view_estimates import FINAL_SIGMA, START_NS, TRUTH, converging, estimate
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_sensor.view.history import PARAMETERS, History
+from magcal_service.views.nine import PARAMETERS
+from sim_sensor.view.history import History
 from sim_sensor.view.plots import error_figure, plot_errors, plot_residual, residual_figure
 from tests.sim_sensor.view.view_estimates import FINAL_SIGMA, START_NS, TRUTH, converging, estimate
 

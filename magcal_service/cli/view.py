@@ -1,0 +1,106 @@
+"""``magcal view``: a live page in the browser, of a running daemon or of a recording."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from magcal_service.cli.asking import add_link, whom
+from magcal_service.cli.common import CRAFT_HELP, DONE, SOURCE_HELP, speed
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
+from magcal_service.errors import ConfigError, Fault
+
+if TYPE_CHECKING:
+    from magcal_service.views.sources import ReplaySource, Source
+
+_PORT: Final = 8047
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``magcal view``."""
+    parser.add_argument(
+        "recording", nargs="?", type=Path, metavar="RECORDING.toml|FILE.mcap", help="show this one; none: a live daemon"
+    )
+    add_link(parser, f"the daemon's configuration: its link and craft; of a recording the {CONFIG_HELP}")
+    parser.add_argument(
+        "--craft", metavar="NAME", help=f"only this craft of a live daemon; of a recording: {CRAFT_HELP}"
+    )
+    parser.add_argument("--source", metavar="NAME", help=f"of a recording: {SOURCE_HELP}")
+    parser.add_argument(
+        "--speed", type=speed, default=0.0, help="of a recording, times real time; 0 (default) as fast as it goes"
+    )
+    parser.add_argument(
+        "--port", type=_port, default=_PORT, help=f"on 127.0.0.1 (default: {_PORT}); 0 for one that is free"
+    )
+    parser.add_argument(
+        "--allow-commands", action="store_true", help="let the page freeze, resume and reset; else it only reads"
+    )
+    parser.set_defaults(command=_view)
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 5 and int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 to 65535 is accepted")
+    return int(text)
+
+
+def _view(options: argparse.Namespace) -> int:
+    import magcal_service.views.server  # noqa: F401 - a missing extra is told before anything is opened
+
+    if options.recording is None:
+        return _view_live(options)
+    refused = {"--link": options.link, "--allow-commands": options.allow_commands or None}
+    faults = [
+        Fault(name, value, "a live daemon takes it, a recording does not") for name, value in refused.items() if value
+    ]
+    if faults:
+        raise ConfigError(faults)
+    return _served(_replayed(options), options)
+
+
+def _view_live(options: argparse.Namespace) -> int:
+    from magcal_service.links import Role, open_link
+    from magcal_service.views.sources import LiveSource
+
+    if options.source is not None:
+        raise ConfigError(
+            [Fault("--source", options.source, "a recording takes it; the page offers all of a daemon's")]
+        )
+    address, crafts = whom(options, [] if options.craft is None else [options.craft], "--craft")
+    with open_link(address, Role.VIEWER, crafts=crafts) as link:
+        return _served(LiveSource(link), options)
+
+
+def _replayed(options: argparse.Namespace) -> ReplaySource:
+    from magcal_service.offline.replay import craft_of
+    from magcal_service.recordings.inspect.inspection import inspect
+    from magcal_service.recordings.reader import read_recording
+    from magcal_service.recordings.usable import refuse_hopeless
+    from magcal_service.views.sources import ReplaySource
+
+    configured = craft_from(options.config, options.craft, "a view")
+    to_read = craft_to_read(options.recording, options.config, options.craft)
+    inspection = inspect(read_recording(options.recording, to_read, source=options.source))
+    refuse_hopeless(inspection.usable, inspection.lines())
+    craft = configured or craft_of(inspection.to_replay)
+    return ReplaySource(str(options.recording), inspection, craft, options.speed)
+
+
+def _served(source: Source, options: argparse.Namespace) -> int:
+    from magcal_service.views.server import serve
+
+    async def until_stopped() -> None:
+        task = asyncio.ensure_future(
+            serve(
+                source, options.port, options.allow_commands, lambda url: print(f"{url} (Ctrl-C ends it)", flush=True)
+            )
+        )
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+        await task
+
+    asyncio.run(until_stopped())
+    return DONE

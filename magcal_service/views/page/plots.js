@@ -1,0 +1,68 @@
+"use strict";
+// Plots over time and over frequency, by uPlot; colours come from the style, so dark and light follow the system.
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+
+function clock(seconds) {
+  const sign = seconds < 0 ? "-" : "", s = Math.abs(Math.round(seconds)), two = (n) => String(n).padStart(2, "0");
+  return `${sign}${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}`;
+}
+
+const number = (value, digits) => (value == null || !isFinite(value) ? "-" : value.toFixed(digits));
+
+class Plot {
+  // place: element; lines: [{label, stroke, dash, width}]; x: how a value of the axis is written; marks: () => [[x, name]].
+  constructor(place, lines, x, unit, marks = () => []) {
+    Object.assign(this, { place, lines, x, unit, marks, data: [[], ...lines.map(() => [])], plot: null });
+    new ResizeObserver(() => this.fit()).observe(place);
+    this.build();
+  }
+
+  build() {
+    if (this.plot) this.plot.destroy();
+    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { stroke: colour("line") } };
+    this.plot = new uPlot({
+      width: Math.max(this.place.clientWidth, 100), height: 220,
+      scales: { x: { time: false } },
+      cursor: { drag: { x: true, y: false } },
+      legend: { live: true },
+      axes: [
+        { ...axis, values: (_, values) => values.map(this.x), space: 70 },
+        { ...axis, size: 62, label: this.unit, labelSize: 16, values: (_, values) => values.map((v) => v.toLocaleString("en")) },
+      ],
+      series: [
+        { label: "at", value: (_, v) => (v == null ? "-" : this.x(v)) },
+        ...this.lines.map((line) => ({
+          label: line.label, stroke: () => colour(line.colour), width: line.width || 1.2, dash: line.dash, spanGaps: false,
+          points: { show: false }, value: (_, v) => number(v, line.digits || 0),
+        })),
+      ],
+      hooks: { draw: [(plot) => this.drawMarks(plot)] },
+    }, this.data, this.place);
+  }
+
+  drawMarks(plot) {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = colour("soft");
+    ctx.setLineDash([4, 4]);
+    ctx.font = `${11 * devicePixelRatio}px sans-serif`;
+    this.marks().forEach(([at, name], i) => {
+      const x = plot.valToPos(at, "x", true);
+      if (x < bbox.left || x > bbox.left + bbox.width) return;
+      ctx.beginPath(); ctx.moveTo(x, bbox.top); ctx.lineTo(x, bbox.top + bbox.height); ctx.stroke();
+      ctx.fillText(name, x + 4, bbox.top + (12 + 13 * i) * devicePixelRatio);
+    });
+    ctx.restore();
+  }
+
+  fit() {
+    const width = this.place.clientWidth;
+    if (width > 0 && this.plot && width !== this.plot.width) this.plot.setSize({ width, height: 220 });
+  }
+
+  show(data) {
+    this.data = data;
+    this.plot.setData(data);
+  }
+}

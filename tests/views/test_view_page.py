@@ -1,0 +1,147 @@
+"""The page itself: who may read it, what it may fetch, and a browser that looks at it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import shutil
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("aiohttp", reason="the extra view is not installed")
+
+import aiohttp
+
+from magcal_service.links import Link, Role, open_link
+from magcal_service.views.server import serve
+from magcal_service.views.sources import LiveSource, heard_until
+from magcal_service.wire.messages import CalibratedVector, Command, Message
+from tests.views.browser import tab
+from tests.views.view_messages import estimate, second_of, status
+
+
+@contextlib.asynccontextmanager
+async def served(name: str, allow_commands: bool = False) -> AsyncIterator[tuple[str, Link, Link]]:
+    """A page of a live link: its address, and the ends of daemon and node."""
+    with (
+        open_link(f"loop:{name}", Role.VIEWER) as viewer,
+        open_link(f"loop:{name}", Role.SERVICE) as daemon,
+        open_link(f"loop:{name}", Role.NODE) as node,
+    ):
+        told: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        task = asyncio.create_task(serve(LiveSource(viewer), 0, allow_commands, told.set_result))
+        await asyncio.wait([told, task], return_when=asyncio.FIRST_COMPLETED)
+        try:
+            yield await told, daemon, node
+        finally:
+            task.cancel()
+            await task
+
+
+def fly(daemon: Link, node: Link, seconds: range, craft: str = "demo") -> None:
+    """Send these seconds of a craft, each from the end that it comes from."""
+    for second in seconds:
+        for message in second_of(second, craft, ripple_nt=40.0):
+            (daemon if isinstance(message, CalibratedVector) else node).send(message)
+        daemon.send(estimate(second, craft))
+
+
+async def first_update(session: aiohttp.ClientSession, address: str) -> dict[str, Any]:
+    """The first update that a reader gets."""
+    async with session.get(f"{address}events") as response:
+        line = await response.content.readline()
+    update: dict[str, Any] = json.loads(line.removeprefix(b"data: "))
+    return update
+
+
+def test_only_this_machine_s_own_name_is_answered_and_every_answer_forbids_the_rest() -> None:
+    async def ask() -> None:
+        async with served("guard") as (address, _, _), aiohttp.ClientSession() as session:
+            async with session.get(address, headers={"Host": "elsewhere.example"}) as refused:
+                assert refused.status == 403
+            for path, status_code in (("", 200), ("view.js", 200), ("../server.py", 404), ("command", 404)):
+                async with session.get(address + path) as response:
+                    assert response.status == status_code
+                    policy = response.headers["Content-Security-Policy"]
+                    assert policy.startswith("default-src 'none'")
+                    assert "unsafe" not in policy
+
+    asyncio.run(ask())
+
+
+def test_commands_are_taken_only_where_allowed_and_only_from_the_page() -> None:
+    async def ask() -> None:
+        body = {"craft": "demo", "name": "freeze"}
+        async with (
+            served("reads") as (address, _, _),
+            aiohttp.ClientSession() as session,
+            session.post(f"{address}command", json=body, headers={"Origin": address[:-1]}) as response,
+        ):
+            assert response.status == 404
+        async with served("writes", allow_commands=True) as (address, daemon, node), aiohttp.ClientSession() as session:
+            fly(daemon, node, range(2))
+            while not (await first_update(session, address))["list"]:
+                await asyncio.sleep(0.01)
+            for origin, asked, expected in (
+                ("http://elsewhere.example", body, 403),
+                (address[:-1], body | {"name": "load_physics"}, 400),
+                (address[:-1], body | {"craft": "nobody"}, 400),
+                (address[:-1], body, 202),
+            ):
+                async with session.post(f"{address}command", json=asked, headers={"Origin": origin}) as response:
+                    assert response.status == expected
+            given = [one for one in await asyncio.to_thread(daemon.receive, 2.0) if isinstance(one, Command)]
+            while not given:
+                given = [one for one in await asyncio.to_thread(daemon.receive, 2.0) if isinstance(one, Command)]
+            assert [(one.craft, one.name) for one in given] == [("demo", "freeze")]
+
+    asyncio.run(ask())
+
+
+def test_a_replay_gives_each_input_once_and_before_its_answer() -> None:
+    inputs = [one for second in range(4) for one in second_of(second)]
+    vectors = [one for one in inputs if isinstance(one, CalibratedVector)]
+    taken: list[Message] = []
+    until = heard_until((one for one in inputs if one not in vectors), taken.append)
+    for vector in (vectors[0], vectors[2], vectors[1], vectors[3]):
+        until(vector)
+        assert (vector.sequence, vector.source) in {(one.sequence, one.source) for one in taken}
+    assert taken == [one for one in inputs if one not in vectors]
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
+def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> None:
+    async def look() -> None:
+        async with served("browser", allow_commands=True) as (address, daemon, node), tab(tmp_path) as page:
+            fly(daemon, node, range(100))
+            fly(daemon, node, range(5), "other")
+            daemon.send(status(100, "model doubtful: heat <b>; run: magcal diagnose RECORDING; trusted, 1 ticks"))
+            await page.size(360, 800)
+            await page.call("Page.navigate", url=address)
+            text = "(document.body?.innerText ?? '')"
+            await page.until(f"{text}.includes('magcal diagnose RECORDING')")
+            await page.until("document.getElementById('spectrum-says').textContent.includes('rpm')")
+            shown = await page.value(text)
+            for words in ("TRUSTED", "3000.0", "120 nT unseen", "heat <b>", "rms 40.0 nT after", "at 6.00 rpm", "LIVE"):
+                assert words in shown
+            assert await page.value("document.querySelectorAll('#field canvas, #residual canvas').length") == 2
+            assert await page.value("document.documentElement.scrollWidth") == 360
+            fly(daemon, node, range(100, 130))
+            await page.until("document.getElementById('field-says').textContent.includes('0:02:09')")
+            await page.value(
+                "(s => {s.value = 'other'; s.dispatchEvent(new Event('change'))})(document.getElementById('choice'))"
+            )
+            await page.until("document.getElementById('field-says').textContent.includes('0:00:04')")
+            unnamed = (
+                "[...document.querySelectorAll('canvas[tabindex],select,[role=img]')].filter(e => !e.ariaLabel).length"
+            )
+            assert await page.value(unnamed) == 0
+            assert page.complaints == []
+            assert all(url.startswith((address, "about:", "data:")) for url in page.requests)
+            assert len(page.requests) > 8
+
+    asyncio.run(look())
