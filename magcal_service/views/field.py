@@ -11,7 +11,7 @@ import numpy as np
 from magcal_service.views.series import Recent, Row, Whole
 from magcal_service.views.spectrum import Spectrum, spectrum
 from magcal_service.views.sphere import Sphere
-from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, ReferenceSample, Vector
+from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, ReferenceSample, Vector, Verdict
 
 _WAITING: Final = 512  # samples or vectors that wait for what belongs to them
 _APART_S: Final = 30.0  # between two references; further apart nothing is interpolated
@@ -29,6 +29,7 @@ class _Pair(NamedTuple):
     time_ns: int
     before: Vector | None
     after: Vector
+    is_calibrated: bool  # else there is no estimate yet, and the vector is that of the prior
 
 
 class ReferenceField:
@@ -66,7 +67,8 @@ class ReferenceField:
 class FieldView:
     """What a page shows of one magnetometer's samples.
 
-    Rows of ``recent`` and ``whole``: time [s since ``start_ns``], |B| before, |B| after, |H|, |B| after - |H| [nT].
+    Rows of ``recent`` and ``whole``: time [s since ``start_ns``], |B| before, |B| after, |H|, |B| after - |H| [nT];
+    what needs an estimate is None before there is one.
     """
 
     def __init__(self, reference: ReferenceField, start_ns: int) -> None:
@@ -86,7 +88,9 @@ class FieldView:
 
     def vector(self, vector: CalibratedVector) -> None:
         """Take a calibrated vector; its row is made when the reference covers it."""
-        self._pairs.append(_Pair(vector.time_ns, self._samples.pop(vector.sequence, None), vector.field_body_nt))
+        before = self._samples.pop(vector.sequence, None)
+        is_calibrated = vector.verdict is not Verdict.NOT_STARTED
+        self._pairs.append(_Pair(vector.time_ns, before, vector.field_body_nt, is_calibrated))
         self.newest_ns = max(self.newest_ns, vector.time_ns)
         self.settle()
         patience_s = _ALONE_S if self._reference.newest_ns is None else _APART_S
@@ -110,13 +114,13 @@ class FieldView:
         row: Row = (
             time_s,
             None if pair.before is None else round(length(pair.before), 1),
-            round(after, 1),
+            round(after, 1) if pair.is_calibrated else None,
             None if reference is None else round(reference, 1),
-            None if reference is None else round(after - reference, 2),
+            round(after - reference, 2) if reference is not None and pair.is_calibrated else None,
         )
         self.recent.add(row)
         self.whole.add(row)
-        self.sphere.add(pair.before, pair.after, reference or after)
+        self.sphere.add(pair.before, pair.after if pair.is_calibrated else None, reference or after)
         self._measured.append(pair.before or pair.after)
 
     def spectrum(self) -> Spectrum | None:

@@ -16,7 +16,7 @@ AROUND: Final = 24
 CELLS: Final = BANDS * AROUND
 
 Cell = tuple[float | None, ...]
-"""Raw vector and calibrated one over the reference's magnitude: six numbers, the raw three None where unknown."""
+"""Raw vector and calibrated one over the reference's magnitude: six numbers, three of them None where unknown."""
 
 
 def cell_of(vector: Vector) -> int | None:
@@ -37,20 +37,27 @@ class Sphere:
         self._cells: dict[int, tuple[int, Cell]] = {}
         self.count = 0
 
-    def add(self, before: Vector | None, after: Vector, scale_nt: float) -> None:
-        """Take a sample over its reference ``scale_nt`` [nT]; ``before`` is None where the raw one was not heard."""
-        cell = cell_of(after)
+    def add(self, before: Vector | None, after: Vector | None, scale_nt: float) -> None:
+        """Take a sample over its reference ``scale_nt`` [nT].
+
+        ``before`` is None where the raw one was not heard, ``after`` where there is no estimate yet.
+        """
+        seen = after or before
+        cell = None if seen is None else cell_of(seen)
         if cell is None or not scale_nt > 0.0:
             return
         self.count += 1
-        raw: Cell = (None, None, None) if before is None else tuple(round(one / scale_nt, 4) for one in before)
-        self._cells[cell] = self.count, (*raw, *(round(one / scale_nt, 4) for one in after))
+        self._cells[cell] = self.count, (*_scaled(before, scale_nt), *_scaled(after, scale_nt))
 
     @property
     def coverage(self) -> float:
-        """Share of the sphere's cells in which the calibrated field has pointed."""
+        """Share of the sphere's cells in which the field has pointed."""
         return len(self._cells) / CELLS
 
     def since(self, count: int) -> dict[int, Cell]:
         """The cells that have changed since ``count`` was the number of vectors taken."""
         return {cell: vectors for cell, (when, vectors) in self._cells.items() if when > count}
+
+
+def _scaled(vector: Vector | None, scale_nt: float) -> Cell:
+    return (None, None, None) if vector is None else tuple(round(one / scale_nt, 4) for one in vector)

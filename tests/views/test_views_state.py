@@ -36,6 +36,14 @@ def test_a_row_has_the_field_before_and_after_the_reference_and_the_residual() -
     assert rows[1] == pytest.approx((1.0, round(before, 1), FIELD_NT - 50.0, FIELD_NT, -50.0), abs=1e-9)
 
 
+def test_before_there_is_an_estimate_nothing_counts_as_calibrated() -> None:
+    update = Feed().update(heard(3, verdict=Verdict.NOT_STARTED), 3.0)
+    row = update["recent"]["rows"][1]
+    assert {cell[3:] for cell in update["cells"].values()} == {(None, None, None)}
+    assert row[1] is not None
+    assert row[2:] == (None, FIELD_NT, None)
+
+
 def test_the_reference_is_interpolated_and_waited_for() -> None:
     views = Views()
     messages = [message for second in (0, 1, 2) for message in second_of(second)]

@@ -26,7 +26,9 @@ def direction(second: int, turn_hz: float = 0.1) -> Vector:
     return FIELD_NT * 0.8 * math.cos(angle), FIELD_NT * 0.8 * math.sin(angle), FIELD_NT * 0.6
 
 
-def second_of(second: int, craft: str = "demo", source: str = "mag", ripple_nt: float = 0.0) -> Iterator[Message]:
+def second_of(
+    second: int, craft: str = "demo", source: str = "mag", ripple_nt: float = 0.0, verdict: Verdict = Verdict.TRUSTED
+) -> Iterator[Message]:
     """Reference, raw sample and calibrated vector of a second; the latter is too long and too short by turns."""
     stamp = {"craft": craft, "sequence": second, "time_ns": second * 1_000_000_000}
     x, y, z = direction(second)
@@ -38,7 +40,7 @@ def second_of(second: int, craft: str = "demo", source: str = "mag", ripple_nt: 
         source=source,
         field_body_nt=(stretch * x, stretch * y, stretch * z),
         covariance_nt2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
-        verdict=Verdict.TRUSTED,
+        verdict=verdict,
     )
 
 

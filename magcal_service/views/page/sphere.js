@@ -57,7 +57,7 @@ class Sphere {
     if (this.ellipsoid && this.reference) this.circles(ctx, at, (u) => this.raw(u), colour("before"));
     for (const c of vectors) {
       if (c[0] != null) this.dot(ctx, at(c.slice(0, 3)), colour("before"), true);
-      this.dot(ctx, at(c.slice(3)), colour("after"), false);
+      if (c[3] != null) this.dot(ctx, at(c.slice(3)), colour("after"), false);
     }
     ctx.fillStyle = colour("ink"); ctx.font = "12px sans-serif"; ctx.globalAlpha = 1;
     [["x", [1.1, 0, 0]], ["y", [0, 1.1, 0]], ["z", [0, 0, 1.1]]].forEach(([name, end]) => ctx.fillText(name, ...at(end)));

@@ -99,7 +99,7 @@ function verdict(result) {
   say("protection", result.protection_nt == null ? "Protection level: not known yet."
     : `Protection level: a vector may be off by ${number(result.protection_nt, 0)} nT unseen, set by ${result.protection_by}.`);
   at("finding").hidden = !result.finding;
-  if (result.finding) { say("found", `looks like ${result.finding.what}`.replace("looks like looks like", "looks like")); say("diagnose", result.finding.command); }
+  if (result.finding) { say("found", result.finding.what); say("diagnose", result.finding.command); }
 }
 
 function nine(result) {
@@ -161,7 +161,7 @@ function fields(update) {
   }
   times(update.every);
   const last = rows.recent[rows.recent.length - 1];
-  sphere.show(update.cells, update.fresh, update.result.started ? update.result.ellipsoid : null, last ? last[3] || last[2] : 0);
+  sphere.show(update.cells, update.fresh, update.result.started ? update.result.ellipsoid : null, last ? last[3] || last[2] || last[1] : 0);
   say("sphere-says", `${(100 * update.coverage).toFixed(0)} % of all directions have occurred.`);
   at("sphere").setAttribute("aria-label", `Sphere of directions: ${(100 * update.coverage).toFixed(0)} % have occurred`);
   if ("spectrum" in update) spectra(update.spectrum);
@@ -175,7 +175,8 @@ function times(every) {
   say("field-says", shown.length ? `${clock(columns[0][0])} to ${clock(columns[0][shown.length - 1])} of the samples' own time.${how}` : "");
   const rms = (values) => { const kept = values.filter((v) => v != null); return kept.length ? Math.sqrt(kept.reduce((s, v) => s + v * v, 0) / kept.length) : null; };
   const after = rms(columns[4]), before = rms(shown.map((row) => (row[1] == null || row[3] == null ? null : row[1] - row[3])));
-  say("residual-says", after == null ? "No reference was heard for these samples, so there is no residual to draw."
+  const lacking = columns[3].some((one) => one != null) ? "There is no estimate yet" : "No reference was heard for these samples";
+  say("residual-says", after == null ? `${lacking}, so there is no residual to draw.`
     : `rms ${number(after, 1)} nT after, ${number(before, 1)} nT before, over what is shown.`);
   at("field").setAttribute("aria-label", `Field magnitude before and after calibration against the reference; ${at("residual-says").textContent}`);
   at("residual").setAttribute("aria-label", `Residual over time; ${at("residual-says").textContent}`);
@@ -185,7 +186,7 @@ function spectra(found) {
   lines = found ? found.lines : [];
   spectrumPlot.show(found ? [found.frequency_hz, found.amplitude_nt] : [[], []]);
   const turn = found && found.turn_hz ? ` The raw vector turns at ${(found.turn_hz * 60).toPrecision(3)} rpm.` : "";
-  let text = "Too few samples with a reference yet.";
+  let text = "Too few samples with an estimate and a reference yet.";
   if (found) {
     const peak = found.amplitude_nt.indexOf(Math.max(...found.amplitude_nt));
     text = `Largest line: ${number(found.amplitude_nt[peak], 1)} nT at ${(1000 * found.frequency_hz[peak]).toPrecision(3)} mHz.${turn}`;
