@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import add_link, whom
-from magcal_service.cli.common import CRAFT_HELP, DONE, SOURCE_HELP, speed
+from magcal_service.cli.common import DONE, SOURCE_HELP, speed
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
 
@@ -26,7 +26,11 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     add_link(parser, f"the daemon's configuration: its link and craft; of a recording the {CONFIG_HELP}")
     parser.add_argument(
-        "--craft", metavar="NAME", help=f"only this craft of a live daemon; of a recording: {CRAFT_HELP}"
+        "--craft",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this craft, of a daemon or a session; repeatable",
     )
     parser.add_argument("--source", metavar="NAME", help=f"of a recording: {SOURCE_HELP}")
     parser.add_argument(
@@ -69,7 +73,7 @@ def _view_live(options: argparse.Namespace) -> int:
         raise ConfigError(
             [Fault("--source", options.source, "a recording takes it; the page offers all of a daemon's")]
         )
-    address, crafts = whom(options, [] if options.craft is None else [options.craft], "--craft")
+    address, crafts = whom(options, options.craft, "--craft")
     with open_link(address, Role.VIEWER, crafts=crafts) as link:
         return _served(LiveSource(link), options)
 
@@ -77,16 +81,21 @@ def _view_live(options: argparse.Namespace) -> int:
 def _replayed(options: argparse.Namespace) -> ReplaySource:
     from magcal_service.offline.replay import craft_of
     from magcal_service.recordings.inspect.inspection import inspect
-    from magcal_service.recordings.reader import read_recording
+    from magcal_service.recordings.reader import is_session, read_recording
     from magcal_service.recordings.usable import refuse_hopeless
-    from magcal_service.views.sources import ReplaySource
+    from magcal_service.views.sources import Flight, ReplaySource
 
-    configured = craft_from(options.config, options.craft, "a view")
-    to_read = craft_to_read(options.recording, options.config, options.craft)
-    inspection = inspect(read_recording(options.recording, to_read, source=options.source))
-    refuse_hopeless(inspection.usable, inspection.lines())
-    craft = configured or craft_of(inspection.to_replay)
-    return ReplaySource(str(options.recording), inspection, craft, options.speed)
+    def flight(name: str | None) -> Flight:
+        configured = craft_from(options.config, name, "a view")
+        to_read = craft_to_read(options.recording, options.config, name)
+        inspection = inspect(read_recording(options.recording, to_read, source=options.source))
+        refuse_hopeless(inspection.usable, inspection.lines())
+        return Flight(inspection, configured or craft_of(inspection.to_replay))
+
+    names = list(dict.fromkeys(options.craft)) or [None]
+    if len(names) > 1 and not is_session(options.recording):
+        raise ConfigError([Fault("--craft", " ".join(names), "one craft of rows, or several of a session")])
+    return ReplaySource(str(options.recording), [flight(name) for name in names], options.speed)
 
 
 def _served(source: Source, options: argparse.Namespace) -> int:

@@ -9,12 +9,13 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.trust.doubted import doubted_reasons, doubted_verdict
-from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.reasons import REMEDIES
 from magcal_service.views.nine import PARAMETERS, sigmas, values
 from magcal_service.views.words import event_of, finding_of
 from magcal_service.wire.messages import CommandReply, Estimate, Status, Verdict
 
 _MOST_EVENTS: Final = 40
+_REMEDIES: Final = {str(reason): remedy for reason, remedy in REMEDIES.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +75,11 @@ class ResultView:
         found = finding_of(self.status.text, "RECORDING" if self.recording is None else self.recording.path)
         return None if found is None else {"what": found.what, "command": found.command}
 
-    def _remedy(self) -> str:
-        if self._open:
-            return REMEDIES[Reason.RECORDING_DOUBTFUL]
-        return "" if self.estimate is None else self.estimate.remedy
+    def _advice(self) -> list[list[str]]:
+        """Each reason with what to do about it; the estimate's first reason in its own words, with the numbers."""
+        reasons = () if self.estimate is None else self.estimate.reasons
+        own = {} if self.estimate is None else dict.fromkeys(reasons[:1], self.estimate.remedy)
+        return [[one, own.get(one) or _REMEDIES.get(one, "")] for one in doubted_reasons(reasons, self._open)]
 
     def shown(self, start_ns: int | None) -> dict[str, Any]:
         """As plain data; times are [s] since ``start_ns``, or since the first event where it is None."""
@@ -86,8 +88,7 @@ class ResultView:
             start_ns = self.events[0][0] if self.events else 0
         return {
             "verdict": str(self.verdict),
-            "reasons": list(doubted_reasons(() if estimate is None else estimate.reasons, self._open)),
-            "remedy": self._remedy(),
+            "reasons": self._advice(),
             "defects": [] if self.recording is None else list(self.recording.defects),
             "nine": [] if estimate is None else nine_rows(estimate),
             "started": estimate is not None and estimate.verdict is not Verdict.NOT_STARTED,

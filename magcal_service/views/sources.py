@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -104,34 +104,50 @@ class LiveSource(Source):
                 number = (number + 1) % (1 << 32)
 
 
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One craft of a recording: what was found on it, and the configuration it is replayed under."""
+
+    inspection: Inspection
+    craft: CraftConfig
+
+
 class ReplaySource(Source):
     """A recording, replayed through the daemon's own path.
 
     Parameters
     ----------
     path: of the recording, as it was given.
-    inspection: of the recording.
-    craft: the configuration to replay it under.
+    flights: its craft, of different names; they are replayed side by side.
     speed: times real time; 0 as fast as it goes.
     """
 
-    def __init__(self, path: str, inspection: Inspection, craft: CraftConfig, speed: float) -> None:
-        defects = tuple(finding.says for finding in inspection.open)
-        super().__init__(Views(Replayed(path, defects)))
-        self._path, self._inspection, self._craft, self._speed = path, inspection, craft, speed
-        self._note, self._has_ended = "", False
+    def __init__(self, path: str, flights: Sequence[Flight], speed: float) -> None:
+        defects = {one.craft.name: tuple(found.says for found in one.inspection.open) for one in flights}
+        super().__init__(Views({name: Replayed(path, found) for name, found in defects.items()}))
+        self._path, self._flights, self._speed = path, tuple(flights), speed
+        self._notes: list[str] = []
+        self._has_ended = False
 
     @property
     def origin(self) -> Origin:
         """The recording, and whether its end has come."""
-        return Origin("recording", self._path, self._note, self._has_ended)
+        return Origin("recording", self._path, "; ".join(self._notes), self._has_ended)
 
     def _run(self) -> None:
+        replays = [threading.Thread(target=self._replay, args=(one,), daemon=True) for one in self._flights]
+        for one in replays:
+            one.start()
+        for one in replays:
+            one.join()
+        self._has_ended = True
+
+    def _replay(self, flight: Flight) -> None:
         from magcal_service.offline.replay import as_played, replay
         from magcal_service.recordings.messages import messages
 
-        played = as_played(self._inspection, self._craft)
-        heard = heard_until(messages(played, self._craft.name, telemetry=False), self.take)
+        inspection, craft = flight.inspection, flight.craft
+        heard = heard_until(messages(as_played(inspection, craft), craft.name, telemetry=False), self.take)
 
         def sink(message: Message) -> None:
             if isinstance(message, CalibratedVector):
@@ -139,19 +155,12 @@ class ReplaySource(Source):
             self.take(message)
 
         try:
-            done = replay(
-                self._inspection.recording,
-                self._craft,
-                self._speed,
-                sink=sink,
-                as_recorded=True,
-                inspection=self._inspection,
-            )
-            self._note = done.remark
-            self.take(done.pipeline.status(0.0, Counter()))  # those of the daemon come by the wall's clock
+            done = replay(inspection.recording, craft, self._speed, sink=sink, as_recorded=True, inspection=inspection)
         except MagcalError as error:
-            self._note = f"the replay ended early: {error}"
-        self._has_ended = True
+            self._notes.append(f"the replay of {craft.name} ended early: {error}")
+            return
+        self._notes += filter(None, [done.remark])
+        self.take(done.pipeline.status(0.0, Counter()))  # those of the daemon come by the wall's clock
 
 
 def heard_until(inputs: Iterator[Message], take: Callable[[Message], None]) -> Callable[[CalibratedVector], None]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final
 
 from magcal_service.config.magnetometers import label_of
@@ -19,8 +21,8 @@ from magcal_service.wire.messages import (
     Status,
 )
 
-_MOST_CRAFT: Final = 256
-_MOST_SOURCES: Final = 32  # magnetometers of one craft
+_MOST_CRAFT: Final = 64
+_MOST_SOURCES: Final = 8  # magnetometers of one craft; each takes about 1 MB
 _BACK_S: Final = 60.0  # vectors that lie so far before the newest one are a new beginning, such as a restarted node
 
 
@@ -34,7 +36,7 @@ class CraftView:
         self.fields: dict[str, FieldView] = {}
         self.results: dict[str, ResultView] = {}
         self.heard_s = 0.0
-        self._recording = recording
+        self.recording = recording
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this craft, heard at ``now_s`` [s] of the reader's own clock."""
@@ -71,7 +73,7 @@ class CraftView:
 
     def _result(self, label: str, message: Estimate | Status | CommandReply) -> None:
         if label not in self.results and len(self.results) < _MOST_SOURCES:
-            self.results[label] = ResultView(self._recording)
+            self.results[label] = ResultView(self.recording)
         if label in self.results:
             self.results[label].take(message)
 
@@ -97,14 +99,14 @@ class Views:
 
     Parameters
     ----------
-    recording: what is being replayed; None for a live link.
+    recordings: what is being replayed, by the name of the craft; empty for a live link.
 
     Anybody may call on the link, so craft and sources are counted: beyond a limit, new names are left out.
     """
 
-    def __init__(self, recording: Replayed | None = None) -> None:
+    def __init__(self, recordings: Mapping[str, Replayed] = MappingProxyType({})) -> None:
         self.crafts: dict[str, CraftView] = {}
-        self.recording = recording
+        self._recordings = recordings
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message that was heard at ``now_s`` [s] of the reader's own clock; commands of others are no news."""
@@ -114,7 +116,7 @@ class Views:
         if craft is None:
             if len(self.crafts) >= _MOST_CRAFT:
                 return
-            craft = CraftView(message.craft, self.recording)
+            craft = CraftView(message.craft, self._recordings.get(message.craft))
             self.crafts[message.craft] = craft
         craft.take(message, now_s)
 
@@ -122,7 +124,7 @@ class Views:
         """All that can be looked at, by label; a craft of which only samples were heard is one without results."""
         found = []
         for name, craft in self.crafts.items():
-            results = craft.results or {name: ResultView(self.recording)}
+            results = craft.results or {name: ResultView(craft.recording)}
             found += [Magnetometer(label, craft, result) for label, result in results.items()]
         return sorted(found, key=lambda one: one.label)
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import shutil
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,18 @@ import pytest
 pytest.importorskip("aiohttp", reason="the extra view is not installed")
 
 import aiohttp
+import numpy as np
 
 from magcal_service.links import Link, Role, open_link
+from magcal_service.offline.replay import craft_of
+from magcal_service.recordings.inspect.inspection import inspect
+from magcal_service.recordings.reader import read_recording
+from magcal_service.views.feed import Feed
 from magcal_service.views.server import serve
-from magcal_service.views.sources import LiveSource, heard_until
+from magcal_service.views.sources import Flight, LiveSource, ReplaySource, heard_until
 from magcal_service.wire.messages import CalibratedVector, Command, Message
+from tests.cli.cli_inputs import run
+from tests.diagnosis.diagnosis_runs import recorded
 from tests.views.browser import tab
 from tests.views.view_messages import estimate, second_of, status
 
@@ -113,20 +121,54 @@ def test_a_replay_gives_each_input_once_and_before_its_answer() -> None:
     assert taken == [one for one in inputs if one not in vectors]
 
 
+def test_a_replayed_recording_shows_its_raw_samples_beside_what_came_of_them(tmp_path: Path) -> None:
+    inspection = inspect(read_recording(recorded("paper", 450.0, tmp_path)))
+    source = ReplaySource("log.toml", [Flight(inspection, craft_of(inspection.to_replay))], 0.0)
+    source.start()
+    while not source.origin.has_ended:
+        time.sleep(0.01)
+    update = Feed().update(source.views, time.monotonic())
+    rows = update["recent"]["rows"]
+    measured = np.linalg.norm(inspection.recording.field_body_nt, axis=1)
+    assert source.origin.note == ""
+    assert len(rows) >= 449
+    assert [row[1] for row in rows] == pytest.approx(measured[: len(rows)], abs=0.1)
+    settled = [row[4] for row in rows if row[4] is not None]
+    assert 200.0 < np.std(settled) < 400.0  # the scenario's noise is 300 nT
+    assert update["result"]["counters"]["ticks"] == 450
+
+
+def test_what_a_source_cannot_take_is_refused() -> None:
+    for given, field in ((("log.toml", "--allow-commands"), "--allow-commands"), (("--source", "mag2"), "--source")):
+        done = run("view", *given)
+        assert (done.code, done.err.partition(":")[0]) == (2, field)
+
+
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> None:
     async def look() -> None:
         async with served("browser", allow_commands=True) as (address, daemon, node), tab(tmp_path) as page:
             fly(daemon, node, range(100))
             fly(daemon, node, range(5), "other")
-            daemon.send(status(100, "model doubtful: heat <b>; run: magcal diagnose RECORDING; trusted, 1 ticks"))
+            daemon.send(
+                status(100, "model doubtful: heat <b>; run: magcal diagnose RECORDING; last event: <i>reset</i>")
+            )
             await page.size(360, 800)
             await page.call("Page.navigate", url=address)
             text = "(document.body?.innerText ?? '')"
             await page.until(f"{text}.includes('magcal diagnose RECORDING')")
             await page.until("document.getElementById('spectrum-says').textContent.includes('rpm')")
             shown = await page.value(text)
-            for words in ("TRUSTED", "3000.0", "120 nT unseen", "heat <b>", "rms 40.0 nT after", "at 6.00 rpm", "LIVE"):
+            for words in (
+                "TRUSTED",
+                "3000.0",
+                "120 nT unseen",
+                "heat <b>",
+                "<i>reset</i>",
+                "rms 40.0 nT after",
+                "at 6.00 rpm",
+                "LIVE",
+            ):
                 assert words in shown
             assert await page.value("document.querySelectorAll('#field canvas, #residual canvas').length") == 2
             assert await page.value("document.documentElement.scrollWidth") == 360
@@ -136,6 +178,13 @@ def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> N
                 "(s => {s.value = 'other'; s.dispatchEvent(new Event('change'))})(document.getElementById('choice'))"
             )
             await page.until("document.getElementById('field-says').textContent.includes('0:00:04')")
+            told = "life(); document.getElementById('life').textContent + document.getElementById('stale').textContent"
+            assert await page.value(f"newest.list[1].age_s = 99; {told}") == (
+                "staleNothing new of other for 99 s; what is shown is old."
+            )
+            assert "page lostNo answer from magcal view for 9 s" in await page.value(
+                f"heardMs = Date.now() - 9000; {told}"
+            )
             unnamed = (
                 "[...document.querySelectorAll('canvas[tabindex],select,[role=img]')].filter(e => !e.ariaLabel).length"
             )

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.views.feed import Feed
+from magcal_service.views.field import ReferenceField
 from magcal_service.views.result import Replayed, ellipsoid
 from magcal_service.views.series import Recent, Whole
 from magcal_service.views.spectrum import spectrum
 from magcal_service.views.sphere import Sphere
 from magcal_service.views.state import Views
 from magcal_service.views.words import Finding, event_of, finding_of
-from magcal_service.wire.messages import Verdict
+from magcal_service.wire.messages import ReferenceSample, Verdict
 from tests.views.view_messages import BIAS_NT, FIELD_NT, direction, estimate, second_of, status
 
 DOUBT = "model doubtful: thermal_bias (channel temperature), 34 nats; 2 axes; run: magcal diagnose RECORDING; trusted"
@@ -52,6 +55,15 @@ def test_the_reference_is_interpolated_and_waited_for() -> None:
     assert [row[0] for row in Feed().update(views, 0.0)["recent"]["rows"]] == [0.0]
     views.take(messages[6], 0.0)
     assert Feed().update(views, 0.0)["recent"]["rows"][1][3:] == (FIELD_NT, 0.0)
+
+
+def test_between_two_references_the_field_is_a_straight_line_and_across_a_gap_there_is_none() -> None:
+    reference = ReferenceField()
+    for second, magnitude_nt in ((0, 100.0), (4, 200.0), (40, 300.0)):
+        stamp = {"craft": "demo", "source": "igrf", "sequence": second, "time_ns": second * 10**9}
+        reference.add(ReferenceSample(**stamp, field_nt=(0.6 * magnitude_nt, 0.0, -0.8 * magnitude_nt)))
+    at = [reference.at(second * 10**9) for second in (0, 1, 4, 10, 41)]
+    assert at == [100.0, pytest.approx(125.0), 200.0, None, None]
 
 
 def test_a_reader_gets_each_row_and_cell_once() -> None:
@@ -133,6 +145,24 @@ def test_nine_errors_are_shown_with_three_sigma() -> None:
     assert nine[8] == ["D23", "0.00000", "6.00000", "-"]
 
 
+def test_each_reason_comes_with_what_to_do_and_the_first_in_the_daemon_s_own_words() -> None:
+    views, said = heard(1), replace(estimate(1), reasons=("noise_misstated", "unprotected"), remedy="noise is 105 nT")
+    views.take(said, 1.0)
+    reasons = Feed().update(views, 1.0)["result"]["reasons"]
+    assert reasons == [["noise_misstated", "noise is 105 nT"], ["unprotected", REMEDIES[Reason.UNPROTECTED]]]
+
+
+def test_invented_names_are_not_remembered_without_end() -> None:
+    views = Views()
+    for number in range(100):
+        for message in second_of(0, f"craft{number}"):
+            views.take(message, 0.0)
+        for message in second_of(number, "craft0", source=f"mag{number}"):
+            views.take(message, 0.0)
+    assert len(views.crafts) == 64
+    assert len(views.crafts["craft0"].fields) == 8
+
+
 def test_a_finding_comes_with_its_command() -> None:
     said = "thermal_bias (channel temperature), 34 nats; 2 axes"
     assert finding_of(DOUBT) == Finding(said, "magcal diagnose RECORDING")
@@ -142,14 +172,14 @@ def test_a_finding_comes_with_its_command() -> None:
 
 
 def test_a_recording_with_an_open_defect_is_never_shown_as_trusted_nor_its_physics_named() -> None:
-    views = heard(1, Views(Replayed("log.toml", ("axes y and z are swapped",))))
+    views = heard(1, Views({"demo": Replayed("log.toml", ("axes y and z are swapped",))}))
     views.take(estimate(1), 1.0)
     views.take(status(1, DOUBT), 1.0)
     update = Feed().update(views, 1.0)
     result = update["result"]
-    assert (result["verdict"], result["reasons"], result["finding"]) == ("doubtful", ["recording_doubtful"], None)
+    assert (result["verdict"], result["finding"]) == ("doubtful", None)
+    assert result["reasons"] == [["recording_doubtful", REMEDIES[Reason.RECORDING_DOUBTFUL]]]
     assert result["defects"] == ["axes y and z are swapped"]
-    assert result["remedy"]
     assert update["list"][0]["verdict"] == "doubtful"
 
 

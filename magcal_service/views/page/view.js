@@ -89,13 +89,20 @@ function life() {
   at("stale").hidden = !banner;
 }
 
+// Elements are made anew only where they change, so that a reader's selection and place stay.
+function listed(id, entries, made) {
+  const shown = JSON.stringify(entries);
+  if (at(id).dataset.shown === shown) return;
+  at(id).dataset.shown = shown;
+  at(id).replaceChildren(...entries.flatMap(made));
+}
+
 function verdict(result) {
   say("verdict", (MARKS[result.verdict] || "") + result.verdict.replace("_", " "));
   at("verdict").className = "tag " + result.verdict;
   document.title = `${result.verdict.replace("_", " ")}: ${newest.label}`;
-  say("reasons", result.reasons.length ? `Reasons: ${result.reasons.join(", ")}` : "");
-  say("remedy", result.remedy ? `What to do: ${result.remedy}` : "");
-  at("defects").replaceChildren(...result.defects.map((one) => element("li", one)));
+  listed("reasons", result.reasons, ([reason, remedy]) => [element("dt", reason), element("dd", remedy)]);
+  listed("defects", result.defects, (one) => [element("li", one)]);
   say("protection", result.protection_nt == null ? "Protection level: not known yet."
     : `Protection level: a vector may be off by ${number(result.protection_nt, 0)} nT unseen, set by ${result.protection_by}.`);
   at("finding").hidden = !result.finding;
@@ -103,34 +110,28 @@ function verdict(result) {
 }
 
 function nine(result) {
-  const body = at("nine");
-  const cells = result.started ? result.nine : [];
-  body.replaceChildren(...cells.map(([name, value, limit, unit]) => {
+  listed("nine", result.started ? result.nine : [], ([name, value, limit, unit]) => {
     const row = document.createElement("tr"), head = element("th", name);
     head.scope = "row";
     row.append(head, element("td", value, "n"), element("td", limit, "n"), element("td", unit));
-    return row;
-  }));
+    return [row];
+  });
   say("method", result.started ? `${result.method}, ${result.ticks} ticks; residual rms ${number(result.residual_rms_nt, 1)} nT at a noise of ${number(result.noise_nt, 1)} nT`
     : "No estimate yet: only the prior.");
 }
 
 function told(result) {
-  const list = at("events"), texts = result.events.map(([when, text]) => [Math.abs(when) > 1e8 ? "" : clock(when), text]);
-  if (list.dataset.shown !== JSON.stringify(texts)) {
-    list.dataset.shown = JSON.stringify(texts);
-    list.replaceChildren(...texts.map(([when, text]) => {
-      const item = document.createElement("li");
-      item.append(element("time", when), element("span", text));
-      return item;
-    }));
-  }
+  listed("events", result.events.map(([when, text]) => [Math.abs(when) > 1e8 ? "" : clock(when), text]), ([when, text]) => {
+    const item = document.createElement("li");
+    item.append(element("time", when), element("span", text));
+    return [item];
+  });
   say("status", result.status);
-  at("counters").replaceChildren(...Object.entries(result.counters).filter(([, count]) => count !== 0).map(([name, count]) => {
+  listed("counters", Object.entries(result.counters).filter(([, count]) => count !== 0), ([name, count]) => {
     const pair = document.createElement("div");
     pair.append(element("dt", name), element("dd", count.toLocaleString("en")));
-    return pair;
-  }));
+    return [pair];
+  });
 }
 
 function commands(update) {
