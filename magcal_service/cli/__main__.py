@@ -27,6 +27,7 @@ from magcal_service.cli.send import add_send
 from magcal_service.cli.status import add_status
 from magcal_service.cli.study import add_study
 from magcal_service.cli.view import add_view
+from magcal_service.cli.watch import add_watch
 from magcal_service.cli.xtce import add_xtce
 from magcal_service.errors import MagcalError
 from magcal_service.version import __version__
@@ -75,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     add_reference(commands.add_parser("reference", help="send the reference field of a craft that has none"))
     add_send(commands.add_parser("send", help="give a running daemon a command, and print its answer"))
     add_view(commands.add_parser("view", help="a live page in the browser, of a running daemon or of a recording"))
+    add_watch(commands.add_parser("watch", help="the same in a terminal of 80 by 24 or more"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     add_xtce(commands.add_parser("xtce", help="the telemetry of a ccsds: output link, described for mission control"))
     return parser

@@ -29,9 +29,11 @@ class NotReachedError(MagcalError):
     exit_code = REFUSED
 
 
-def add_where(parser: argparse.ArgumentParser) -> None:
+def add_where(
+    parser: argparse.ArgumentParser, config_help: str = "the daemon's configuration: its link and craft"
+) -> None:
     """The arguments that say where the daemon is, and how long to wait for it."""
-    add_link(parser, "the daemon's configuration: its link and craft")
+    add_link(parser, config_help)
     parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
 
 

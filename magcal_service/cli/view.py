@@ -62,7 +62,7 @@ def _view(options: argparse.Namespace) -> int:
     ]
     if faults:
         raise ConfigError(faults)
-    return _served(_replayed(options), options)
+    return _served(replayed(options), options)
 
 
 def _view_live(options: argparse.Namespace) -> int:
@@ -78,7 +78,8 @@ def _view_live(options: argparse.Namespace) -> int:
         return _served(LiveSource(link), options)
 
 
-def _replayed(options: argparse.Namespace) -> ReplaySource:
+def replayed(options: argparse.Namespace) -> ReplaySource:
+    """The recording that the arguments name, ready to be replayed; raises what reading it raises."""
     from magcal_service.offline.replay import craft_of
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import is_session, read_recording

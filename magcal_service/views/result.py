@@ -55,7 +55,7 @@ class ResultView:
                 self._event = event
                 self.events.append((message.time_ns, event))
             self.status = message
-        else:
+        elif message.name != "status" or not message.accepted:  # an answered question has changed nothing
             answer = "accepted" if message.accepted else "refused"
             self.events.append((message.time_ns, f"command {message.name} {answer}: {message.text}"))
 

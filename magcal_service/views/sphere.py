@@ -50,6 +50,11 @@ class Sphere:
         self._cells[cell] = self.count, (*_scaled(before, scale_nt), *_scaled(after, scale_nt))
 
     @property
+    def seen(self) -> frozenset[int]:
+        """The cells in which the field has pointed."""
+        return frozenset(self._cells)
+
+    @property
     def coverage(self) -> float:
         """Share of the sphere's cells in which the field has pointed."""
         return len(self._cells) / CELLS

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from magcal_service.config.magnetometers import label_of
 from magcal_service.views.field import FieldView, ReferenceField
+from magcal_service.views.pulse import Pulse
 from magcal_service.views.result import Replayed, ResultView
 from magcal_service.wire.messages import (
     CalibratedVector,
@@ -36,11 +37,14 @@ class CraftView:
         self.fields: dict[str, FieldView] = {}
         self.results: dict[str, ResultView] = {}
         self.heard_s = 0.0
+        self.pulse = Pulse()
         self.recording = recording
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this craft, heard at ``now_s`` [s] of the reader's own clock."""
         self.heard_s = now_s
+        if isinstance(message, CalibratedVector | Estimate | Status):
+            self.pulse.beat(now_s)
         match message:
             case MagnetometerSample():
                 if field := self._field(message):
