@@ -171,9 +171,13 @@ def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> N
             ):
                 assert words in shown
             assert await page.value("document.querySelectorAll('#field canvas, #residual canvas').length") == 2
+            assert await page.value("document.querySelectorAll('main i').length") == 0  # words of a link are no markup
             assert await page.value("document.documentElement.scrollWidth") == 360
-            fly(daemon, node, range(100, 130))
+            fly(daemon, node, range(110, 130))
             await page.until("document.getElementById('field-says').textContent.includes('0:02:09')")
+            assert (
+                await page.value("[99, 100, 101].map(i => fieldPlot.data[2][i] === null).join()") == "false,true,false"
+            )
             await page.value(
                 "(s => {s.value = 'other'; s.dispatchEvent(new Event('change'))})(document.getElementById('choice'))"
             )

@@ -168,8 +168,14 @@ function fields(update) {
   if ("spectrum" in update) spectra(update.spectrum);
 }
 
+// Rows with an empty one wherever samples are missing, so that no line is drawn across what nobody measured.
+function broken(whole) {
+  const steps = whole.slice(1).map((row, i) => row[0] - whole[i][0]), usual = [...steps].sort((a, b) => a - b)[steps.length >> 1];
+  return whole.flatMap((row, i) => (i && steps[i - 1] > 5 * usual ? [[row[0] - steps[i - 1] / 2, null, null, null, null], row] : [row]));
+}
+
 function times(every) {
-  const shown = rows[span], columns = [0, 1, 2, 3, 4].map((i) => shown.map((row) => row[i]));
+  const shown = broken(rows[span]), columns = [0, 1, 2, 3, 4].map((i) => shown.map((row) => row[i]));
   fieldPlot.show(columns.slice(0, 4));
   residualPlot.show([columns[0], columns[4]]);
   const how = span === "whole" && every > 1 ? ` One sample in ${every} is shown.` : "";
