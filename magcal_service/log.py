@@ -1,4 +1,4 @@
-"""Log lines as JSON on stderr: one object a line, so that a journal can be searched by field."""
+"""Log lines on stderr: JSON, one object a line, so that a journal can be searched by field; plain on a terminal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import logging
 import os
 import sys
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
+
+from magcal_service.errors import printable
 
 
 class JsonLines(logging.Formatter):
@@ -29,16 +31,46 @@ class JsonLines(logging.Formatter):
         return json.dumps(entry, ensure_ascii=False)
 
 
+_IN_COLOUR: Final = "\x1b[{}m{}\x1b[0m"
+
+
+class PlainLines(logging.Formatter):
+    """The same for people: time (UTC), level, text and fields; warnings in colour where ``colour`` says so.
+
+    What a terminal might obey, control characters and the like, is shown as an escape.
+    """
+
+    _COLOURS: Final = {logging.WARNING: "33", logging.ERROR: "31", logging.CRITICAL: "31"}
+
+    def __init__(self, *, colour: bool) -> None:
+        super().__init__()
+        self._colour = colour
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One line for one record, and the lines of its exception."""
+        when = datetime.fromtimestamp(record.created, UTC).strftime("%Y-%m-%d %H:%M:%SZ")
+        level = f"{record.levelname.lower():<7}"
+        code = self._COLOURS.get(record.levelno) if self._colour else None
+        fields = json.dumps(found, ensure_ascii=False) if (found := getattr(record, "fields", {})) else ""
+        text = printable(" ".join(filter(None, (record.getMessage(), fields))))
+        line = f"{when} {level if code is None else _IN_COLOUR.format(code, level)} {text}"
+        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+
+
 _stdout_free = False
 _PIPE_BYTES = 1 << 20  # the most that Linux gives a process without privileges (fs.pipe-max-size, its default)
 
 
 def to_stderr(level: int = logging.INFO) -> None:
-    """Send every log line of the process to stderr; its standard output is then free for ``stdout_as_pipe``."""
+    """Send every log line of the process to stderr: plain on a terminal, JSON elsewhere.
+
+    Its standard output is then free for ``stdout_as_pipe``.
+    """
     global _stdout_free
     _stdout_free = True
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonLines())
+    at_terminal = sys.stderr.isatty()
+    handler.setFormatter(PlainLines(colour=not os.environ.get("NO_COLOR")) if at_terminal else JsonLines())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level)

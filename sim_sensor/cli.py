@@ -16,12 +16,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from magcal_service.cli.common import Parser, described
 from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
 from magcal_service.links.silence import why_silent
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
+from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
 from sim_sensor.beside import is_own
@@ -71,8 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="sim-sensor", description="A simulated magnetometer node in orbit.")
+def _parser() -> Parser:
+    parser = Parser(prog="sim-sensor", description="A simulated magnetometer node in orbit.")
+    parser.examples = ("sim-sensor list", "sim-sensor record --scenario paper --out output/paper")
+    parser.add_argument("--version", action="version", version=f"sim-sensor {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="send a scenario on a link")
     _common(run)
@@ -81,13 +85,17 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--record", type=Path, metavar="DIR", help="write what was sent as a recording, with its truth")
     run.add_argument("--wait", type=_wait, default=5.0, metavar="S", help="wait at most S for the daemon (default 5)")
     run.add_argument("--quiet", action="store_true", help="no progress line and no summary")
+    run.examples = ("sim-sensor run --scenario paper --craft demo --speed 100",)
     run.set_defaults(command=_run)
     record = commands.add_parser("record", help="write a scenario as a recording")
     _common(record)
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the recording and its truth")
+    record.examples = ("sim-sensor record --scenario paper --out output/paper --duration 3600",)
     record.set_defaults(command=_record)
     listing = commands.add_parser("list", help="name and describe the shipped scenarios")
+    listing.examples = ("sim-sensor list",)
     listing.set_defaults(command=_list)
+    described(parser)
     return parser
 
 

@@ -6,14 +6,14 @@ result must not be trusted, with the reasons in the output.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
 
 from magcal_service.cli.apply import add_apply
 from magcal_service.cli.calibrate import add_calibrate
-from magcal_service.cli.common import DONE, Parser
+from magcal_service.cli.common import DONE, Parser, described
+from magcal_service.cli.completion import add_completion
 from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.export import add_export
@@ -38,7 +38,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    options = _parser().parse_args(arguments)
+    options = whole_parser().parse_args(arguments)
     try:
         code: int = options.command(options)
         sys.stdout.flush()
@@ -54,10 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="magcal", description="Real-time magnetometer calibration without attitude.")
+def whole_parser() -> Parser:
+    """The parser of every command."""
+    parser = Parser(prog="magcal", description="Real-time magnetometer calibration without attitude.")
+    parser.examples = ("magcal calibrate output/paper/RECORDING.toml", "magcal calibrate --help")
     parser.add_argument("--version", action="version", version=f"magcal {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
     add_run(commands.add_parser("run", help="the daemon: samples in, calibrated vectors and estimates out"))
     add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
@@ -79,6 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     add_watch(commands.add_parser("watch", help="the same in a terminal of 80 by 24 or more"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     add_xtce(commands.add_parser("xtce", help="the telemetry of a ccsds: output link, described for mission control"))
+    completion = commands.add_parser("completion", help="what completes these commands in a shell")
+    add_completion(completion, parser)
+    described(parser)
     return parser
 
 

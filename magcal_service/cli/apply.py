@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, NOT_TRUSTED, SOURCE_HELP, refuse_unwritable, source_lines
+from magcal_service.cli.common import (
+    CRAFT_HELP,
+    DONE,
+    NOT_TRUSTED,
+    RECORDING_HELP,
+    SOURCE_HELP,
+    Parser,
+    refuse_unwritable,
+    source_lines,
+)
 
 if TYPE_CHECKING:
     from magcal_service.offline.apply import Applied
@@ -14,9 +23,9 @@ if TYPE_CHECKING:
     from magcal_service.recordings.inspect.inspection import Inspection
 
 
-def add_apply(parser: argparse.ArgumentParser) -> None:
+def add_apply(parser: Parser) -> None:
     """The arguments of ``magcal apply``."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap", help=RECORDING_HELP)
     given = "what calibrate --json or diagnose --out has written"
     parser.add_argument(
         "--with", dest="given", type=Path, required=True, metavar="RESULT.json|physics.toml", help=given
@@ -24,6 +33,7 @@ def add_apply(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="ending in .csv, .parquet or .mcap")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
+    parser.examples = ("magcal apply output/paper/RECORDING.toml --with result.json --out vectors.csv",)
     parser.set_defaults(command=_apply)
 
 

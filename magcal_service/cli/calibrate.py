@@ -10,9 +10,11 @@ from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
     NOT_TRUSTED,
+    RECORDING_HELP,
     SOURCE_HELP,
     Parser,
     add_executor,
+    beside_json,
     executor_of,
     methods_text,
     refuse_executor,
@@ -20,6 +22,7 @@ from magcal_service.cli.common import (
     source_lines,
     tell,
     verdict_text,
+    write_json,
 )
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
@@ -33,7 +36,9 @@ START_HELP = "first seconds that a filter starts from; a log that is no longer i
 
 def add_calibrate(parser: Parser) -> None:
     """The arguments of ``magcal calibrate``."""
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument(
+        "recordings", type=Path, nargs="+", metavar="RECORDING.toml|FILE.mcap", help=f"{RECORDING_HELP}; or several"
+    )
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--method", metavar="NAME", help="one of those below (default: ukf, the daemon's own)")
@@ -41,9 +46,13 @@ def add_calibrate(parser: Parser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
     parser.add_argument("--prior", type=Path, metavar="RESULT.json", help=PRIOR_HELP)
     parser.add_argument("--start-s", type=float, metavar="S", help=START_HELP)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here; - is standard output")
     parser.add_argument("--out", type=Path, metavar="DIR", help="several recordings: folder for a result of each")
     add_executor(parser)
+    parser.examples = (
+        "magcal calibrate output/paper/RECORDING.toml --method spin --json result.json",
+        "magcal calibrate flights/*.toml --out results",
+    )
     parser.set_defaults(command=_calibrate)
 
 
@@ -72,7 +81,6 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from magcal_service.config.settings import DEFAULT_METHOD
-    from magcal_service.errors import unwritable
     from magcal_service.estimators import find_method
     from magcal_service.offline.calibrate import calibrate
     from magcal_service.recordings.reader import read_recording
@@ -89,15 +97,11 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     if configured is not None and method:
         configured = replace(configured, filter=replace(configured.filter, method=method))
     result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s, prior=options.prior)
-    print(
-        "\n".join([*source_lines(recording), *recording.report.lines(), *(f"found: {one}" for one in result.findings)])
-    )
-    print(_table(result))
-    if options.json is not None:
-        try:
-            options.json.write_text(result.as_json(), encoding="utf-8")
-        except OSError as exc:
-            raise unwritable(options.json, exc) from None
+    found = (f"found: {one}" for one in result.findings)
+    with beside_json(options.json):
+        print("\n".join([*source_lines(recording), *recording.report.lines(), *found]))
+        print(_table(result))
+    write_json(options.json, result.as_json())
     return DONE if result.trusted else NOT_TRUSTED
 
 

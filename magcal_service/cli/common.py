@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,17 +20,67 @@ DONE: Final = 0  # of the contract, as the other two
 REFUSED: Final = 2  # what argparse ends with for a wrong argument
 NOT_TRUSTED: Final = 3  # done, but the reason not to use the result is in the output
 CRAFT_HELP: Final = "which craft of a session that holds several"
+RECORDING_HELP: Final = "the recording, by its description or as a recorded session"
+STDOUT: Final = Path("-")
+"""What stands for standard output in ``--json -``."""
 SOURCE_HELP: Final = "which magnetometer of a craft that has several, by the source of its samples"
 
 
 class Parser(argparse.ArgumentParser):
-    """A command's parser; ``more`` gives the text below its options, worked out only when the help is asked for."""
+    """A command's parser.
 
+    ``examples`` are whole command lines; ``more`` gives the text below them, worked out when the help is asked for.
+    """
+
+    examples: Sequence[str] = ()
     more: Callable[[], str] | None = None
 
     def format_help(self) -> str:
-        """The help of argparse, and ``more``."""
-        return super().format_help() + (self.more() if self.more is not None else "")
+        """The help of argparse, the examples, and ``more``."""
+        shown = "".join(f"  {example}\n" for example in self.examples)
+        text = super().format_help() + (f"\nexamples:\n{shown}" if shown else "")
+        return text + (self.more() if self.more is not None else "")
+
+
+def subparsers(parser: argparse.ArgumentParser) -> dict[str, Parser]:
+    """The commands of a parser by name; none where it has none."""
+    found: dict[str, Parser] = {}
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found |= action.choices
+    return found
+
+
+def described(parser: argparse.ArgumentParser) -> None:
+    """Let the help of every command begin with the line that stands for it in the list of commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for entry in action._choices_actions:
+                command = action.choices[entry.dest]
+                command.description = command.description or entry.help
+                described(command)
+
+
+@contextmanager
+def beside_json(path: Path | None) -> Iterator[None]:
+    """Within, what is said for people goes to stderr where the JSON goes to stdout (``--json -``)."""
+    with redirect_stdout(sys.stderr) if path == STDOUT else nullcontext():
+        yield
+
+
+def write_json(path: Path | None, text: str) -> None:
+    """Write to a file, to standard output where it is ``-``, nowhere without one; raises ``InputRefusedError``."""
+    from magcal_service.errors import unwritable
+
+    if path is None:
+        return
+    if path == STDOUT:
+        sys.stdout.write(text)
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise unwritable(path, error) from None
 
 
 def source_lines(recording: Recording) -> list[str]:
@@ -87,7 +138,7 @@ def refuse_unwritable(path: Path | None) -> None:
     """Refuse before the work is done an output file that plainly cannot be written after it."""
     from magcal_service.errors import InputRefusedError, unwritable
 
-    if path is None:
+    if path is None or path == STDOUT:
         return
     if path.is_dir():
         raise InputRefusedError([Fault(str(path), "a folder", "give a file that can be written")])
@@ -104,11 +155,15 @@ def tell(asked: Asked) -> int:
 
 
 def methods_text() -> str:
-    """Every method with its one line, for a command's help."""
+    """Every method with its one line and what it needs beside field and reference, for a command's help."""
     from magcal_service.estimators import methods
 
     width = max(len(method.name) for method in methods())
-    return "\nmethods:\n" + "".join(f"  {method.name:<{width}}  {method.summary}\n" for method in methods())
+    lines = (
+        f"  {method.name:<{width}}  {method.summary}" + (f" (needs a channel: {method.needs})" if method.needs else "")
+        for method in methods()
+    )
+    return "\nmethods:\n" + "\n".join(lines) + "\n"
 
 
 def check_method(config: Path, name: str) -> None:

@@ -24,6 +24,7 @@ def add_describe(parser: Parser) -> None:
         "--answer", action="append", default=[], metavar="KEY=VALUE", help="the answer to a question; may be repeated"
     )
     parser.more = _keys_text
+    parser.examples = ("magcal describe log.csv --answer magnetometer.unit=uT --out RECORDING.toml",)
     parser.set_defaults(command=_describe)
 
 

@@ -13,6 +13,7 @@ from magcal_service.cli.common import (
     DONE,
     NOT_TRUSTED,
     SOURCE_HELP,
+    Parser,
     add_executor,
     executor_of,
     refuse_executor,
@@ -21,7 +22,7 @@ from magcal_service.cli.common import (
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 
-def add_diagnose(parser: argparse.ArgumentParser) -> None:
+def add_diagnose(parser: Parser) -> None:
     """The arguments of ``magcal diagnose``."""
     parser.add_argument(
         "recordings",
@@ -37,6 +38,10 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
     alone = "recordings of different craft: each by itself, in a folder of its own under --out"
     parser.add_argument("--separately", action="store_true", help=alone)
     add_executor(parser)
+    parser.examples = (
+        "magcal diagnose output/paper/RECORDING.toml --out diagnosis",
+        "magcal diagnose day1.toml day2.toml --out diagnosis",
+    )
     parser.set_defaults(command=_diagnose)
 
 

@@ -19,6 +19,7 @@ def add_export(parser: Parser) -> None:
     parser.add_argument("--index", type=int, default=0, metavar="N", help="which compass of the autopilot (default: 0)")
     parser.add_argument("--lsb-nt", type=float, metavar="NT", help="nT of one count of the sensor, for betaflight")
     parser.more = forms_text
+    parser.examples = ("magcal export result.json --format c-header --out magcal.h",)
     parser.set_defaults(command=_export)
 
 
@@ -27,9 +28,7 @@ def forms_text() -> str:
     from magcal_service.offline.exports import FORMS
 
     lines = [f"  {form.name:<12}  {form.says}" for form in FORMS.values()]
-    return (
-        "\nformats:\n" + "\n".join(lines) + "\n\nExample: magcal export result.json --format c-header --out magcal.h\n"
-    )
+    return "\nformats:\n" + "\n".join(lines) + "\n"
 
 
 def _export(options: argparse.Namespace) -> int:

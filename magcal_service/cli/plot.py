@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from magcal_service.cli.common import CRAFT_HELP, DONE, SOURCE_HELP, refuse_unwritable
+from magcal_service.cli.common import CRAFT_HELP, DONE, SOURCE_HELP, Parser, refuse_unwritable
 
 
-def add_plot(parser: argparse.ArgumentParser) -> None:
+def add_plot(parser: Parser) -> None:
     """The arguments of ``magcal plot``."""
-    parser.add_argument("input", type=Path, metavar="RECORDING.toml|FILE.mcap|RESULT.json")
+    parser.add_argument(
+        "input", type=Path, metavar="RECORDING.toml|FILE.mcap|RESULT.json", help="what the figure is of"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="figure to write: .svg, .pdf or .png")
     names = "of a recording: before-after (default), errors, track or spectrum"
     parser.add_argument("--figure", metavar="NAME", help=names)
@@ -18,6 +20,7 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--with", dest="given", type=Path, metavar="RESULT.json", help=given)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
+    parser.examples = ("magcal plot output/paper/RECORDING.toml --figure errors --out errors.svg",)
     parser.set_defaults(command=_plot)
 
 

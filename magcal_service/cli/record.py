@@ -5,54 +5,63 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP
+from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP, Parser
 from magcal_service.errors import Fault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.mcap_reader import McapReader
 
+_FILE_HELP: Final = "a recorded session"
 
-def add_record(record: argparse.ArgumentParser) -> None:
+
+def add_record(record: Parser) -> None:
     """The sub-commands of ``magcal record``."""
+    record.examples = ("magcal record info session.mcap",)
     commands = record.add_subparsers(required=True, metavar="WHAT")
 
     info = commands.add_parser("info", help="what is in a session file, and whether it is sound (exit code 3 if not)")
-    info.add_argument("file", type=Path, metavar="FILE.mcap")
+    info.add_argument("file", type=Path, metavar="FILE.mcap", help=_FILE_HELP)
     info.add_argument("--json", action="store_true", help="as one JSON object")
+    info.examples = ("magcal record info session.mcap",)
     info.set_defaults(command=_info)
 
     export = commands.add_parser("export", help="a table for other programs")
-    export.add_argument("file", type=Path, metavar="FILE.mcap")
-    export.add_argument("--out", type=Path, required=True, metavar="X.csv|X.parquet")
+    export.add_argument("file", type=Path, metavar="FILE.mcap", help=_FILE_HELP)
+    export.add_argument("--out", type=Path, required=True, metavar="X.csv|X.parquet", help="the table to write")
     export.add_argument("--kind", default="samples", help="samples (default), or a kind of message such as estimate")
     export.add_argument("--craft", metavar="NAME", help="whose; needed for samples where there are several")
     export.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
+    export.examples = ("magcal record export session.mcap --out samples.csv",)
     export.set_defaults(command=_export)
 
     recover = commands.add_parser(
         "recover", help="a sound file of all that can be read (exit code 3 if it was damaged)"
     )
-    recover.add_argument("file", type=Path, metavar="FILE.mcap")
+    recover.add_argument("file", type=Path, metavar="FILE.mcap", help=_FILE_HELP)
     recover.add_argument("--out", type=Path, metavar="OUT.mcap", help="default: FILE.recovered.mcap")
+    recover.examples = ("magcal record recover session.mcap --out sound.mcap",)
     recover.set_defaults(command=_recover)
 
     join = commands.add_parser("join", help="the parts of a session as one file, in the order given")
-    join.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap")
-    join.add_argument("--out", type=Path, required=True, metavar="OUT.mcap")
+    join.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap", help=_FILE_HELP)
+    join.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="the file to write")
+    join.examples = ("magcal record join part1.mcap part2.mcap --out session.mcap",)
     join.set_defaults(command=_join)
 
     check = commands.add_parser(
         "check", help="replay, and compare with the recorded estimates (exit code 3 if not equal)"
     )
-    check.add_argument("file", type=Path, metavar="FILE.mcap")
+    check.add_argument("file", type=Path, metavar="FILE.mcap", help=_FILE_HELP)
     check.add_argument("--craft", metavar="NAME", help="needed where there are several")
+    check.examples = ("magcal record check session.mcap",)
     check.set_defaults(command=_check)
 
     describe = commands.add_parser("describe", help="a RECORDING.toml of one craft of a session, to be edited")
-    describe.add_argument("file", type=Path, metavar="FILE.mcap")
+    describe.add_argument("file", type=Path, metavar="FILE.mcap", help=_FILE_HELP)
     describe.add_argument("--craft", metavar="NAME", help="needed where there are several")
+    describe.examples = ("magcal record describe session.mcap --craft demo",)
     describe.set_defaults(command=_describe)
 
 

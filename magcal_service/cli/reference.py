@@ -10,9 +10,7 @@ from pathlib import Path
 
 from magcal_service.cli.common import DONE, Parser
 
-_EXAMPLE = """
-Example: magcal reference --craft demo --tle demo.tle --link zenoh:tcp/127.0.0.1:7447
-
+_MORE = """
 Without --tle it hears the craft's position messages on a zenoh link and sends the field at each.  A daemon can do the
 same by itself: [craft.reference] model = "igrf".
 """
@@ -28,7 +26,8 @@ def add_reference(parser: Parser) -> None:
     parser.add_argument(
         "--duration-s", type=_rate, metavar="S", help="end after so long (default: at SIGTERM or Ctrl-C)"
     )
-    parser.more = lambda: _EXAMPLE
+    parser.more = lambda: _MORE
+    parser.examples = ("magcal reference --craft demo --tle demo.tle --link zenoh:tcp/127.0.0.1:7447",)
     parser.set_defaults(command=_reference)
 
 

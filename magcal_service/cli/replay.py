@@ -10,7 +10,9 @@ from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
     NOT_TRUSTED,
+    RECORDING_HELP,
     SOURCE_HELP,
+    Parser,
     source_lines,
     speed,
     verdict_text,
@@ -22,14 +24,15 @@ if TYPE_CHECKING:
     from magcal_service.recordings.recording import Recording
 
 
-def add_replay(parser: argparse.ArgumentParser) -> None:
+def add_replay(parser: Parser) -> None:
     """The arguments of ``magcal replay``."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap")
+    parser.add_argument("recording", type=Path, metavar="RECORDING.toml|FILE.mcap", help=RECORDING_HELP)
     parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.add_argument("--speed", type=speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
+    parser.examples = ("magcal replay output/paper/RECORDING.toml --out rows.csv",)
     parser.set_defaults(command=_replay)
 
 

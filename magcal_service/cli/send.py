@@ -31,6 +31,7 @@ def add_send(parser: Parser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="the answer as one JSON object")
     parser.more = commands_text
+    parser.examples = ("magcal send paper process_noise bias_nt=0.05 --link zenoh:tcp/127.0.0.1:7447",)
     parser.set_defaults(command=_send)
 
 
@@ -43,9 +44,8 @@ def commands_text() -> str:
         lines.append(f"  {name:<14}  {spec.does}")
         lines += [f"  {'':<14}    {key}=VALUE: {one.accepted}" for key, one in spec.arguments.items()]
     every = f"Where a craft has several magnetometers, {WHICH}=NAME gives a command to one of them alone."
-    example = "magcal send paper process_noise bias_nt=0.05 --link zenoh:tcp/127.0.0.1:7447"
     sealed = '--link "serial:/dev/ttyUSB0?key=line.key&counter=line.counter" seals what it sends.'
-    return "\ncommands:\n" + "\n".join(lines) + f"\n\n{every}\n{sealed}\nExample: {example}\n"
+    return "\ncommands:\n" + "\n".join(lines) + f"\n\n{every}\n{sealed}\n"
 
 
 def _send(options: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import ASK_AGAIN_S, LOOK_S, Desk, NotReachedError, add_where, whom
+from magcal_service.cli.common import Parser
 from magcal_service.config.magnetometers import MAGNETOMETERS, label_of
 
 if TYPE_CHECKING:
@@ -22,11 +23,12 @@ _OTHERS_S: Final = 1.0
 """Where nobody said which craft there are, those count that are heard so long after the first [s]."""
 
 
-def add_status(parser: argparse.ArgumentParser) -> None:
+def add_status(parser: Parser) -> None:
     """The arguments of ``magcal status``."""
     add_where(parser)
     parser.add_argument("--craft", action="append", default=[], metavar="NAME", help="ask for this craft; repeatable")
     parser.add_argument("--json", action="store_true", help="as one JSON object")
+    parser.examples = ("magcal status --config deploy/config/zenoh-peer.toml",)
     parser.set_defaults(command=_status)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import add_link, whom
-from magcal_service.cli.common import DONE, SOURCE_HELP, speed
+from magcal_service.cli.common import DONE, SOURCE_HELP, Parser, speed
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _PORT: Final = 8047
 
 
-def add_view(parser: argparse.ArgumentParser) -> None:
+def add_view(parser: Parser) -> None:
     """The arguments of ``magcal view``."""
     parser.add_argument(
         "recording", nargs="?", type=Path, metavar="RECORDING.toml|FILE.mcap", help="show this one; none: a live daemon"
@@ -41,6 +41,10 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--allow-commands", action="store_true", help="let the page freeze, resume and reset; else it only reads"
+    )
+    parser.examples = (
+        "magcal view output/paper/RECORDING.toml",
+        "magcal view --link zenoh:tcp/127.0.0.1:7447",
     )
     parser.set_defaults(command=_view)
 

@@ -34,10 +34,6 @@ _MORE_KEYS: Final = "q quit   n next magnetometer   p previous one"
 _MORE: Final = """
 keys: q quit, n next magnetometer, p previous one.  Where there is no terminal, --once is meant.
 exit codes: 0; with --once 3 where a verdict is not trusted; 2 refused, or --once and nothing heard within --timeout.
-
-Examples: magcal watch --link zenoh:tcp/127.0.0.1:7447
-          magcal watch flight.toml --speed 600
-          magcal watch --config magcal.toml --once
 """
 
 
@@ -53,6 +49,11 @@ def add_watch(parser: Parser) -> None:
     once = "print one picture: when estimate and status have come, or at the end of the recording"
     parser.add_argument("--once", action="store_true", help=once)
     parser.more = lambda: _MORE
+    parser.examples = (
+        "magcal watch --link zenoh:tcp/127.0.0.1:7447",
+        "magcal watch flight.toml --speed 600",
+        "magcal watch --config magcal.toml --once",
+    )
     parser.set_defaults(command=_watch)
 
 

@@ -6,14 +6,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, refuse_unwritable
+from magcal_service.cli.common import DONE, Parser, refuse_unwritable
 
 
-def add_xtce(parser: argparse.ArgumentParser) -> None:
+def add_xtce(parser: Parser) -> None:
     """The arguments of ``magcal xtce``."""
     link = "as in [output] links, for its APIDs (default: ccsds:udp/127.0.0.1:10015)"
     parser.add_argument("--link", metavar="ADDRESS", help=link)
     parser.add_argument("--out", type=Path, metavar="FILE", help="write it here (default: standard output)")
+    parser.examples = ("magcal xtce --out magcal.xtce",)
     parser.set_defaults(command=_xtce)
 
 

@@ -17,7 +17,7 @@ from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.service import Service
 from magcal_service.errors import ConfigError, Fault
-from magcal_service.links import Link, Role, open_link
+from magcal_service.links import Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def _recorder(config: Config, stack: ExitStack) -> Recorder | None:
     return stack.enter_context(open_recorder(config.record, config.crafts))
 
 
-def _check_directories(config: Config) -> None:
+def check_directories(config: Config) -> None:
     """Reject folders, and files on the way to them, that anybody could replace before anything is read from them."""
     if config.record is not None and config.record.directory.exists():
         check_state_directory(config.record.directory)
@@ -57,11 +57,11 @@ def _check_directories(config: Config) -> None:
             check_input(craft.physics.path)
 
 
-def _check_history(config: Config, link: Link) -> None:
+def check_history(config: Config, history: int) -> None:
     """Reject a longer history than the samples that a state keeps: what lies before would be used twice."""
-    if config.state is not None and link.history > REMEMBERED:
+    if config.state is not None and history > REMEMBERED:
         accepted = f"with [state], history=0 to history={REMEMBERED} is accepted"
-        raise ConfigError([Fault("link", f"history={link.history}", accepted)])
+        raise ConfigError([Fault("link", f"history={history}", accepted)])
 
 
 def run_daemon(config: Config, stop: threading.Event) -> None:
@@ -70,14 +70,14 @@ def run_daemon(config: Config, stop: threading.Event) -> None:
     Raises ``LinkAddressError``, ``LinkError`` or ``InputRefusedError`` where something cannot be opened at all.
     """
     crafts = [craft.name for craft in config.crafts]
-    _check_directories(config)
+    check_directories(config)
     with ExitStack() as stack:
         checkpoints = None
         if config.state is not None:  # first of all: another daemon's files are not to be touched
             checkpoints = stack.enter_context(Checkpoints(config.state, config.crafts))
         csv, recorder = _csv(config, stack), _recorder(config, stack)
         link = stack.enter_context(open_link(config.link, Role.SERVICE, crafts=crafts))
-        _check_history(config, link)
+        check_history(config, link.history)
         metrics = None if config.health.metrics is None else stack.enter_context(MetricsServer(config.health.metrics))
         outputs = stack.enter_context(Outputs(config.output.links, crafts)) if config.output.links else None
         service = Service(config, link, csv, recorder, checkpoints, metrics, outputs=outputs)

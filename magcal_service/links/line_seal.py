@@ -40,8 +40,7 @@ def open_coders(
     notify = refused if role is Role.SERVICE else None
     if key is None:
         return FrameEncoder(), StreamDecoder(counters, None, notify)
-    secret = read_key(key)
-    check_state_directory(counter.absolute().parent)
+    secret = check_seal(key, counter)
     kept = CounterFile(counter)
     if kept.last is None:
         _log.error("%s is damaged: no command passes; take a new key and remove it", counter)
@@ -50,6 +49,13 @@ def open_coders(
     if kept.last == 0:
         _log.warning("no counter in %s yet: right for a new key, otherwise old commands would pass again", counter)
     return FrameEncoder(), StreamDecoder(counters, SealGate(secret, kept.last, kept.keep), notify)
+
+
+def check_seal(key: Path, counter: Path) -> bytes:
+    """The key in its file; ``ConfigError`` as of ``open_coders``."""
+    secret = read_key(key)
+    check_state_directory(counter.absolute().parent)
+    return secret
 
 
 def _sealed(key: bytes, counter: CounterFile, payload: bytes) -> bytes:

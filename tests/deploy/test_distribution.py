@@ -22,7 +22,7 @@ EXTRAS = PROJECT["optional-dependencies"]
 MODULES = {"pyserial": "serial", "eclipse-zenoh": "zenoh", "dask": "distributed"}
 """Packages whose module has another name."""
 
-USERS = ("sim", "diagnosis", "view", "record", "export", "cluster")
+USERS = ("sim", "diagnosis", "view", "record", "export", "cluster", "completion")
 """Extras of the product; ``dev`` and ``fuzz`` are of its tests."""
 
 

@@ -1,0 +1,85 @@
+"""What a configuration names, checked as far as it can be before the daemon serves: for ``magcal run --check``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from magcal_service.config.private_files import read_key
+from magcal_service.config.settings import Config
+from magcal_service.daemon.run import check_directories, check_history
+from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.links.checking import check_link
+
+
+class CheckFailedError(MagcalError):
+    """A configuration that the daemon would not serve by: every fault that was found, a line each."""
+
+
+def check_daemon(config: Config) -> list[str]:
+    """Check folders, files, permissions, keys, addresses and extras; nothing is opened to others, nothing written.
+
+    Returns what was checked, a line each.  Raises ``CheckFailedError`` with every fault.
+    """
+    names = [craft.name for craft in config.crafts]
+    checks: list[Callable[[], object]] = [lambda: check_directories(config), lambda: _check_record(config)]
+    checks.append(lambda: check_history(config, check_link(config.link, names)))
+    checks += [lambda one=address: check_link(one, names) for address in config.output.links]  # type: ignore[misc]
+    checks += [lambda: _check_state(config), lambda: _check_csv(config.output.csv)]
+    faults = []
+    for check in checks:
+        try:
+            check()
+        except MagcalError as error:
+            faults.append(str(error))
+    if faults:
+        raise CheckFailedError("\n".join(faults))
+    return _checked(config, names)
+
+
+def _checked(config: Config, names: list[str]) -> list[str]:
+    lines = [f"craft: {', '.join(names)}", f"link: {config.link} (not opened)"]
+    lines += [f"output link: {address}" for address in config.output.links]
+    lines += [f"physics of {one.name}: {one.physics.path}" for one in config.crafts if one.physics is not None]
+    named = {
+        "estimates": config.output.csv,
+        "recordings": None if config.record is None else config.record.directory,
+        "state": None if config.state is None else config.state.directory,
+    }
+    return [*lines, *(f"{what}: {path}" for what, path in named.items() if path is not None), "sound"]
+
+
+def _check_state(config: Config) -> None:
+    if config.state is None:
+        return
+    _check_folder("state.directory", config.state.directory)
+    if config.state.key is not None:
+        read_key(config.state.key)
+
+
+def _check_record(config: Config) -> None:
+    if config.record is None:
+        return
+    import magcal_service.recordings.recorder  # noqa: F401 - a missing extra is told
+
+    _check_folder("record.directory", config.record.directory)
+
+
+def _check_csv(path: Path | None) -> None:
+    if path is None:
+        return
+    if path.is_dir():
+        raise ConfigError([Fault("output.csv", str(path), "it is a folder; a file is accepted")])
+    if not path.parent.is_dir():
+        raise ConfigError([Fault("output.csv", str(path), f"there is no folder {path.parent}; make it first")])
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigError([Fault("output.csv", str(path), "a file that this user can write is accepted")])
+
+
+def _check_folder(field: str, folder: Path) -> None:
+    """Refuse a folder that this user can neither write nor make."""
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        accepted = f"a folder that this user can make and write is accepted; {there} is none"
+        raise ConfigError([Fault(field, str(folder), accepted)])
