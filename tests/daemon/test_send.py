@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +54,9 @@ def test_commands_over_zenoh_are_answered_with_what_has_changed(tmp_path: Path) 
         assert (wrong.code, wrong.out) == (2, "")
         assert "no daemon there serves craft papre; served: paper" in wrong.err
         assert sent("shutdown")[0] == 0
+        deadline = time.monotonic() + 30.0
+        while process.running and time.monotonic() < deadline:
+            time.sleep(0.02)
         assert process.stop() == 0
     silent = run("send", "paper", "freeze", "--link", link, "--timeout", "0.5")
     assert silent.code == 2
