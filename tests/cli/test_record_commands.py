@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
+from mcap.reader import make_reader
 
 from magcal_service.cli.__main__ import main
 from magcal_service.errors import how_to_install
@@ -54,10 +55,13 @@ def say(capsys: pytest.CaptureFixture[str]) -> Say:
 
 @pytest.fixture
 def cut(session: Path, tmp_path: Path) -> Path:
-    """The session without its last third."""
+    """The session up to the middle of its last chunk, wherever the recorder has flushed."""
     path = tmp_path / "cut.mcap"
-    content = session.read_bytes()
-    path.write_bytes(content[: len(content) * 2 // 3])
+    with session.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    last = max(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+    path.write_bytes(session.read_bytes()[: last.chunk_start_offset + last.chunk_length // 2])
     return path
 
 
