@@ -21,6 +21,7 @@ WIDTH, HEIGHT = 80, 24
 _LABEL: Final = 10
 _FIGURE: Final = 32  # columns right of a trace
 _RECENT: Final = 300  # rows that the figures beside before and after are of
+_OLD_S: Final = 60.0  # sample time between a status and the newest estimate from which that is said
 _TOGETHER: Final = 3  # bands of the sphere in one row of the screen
 _STYLES: Final = {
     Verdict.NOT_STARTED: Style.DIM,
@@ -91,7 +92,7 @@ def _of(one: Magnetometer, frame: Frame, width: int, height: int, marks: str) ->
         [],
         *_traces(field, shown, max(width - _LABEL - _FIGURE, 8), marks),
         [],
-        *_coverage_and_counters(field, shown, width, marks, frame.recorded),
+        *_coverage_and_counters(one, field, shown, width, marks, frame.recorded),
     ]
     return [*above, *_events(one, max(height - len(above), 1))]
 
@@ -115,15 +116,23 @@ def _top(one: Magnetometer, shown: Mapping[str, Any], frame: Frame, width: int) 
     lines = [_heading(name, frame.where, state, style, width), _verdict(shown, stale)]
     if stale:
         return [*lines, *_told("link", frame.silence or "no results come", width, 3, Style.BAD)]
-    well = "every question is answered well" if shown["verdict"] == Verdict.TRUSTED else ""
-    lines += _told("why", ", ".join(reason for reason, _ in shown["reasons"]) or well, width, 1)
-    lines += _told("do", next((advice for _, advice in shown["reasons"]), "nothing"), width, 2)
+    lines += _reasons(shown, width)
     lines += _told("recording", "; ".join(shown["defects"]), width, 2, Style.BAD)
     finding = shown["finding"]
     if finding is None:
         return lines
     command = f"run: {finding['command']}"
     return [*lines, *_told("model", finding["what"], width, 1, Style.BAD), *_told("", command, width, 1, Style.BAD)]
+
+
+def _reasons(shown: Mapping[str, Any], width: int) -> list[Line]:
+    """All reasons and the advice to the first; where there is no estimate yet, what the status says."""
+    if shown["reasons"]:
+        codes, advice = ", ".join(reason for reason, _ in shown["reasons"]), shown["reasons"][0][1]
+        return [*_told("why", codes, width, 1), *_told("do", advice or "look it up in docs/trust.md", width, 2)]
+    if shown["verdict"] == Verdict.TRUSTED:
+        return [*_told("why", "every question is answered well", width, 1), *_told("do", "nothing", width, 1)]
+    return _told("status", shown["status"], width, 3)
 
 
 def _is_stale(one: Magnetometer, frame: Frame) -> bool:
@@ -252,9 +261,9 @@ def _trace(name: str, values: Sequence[float], low: float, high: float, width: i
 
 
 def _coverage_and_counters(
-    field: FieldView | None, shown: Mapping[str, Any], width: int, marks: str, recorded: bool
+    one: Magnetometer, field: FieldView | None, shown: Mapping[str, Any], width: int, marks: str, recorded: bool
 ) -> list[Line]:
-    """Where the field came from, beside what was counted."""
+    """Where the field came from, beside what was counted, and when that was where it is long ago."""
     seen = field.sphere.seen if field is not None else frozenset[int]()
     share = f"field came from {len(seen) / CELLS:.0%} of sides" if seen else "no sides of the field yet"
     left = [f"{share:<32}", *(f"  {row:<30}" for row in _sides(seen, marks))]
@@ -262,6 +271,9 @@ def _coverage_and_counters(
     counted = _counted(
         {name: count for name, count in counters.items() if not (recorded and name.startswith(_OF_LIVE))}
     )
+    estimate, status = one.result.estimate, one.result.status
+    if estimate is not None and status is not None and (old_s := (estimate.time_ns - status.time_ns) * 1e-9) > _OLD_S:
+        counted.insert(0, f"counted {duration(old_s)} ago")
     rows = _packed(counted, width - 33, len(left)) or ["no status yet: no counters"]
     rows += [""] * (len(left) - len(rows))
     return [[Span(side, Style.BAR), Span(" " + row)] for side, row in zip(left, rows, strict=True)]

@@ -98,6 +98,13 @@ def test_before_the_start_no_number_is_shown_and_nothing_is_called_calibrated() 
     assert "after     no calibrated vectors over this link so far" in text
 
 
+def test_without_an_estimate_the_status_says_why_and_old_counters_say_how_old_they_are() -> None:
+    waiting = replace(status(0, "not_started (no_reference), 0 ticks; no sample for 61 s"), verdict=Verdict.NOT_STARTED)
+    assert "status    not_started (no_reference), 0 ticks; no sample for 61 s\n" in shown(fed(waiting))
+    assert "counted" not in shown(fed(COUNTED, replace(TRUSTED, time_ns=60_000_000_000)))
+    assert "  counted 3.5 min ago, accepted 9" in shown(fed(COUNTED, replace(TRUSTED, time_ns=219_000_000_000)))
+
+
 def test_a_stale_verdict_is_what_it_was_and_the_reason_of_the_silence_is_said() -> None:
     assert "  live\n" in shown(fed(TRUSTED), now_s=14.0)
     stale = shown(fed(TRUSTED), now_s=16.0, silence="nobody is at here")
