@@ -46,7 +46,12 @@ class Feed:
         if field is not self._field:
             self._field, self._recent, self._whole, self._sphere = field, None, None, 0
             self._spectrum_s, self._spectrum_rows = -SPECTRUM_EVERY_S, -1
-        update: dict[str, Any] = {"fresh": self._recent is None, "coverage": round(field.sphere.coverage, 4)}
+        vectors = field.pulse.shown(now_s)
+        update: dict[str, Any] = {
+            "vectors": vectors,
+            "fresh": self._recent is None,
+            "coverage": round(field.sphere.coverage, 4),
+        }
         for name, series, mark in (("recent", field.recent, self._recent), ("whole", field.whole, self._whole)):
             anew, rows = series.since(mark)
             update[name] = {"anew": anew, "rows": rows}

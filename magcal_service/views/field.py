@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from magcal_service.views.pulse import Pulse
 from magcal_service.views.series import Recent, Row, Whole
 from magcal_service.views.spectrum import Spectrum, spectrum
 from magcal_service.views.sphere import Sphere
@@ -74,6 +75,7 @@ class FieldView:
     def __init__(self, reference: ReferenceField, start_ns: int) -> None:
         self.recent, self.whole, self.sphere = Recent(), Whole(), Sphere()
         self.start_ns = self.newest_ns = start_ns
+        self.pulse = Pulse()
         self._time_s = -math.inf
         self._reference = reference
         self._samples: OrderedDict[int, Vector] = OrderedDict()

@@ -13,7 +13,7 @@ _GAPS: Final = 16
 
 
 class Pulse:
-    """When results of one craft came, by the reader's own clock."""
+    """When results of one kind came, by the reader's own clock."""
 
     def __init__(self) -> None:
         self._newest_s = -math.inf
@@ -32,3 +32,8 @@ class Pulse:
     def is_stale(self, now_s: float) -> bool:
         """Whether results have stopped, or never came."""
         return self.age_s(now_s) > max(STALE_S, 3.0 * max(self._gaps, default=0.0))
+
+    def shown(self, now_s: float) -> dict[str, float | bool | None]:
+        """As plain data: ``age_s`` [s], None before the first, and ``is_stale``."""
+        age_s = self.age_s(now_s)
+        return {"age_s": round(age_s, 1) if math.isfinite(age_s) else None, "is_stale": self.is_stale(now_s)}

@@ -36,13 +36,11 @@ class CraftView:
         self.reference = ReferenceField()
         self.fields: dict[str, FieldView] = {}
         self.results: dict[str, ResultView] = {}
-        self.heard_s = 0.0
         self.pulse = Pulse()
         self.recording = recording
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this craft, heard at ``now_s`` [s] of the reader's own clock."""
-        self.heard_s = now_s
         if isinstance(message, CalibratedVector | Estimate | Status):
             self.pulse.beat(now_s)
         match message:
@@ -53,6 +51,7 @@ class CraftView:
                 self._begin_anew(message)
                 if field := self._field(message):
                     field.vector(message)
+                    field.pulse.beat(now_s)
             case ReferenceSample():
                 self.reference.add(message)
                 for field in self.fields.values():
@@ -138,13 +137,13 @@ class Views:
         return next((one for one in every if one.label == label), every[0] if every else None)
 
     def listed(self, now_s: float) -> list[dict[str, Any]]:
-        """Label, craft, verdict and age of the newest message [s] of every magnetometer."""
+        """Label, craft, verdict and freshness of the results of every magnetometer."""
         return [
             {
                 "label": one.label,
                 "craft": one.craft.name,
                 "verdict": str(one.result.verdict),
-                "age_s": round(now_s - one.craft.heard_s, 1),
+                **one.craft.pulse.shown(now_s),
             }
             for one in self.magnetometers()
         ]

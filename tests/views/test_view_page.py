@@ -183,8 +183,11 @@ def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> N
             )
             await page.until("document.getElementById('field-says').textContent.includes('0:00:04')")
             told = "life(); document.getElementById('life').textContent + document.getElementById('stale').textContent"
-            assert await page.value(f"newest.list[1].age_s = 99; {told}") == (
+            assert await page.value(f"Object.assign(newest.list[1], {{age_s: 99, is_stale: true}}); {told}") == (
                 "staleNothing new of other for 99 s; what is shown is old."
+            )
+            assert await page.value("document.getElementById('verdict').textContent + document.title") == (
+                "was trustedwas trusted: other"
             )
             assert "page lostNo answer from magcal view for 9 s" in await page.value(
                 f"heardMs = Date.now() - 9000; {told}"

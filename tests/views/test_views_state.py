@@ -17,7 +17,7 @@ from magcal_service.views.spectrum import spectrum
 from magcal_service.views.sphere import Sphere
 from magcal_service.views.state import Views
 from magcal_service.views.words import Finding, event_of, finding_of
-from magcal_service.wire.messages import ReferenceSample, Verdict
+from magcal_service.wire.messages import MagnetometerSample, ReferenceSample, Verdict
 from tests.views.view_messages import BIAS_NT, FIELD_NT, direction, estimate, second_of, status
 
 DOUBT = "model doubtful: thermal_bias (channel temperature), 34 nats; 2 axes; run: magcal diagnose RECORDING; trusted"
@@ -150,6 +150,21 @@ def test_each_reason_comes_with_what_to_do_and_the_first_in_the_daemon_s_own_wor
     views.take(said, 1.0)
     reasons = Feed().update(views, 1.0)["result"]["reasons"]
     assert reasons == [["noise_misstated", "noise is 105 nT"], ["unprotected", REMEDIES[Reason.UNPROTECTED]]]
+
+
+def test_a_daemon_that_answers_without_vectors_and_one_that_is_silent_are_told_apart() -> None:
+    views, feed = heard(20), Feed()
+    for second in range(20, 40):
+        views.take(status(second, "trusted"), float(second))
+        for message in second_of(second):
+            if isinstance(
+                message, MagnetometerSample | ReferenceSample
+            ):  # a node that goes on is no sign of the daemon
+                views.take(message, second + 20.0)
+    update = feed.update(views, 40.0)
+    assert (update["list"][0]["is_stale"], update["vectors"]) == (False, {"age_s": 21.0, "is_stale": True})
+    later = feed.update(views, 59.0)["list"][0]
+    assert (later["age_s"], later["is_stale"]) == (20.0, True)
 
 
 def test_invented_names_are_not_remembered_without_end() -> None:

@@ -1,14 +1,14 @@
 "use strict";
 // Updates of the server into the page. Everything heard from a link is put in as text, never as markup.
 
-const STALE_S = 10, SILENT_MS = 4000;
+const SILENT_MS = 4000;
 const at = (id) => document.getElementById(id);
 const say = (id, text) => { if (at(id).textContent !== text) at(id).textContent = text; };
 const element = (name, text, kind) => Object.assign(document.createElement(name), { textContent: text, className: kind || "" });
 const MARKS = { trusted: "\u2713 ", doubtful: "! ", converging: "\u2026 ", not_started: "\u2026 " };
 
 const rows = { recent: [], whole: [] };
-let span = "recent", source = null, chosen = "", newest = null, heardMs = 0, lines = [];
+let span = "recent", source = null, chosen = "", newest = null, heardMs = 0, lines = [], old = false;
 
 const fieldPlot = new Plot(at("field"), [
   { label: "before", colour: "before" }, { label: "after", colour: "after" },
@@ -53,7 +53,8 @@ function clear() {
 
 function choices(list, shown) {
   const select = at("choice"), names = list.map((one) => one.label);
-  const texts = list.map((one) => `${one.label}: ${one.verdict.replace("_", " ")}`);
+  const live = newest.origin.kind === "live";
+  const texts = list.map((one) => `${one.label}: ${live && one.is_stale ? "was " : ""}${one.verdict.replace("_", " ")}`);
   if (select.options.length !== names.length || [...select.options].some((one, i) => one.value !== names[i])) {
     select.replaceChildren(...names.map((name) => Object.assign(element("option", name), { value: name })));
     select.value = shown || "";
@@ -77,14 +78,20 @@ function life() {
     } else if (origin.kind === "recording") {
       [text, kind] = origin.has_ended ? ["replay ended", "converging"] : ["replaying", "live"];
       banner = note.trim();
-    } else if (own.age_s > STALE_S) {
+    } else if (own.is_stale) {
       text = "stale";
-      banner = `Nothing new of ${own.craft} for ${Math.round(own.age_s)} s; what is shown is old.${note}`;
+      banner = own.age_s == null ? `No result of ${own.craft} has come yet.${note}`
+        : `Nothing new of ${own.craft} for ${Math.round(own.age_s)} s; what is shown is old.${note}`;
+    } else if (newest.vectors && newest.vectors.is_stale) {
+      text = "no samples";
+      banner = `The daemon answers, but calibrated vectors of ${newest.label} stopped ${Math.round(newest.vectors.age_s)} s ago.${note}`;
     } else [text, kind] = ["live", "live"];
   }
   say("life", text);
   at("life").className = "tag " + kind;
-  document.body.classList.toggle("stale", kind === "lost" && heardMs > 0);
+  old = kind === "lost" && heardMs > 0;
+  document.body.classList.toggle("stale", old);
+  if (newest && newest.result) named(newest.result.verdict);
   say("stale", banner);
   at("stale").hidden = !banner;
 }
@@ -97,10 +104,16 @@ function listed(id, entries, made) {
   at(id).replaceChildren(...entries.flatMap(made));
 }
 
+// The verdict in words; of old data it is what it was, and has no colour.
+function named(verdict) {
+  const words = verdict.replace("_", " ");
+  say("verdict", old ? `was ${words}` : (MARKS[verdict] || "") + words);
+  at("verdict").className = "tag " + (old ? "soft" : verdict);
+  const title = `${old ? "was " : ""}${words}: ${newest.label}`;
+  if (document.title !== title) document.title = title;
+}
+
 function verdict(result) {
-  say("verdict", (MARKS[result.verdict] || "") + result.verdict.replace("_", " "));
-  at("verdict").className = "tag " + result.verdict;
-  document.title = `${result.verdict.replace("_", " ")}: ${newest.label}`;
   listed("reasons", result.reasons, ([reason, remedy]) => [element("dt", reason), element("dd", remedy)]);
   listed("defects", result.defects, (one) => [element("li", one)]);
   say("protection", result.protection_nt == null ? "Protection level: not known yet."
@@ -196,7 +209,9 @@ function spectra(found) {
   let text = "Too few samples with an estimate and a reference yet.";
   if (found) {
     const peak = found.amplitude_nt.indexOf(Math.max(...found.amplitude_nt));
-    text = `Largest line: ${number(found.amplitude_nt[peak], 1)} nT at ${(1000 * found.frequency_hz[peak]).toPrecision(3)} mHz.${turn}`;
+    const hz = found.frequency_hz[peak], step = found.frequency_hz[1] - found.frequency_hz[0];
+    const named = lines.find(([line]) => Math.abs(line - hz) < 1.5 * step);
+    text = `Largest: ${number(found.amplitude_nt[peak], 1)} nT at ${(1000 * hz).toPrecision(3)} mHz${named ? `, ${named[1]}` : ""}.${turn}`;
   }
   say("spectrum-says", text);
   at("spectrum").setAttribute("aria-label", `Spectrum of the residual. ${text}`);
