@@ -65,6 +65,8 @@ class Watch:
     source: reads already.
     why_silent: what keeps results away, in words; may take a second.
     crafts: whose results are wanted; of all that are heard where empty.
+
+    ``ask_s`` is when statuses that have not come are asked for next, on the monotonic clock [s].
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class Watch:
     ) -> None:
         self._source, self.why_silent, self._crafts = source, why_silent, crafts
         self._silence = ""
-        self._ask_s, self._why_s = time.monotonic() + _FIRST_ASK_S, time.monotonic() + _WHY_S
+        self.ask_s, self._why_s = time.monotonic() + _FIRST_ASK_S, time.monotonic() + _WHY_S
 
     @property
     def is_recorded(self) -> bool:
@@ -89,8 +91,8 @@ class Watch:
         with self._source.lock:
             found = self._source.views.magnetometers()
         now_s = time.monotonic()
-        if now_s > self._ask_s and not self.is_recorded:
-            self._ask_s = now_s + _ASK_S
+        if now_s > self.ask_s and not self.is_recorded:
+            self.ask_s = now_s + _ASK_S
             told = {one.craft.name for one in found if one.result.status is not None}
             for craft in {*self._crafts, *(one.craft.name for one in found)} - told:
                 self._source.give(craft, "status")

@@ -18,8 +18,10 @@ from pathlib import Path
 import pytest
 
 from magcal_service.cli import screen
+from magcal_service.cli.watch import Watch, _shown
 from magcal_service.links import Role, open_link
 from magcal_service.views.picture import HEIGHT, WIDTH
+from magcal_service.views.sources import LiveSource
 from magcal_service.wire.messages import Message, Status, Verdict
 from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.recorder import record_simulation
@@ -113,6 +115,35 @@ def test_arguments_that_do_not_go_together_are_refused(arguments: list[str], tol
     done = run("watch", *(one.format(recording=recording) for one in arguments))
     assert (done.code, done.out) == (2, "")
     assert told in done.err
+
+
+class FakeScreen:
+    """A screen of 80 by 24 at which these keys are pressed, one after each picture; ``heads`` are their first lines."""
+
+    is_ended, colour, size = False, False, (WIDTH, HEIGHT)
+
+    def __init__(self, keys: str) -> None:
+        self._keys, self.heads = iter(keys), list[str]()
+
+    def draw(self, lines: list[str]) -> None:
+        self.heads.append(lines[0].split("  ")[0])
+
+    def keys(self, wait_s: float) -> str:
+        return next(self._keys)
+
+
+def test_keys_go_round_the_magnetometers_and_what_has_not_told_its_status_is_asked() -> None:
+    with open_link("loop:watch", Role.VIEWER) as link:
+        source = LiveSource(link)
+        for name in ("a", "b", "c"):
+            source.take(replace(estimate(2), craft=name))
+        asked = list[tuple[str, str]]()
+        source.give = lambda craft, name: asked.append((craft, name)) or True  # type: ignore[method-assign, func-returns-value]
+        watch, looked = Watch(source, crafts=("d",)), FakeScreen("nnnpq")
+        watch.ask_s = 0.0
+        _shown(watch, looked)  # type: ignore[arg-type]
+    assert looked.heads == [f"{name} ({place} of 3)" for name, place in zip("abcac", (1, 2, 3, 1, 3), strict=True)]
+    assert sorted(asked) == [(name, "status") for name in "abcd"]
 
 
 def test_colours_are_for_terminals_and_for_those_who_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
