@@ -78,7 +78,7 @@ def whole_parser() -> Parser:
     add_reference(commands.add_parser("reference", help="send the reference field of a craft that has none"))
     add_send(commands.add_parser("send", help="give a running daemon a command, and print its answer"))
     add_view(commands.add_parser("view", help="a live page in the browser, of a running daemon or of a recording"))
-    add_watch(commands.add_parser("watch", help="the same in a terminal of 80 by 24 or more"))
+    add_watch(commands.add_parser("watch", help="a running daemon or a recording, live in a terminal of 80 by 24"))
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     add_xtce(commands.add_parser("xtce", help="the telemetry of a ccsds: output link, described for mission control"))
     completion = commands.add_parser("completion", help="what completes these commands in a shell")

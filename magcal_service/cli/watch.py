@@ -39,7 +39,13 @@ exit codes: 0; with --once 3 where a verdict is not trusted; 2 refused, or --onc
 
 def add_watch(parser: Parser) -> None:
     """The arguments of ``magcal watch``."""
-    parser.add_argument("recording", nargs="?", type=Path, metavar="RECORDING.toml|FILE.mcap", help="not a daemon")
+    parser.add_argument(
+        "recording",
+        nargs="?",
+        type=Path,
+        metavar="RECORDING.toml|FILE.mcap",
+        help="show this one; none: a running daemon",
+    )
     add_where(parser, f"the daemon's configuration: its link and craft; of a recording the {CONFIG_HELP}")
     only = "this craft alone, of a daemon or a session; repeatable"
     parser.add_argument("--craft", action="append", default=[], metavar="NAME", help=only)
