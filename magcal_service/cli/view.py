@@ -107,14 +107,14 @@ def _served(source: Source, options: argparse.Namespace) -> int:
     from magcal_service.views.server import serve
 
     async def until_stopped() -> None:
-        task = asyncio.ensure_future(
-            serve(
-                source, options.port, options.allow_commands, lambda url: print(f"{url} (Ctrl-C ends it)", flush=True)
-            )
-        )
+        stopped = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-        await task
+            asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+        await serve(source, options.port, options.allow_commands, _tell, stopped)
 
     asyncio.run(until_stopped())
     return DONE
+
+
+def _tell(url: str) -> None:
+    print(f"{url} (Ctrl-C ends it)", flush=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import time
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -138,8 +138,10 @@ async def _guarded(request: web.Request, handler: _Handler) -> web.StreamRespons
     return response
 
 
-async def serve(source: Source, port: int, allow_commands: bool, told: Callable[[str], None]) -> None:
-    """Serve the page until the task is cancelled.
+async def serve(
+    source: Source, port: int, allow_commands: bool, told: Callable[[str], None], stopped: asyncio.Event
+) -> None:
+    """Serve the page until ``stopped`` is set.
 
     Parameters
     ----------
@@ -155,12 +157,12 @@ async def serve(source: Source, port: int, allow_commands: bool, told: Callable[
         try:
             await web.TCPSite(runner, ADDRESS, port).start()
         except OSError as error:
-            accepted = f"{error.strerror or error}; give another one, or 0 for one that is free"
+            why = os.strerror(error.errno) if error.errno else str(error)
+            accepted = f"{why}; give another one, or 0 for one that is free"
             raise InputRefusedError([Fault("--port", port, accepted)]) from None
         source.start()
         told(f"http://{ADDRESS}:{runner.addresses[0][1]}/")
-        with suppress(asyncio.CancelledError):
-            await asyncio.Event().wait()
+        await stopped.wait()
     finally:
         await asyncio.to_thread(source.stop)
         await runner.cleanup()

@@ -58,7 +58,8 @@ class Source:
     def stop(self) -> None:
         """Read no more; a recording that is replayed as fast as it goes is left to the end of the process."""
         self._stopped.set()
-        self._thread.join(1.0)
+        if self._thread.is_alive():
+            self._thread.join(1.0)
 
     def take(self, message: Message) -> None:
         """Take one message into the views."""

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import shutil
+import socket
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -41,12 +42,13 @@ async def served(name: str, allow_commands: bool = False) -> AsyncIterator[tuple
         open_link(f"loop:{name}", Role.NODE) as node,
     ):
         told: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        task = asyncio.create_task(serve(LiveSource(viewer), 0, allow_commands, told.set_result))
+        stopped = asyncio.Event()
+        task = asyncio.create_task(serve(LiveSource(viewer), 0, allow_commands, told.set_result, stopped))
         await asyncio.wait([told, task], return_when=asyncio.FIRST_COMPLETED)
         try:
             yield await told, daemon, node
         finally:
-            task.cancel()
+            stopped.set()
             await task
 
 
@@ -136,6 +138,13 @@ def test_a_replayed_recording_shows_its_raw_samples_beside_what_came_of_them(tmp
     settled = [row[4] for row in rows if row[4] is not None]
     assert 200.0 < np.std(settled) < 400.0  # the scenario's noise is 300 nT
     assert update["result"]["counters"]["ticks"] == 450
+
+
+def test_a_port_that_is_taken_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        done = run("view", "--port", taken.getsockname()[1], "--link", "loop:nobody")
+    assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
+    assert done.err.startswith("--port: ")
 
 
 def test_what_a_source_cannot_take_is_refused() -> None:
