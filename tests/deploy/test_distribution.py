@@ -56,6 +56,16 @@ def test_base_and_extras_hold_what_the_code_imports_and_nothing_else() -> None:
     assert declared == imported()
 
 
+def test_what_is_no_code_is_installed_too() -> None:
+    """Templates, tables and pages are named in ``package-data``, and what is named there exists."""
+    shipped = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
+    for room, patterns in shipped.items():
+        there = {path for path in (ROOT / room).rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")}
+        named = [set((ROOT / room).glob(pattern)) for pattern in patterns]
+        assert there == set().union(*named)
+        assert all(named)
+
+
 def test_every_extra_that_an_error_may_name_exists() -> None:
     named = set()
     for room in ("magcal_service", "sim_sensor"):
