@@ -7,7 +7,7 @@ ARGS ?=
 PIP_ENV := PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_ROOT_USER_ACTION=ignore
 BIN := .venv/bin
 
-.PHONY: help run test lint format check bench docs-figures mutate lock clean
+.PHONY: help run test lint format check bench docs docs-figures mutate lock clean
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -35,6 +35,10 @@ bench: .venv/.dev ## the measured figures of the documentation, again (BENCH=wir
 	@set -e; for file in tests/benchmarks/bench_$(BENCH).py; do \
 	  module=$${file%.py}; echo "== $$module"; $(BIN)/python -m $$(echo $$module | tr / .) $(ARGS); done
 
+docs: .venv/.docs ## the pages as a site with search, in build/docs; a link that leads nowhere fails
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict --config-file - <docs/mkdocs.yml
+	@echo "build/docs/index.html; with search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory build/docs"
+
 docs-figures: .venv/.dev ## write the tables of README and docs from docs/results
 	@$(BIN)/python -m tests.figures
 
@@ -60,6 +64,11 @@ clean: ## remove what the other commands made; recordings in output/ stay
 	@echo "installing magcal with everything its tests need into .venv (once, one to two minutes) ..."
 	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[dev]'
 	@touch $@ .venv/.run
+
+.venv/.docs: pyproject.toml | $(BIN)/python
+	@echo "installing what makes the site into .venv (once) ..."
+	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[docs]'
+	@touch $@
 
 .venv/.mutate: .venv/.dev
 	@echo "installing what breaks the code on purpose into .venv (once) ..."

@@ -8,8 +8,7 @@ from typing import Any, Final
 
 from magcal_service.disk import beside
 from magcal_service.errors import Fault, InputRefusedError, unwritable
-from magcal_service.recordings.export import write_table
-from magcal_service.recordings.session_file import SessionFile
+from magcal_service.recordings.table_file import write_table
 from magcal_service.recordings.timestamps import ns_to_iso8601, ns_to_seconds
 from magcal_service.version import __version__
 from magcal_service.wire.messages import SCHEMA_VERSION, CalibratedVector, Clock
@@ -45,12 +44,15 @@ def write_vectors(out: Path, vectors: Sequence[CalibratedVector], about: dict[st
     vectors: in the order of their rows.
     about: what they are made of, for the metadata of MCAP.
 
-    Raises ``InputRefusedError`` where the file cannot be written, ``ExtraMissingError`` for Parquet without pyarrow.
+    Raises ``InputRefusedError`` where the file cannot be written, ``ExtraMissingError`` for Parquet and
+    MCAP without their packages.
     """
     refuse_suffix(out)
     if out.suffix.lower() != ".mcap":
         write_table(out, _columns(vectors))
         return
+    from magcal_service.recordings.session_file import SessionFile  # of the extra `record`
+
     try:
         with beside(out) as part, part.open("wb") as file:
             header = {"session": about["recording"], "magcal": __version__, "wire_schema": str(SCHEMA_VERSION)}

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.disk import beside
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, RecordingError, unwritable
+from magcal_service.errors import Fault, InputRefusedError, RecordingError
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session import decoded
 from magcal_service.recordings.session_arrays import session_recording
+from magcal_service.recordings.table_file import Columns, write_table
 from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS
 from magcal_service.wire.messages import Message
@@ -23,8 +22,6 @@ KIND_NAMES: Final = tuple(kind.name for kind in KINDS)
 SUFFIXES: Final = (".csv", ".parquet")
 
 _CELLS = {kind.record: tuple(field.name for field in kind.fields) for kind in KINDS}
-
-Columns = dict[str, list[Any]]
 
 
 def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None, source: str | None = None) -> int:
@@ -51,19 +48,6 @@ def export(path: Path, out: Path, kind: str = SAMPLES, craft: str | None = None,
         raise InputRefusedError([Fault("--kind", kind, nearest(kind, (SAMPLES, *KIND_NAMES)))])
     write_table(out, columns)
     return len(next(iter(columns.values()), []))
-
-
-def write_table(out: Path, columns: Columns) -> None:
-    """Write columns of equal length as ``.csv`` or ``.parquet``, by the name's end; the file appears when it is whole.
-
-    Raises ``InputRefusedError`` where it cannot be written, ``ExtraMissingError`` for Parquet without pyarrow.
-    """
-    write = _write_csv if out.suffix.lower() == ".csv" else _write_parquet
-    try:
-        with beside(out) as part:
-            write(part, columns)
-    except OSError as error:
-        raise unwritable(out, error) from None
 
 
 def _sample_columns(recording: Recording) -> Columns:
@@ -114,25 +98,3 @@ def _cells(message: Message) -> Iterator[tuple[str, Any]]:
             yield from ((f"{name}.{index}", entry) for index, entry in enumerate(value))
         else:
             yield name, value
-
-
-def _write_csv(path: Path, columns: Columns) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(
-            [["" if cell != cell else cell for cell in row] for row in zip(*columns.values(), strict=True)]
-        )
-
-
-def _write_parquet(path: Path, columns: Columns) -> None:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise ExtraMissingError("pyarrow", "export", "Parquet") from error
-    try:
-        table = pyarrow.table({name: pyarrow.array(cells) for name, cells in columns.items()})
-    except pyarrow.ArrowInvalid:  # arguments of commands may be text in one row and a number in the next
-        table = pyarrow.table({name: [None if c is None else str(c) for c in cells] for name, cells in columns.items()})
-    parquet.write_table(table, path)

@@ -124,3 +124,15 @@ def test_the_hint_printed_here_is_one_that_pip_takes() -> None:
     command += [*words[0].split()[2:], words[1]]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_vectors_are_written_as_csv_without_the_packages_of_recorded_sessions(tmp_path: Path) -> None:
+    script = (
+        "import sys\nfrom pathlib import Path\n"
+        "sys.modules.update(dict.fromkeys(('mcap', 'mcap.writer', 'zstandard')))\n"
+        "from magcal_service.offline.vector_file import write_vectors\n"
+        "write_vectors(Path(sys.argv[1]), [], {})"
+    )
+    out = tmp_path / "vectors.csv"
+    subprocess.run([sys.executable, "-c", script, str(out)], check=True, timeout=60)
+    assert out.read_text().startswith("time,wx_nt,")

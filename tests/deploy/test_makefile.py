@@ -154,4 +154,4 @@ def test_continuous_integration_runs_lint_and_the_readmes_test_command(tmp_path:
         (programs / name).write_text(f'#!/bin/sh\n[ {name} != make ] || echo "make $*" >>calls\n')
         (programs / name).chmod(0o755)
     subprocess.run([script], env={"PATH": f"{programs}:/usr/bin:/bin"}, check=True, timeout=60)
-    assert calls(tmp_path) == ["make lint", "make test"]
+    assert calls(tmp_path) == ["make lint", "make test", "make docs"]
