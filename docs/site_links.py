@@ -15,6 +15,9 @@ from mkdocs.structure.files import File, Files
 
 DOCS = "docs/"
 SHOWN = "repository/"
+BEHIND = (SHOWN, "results/")
+"""Pages that a search finds after all others: what lies beside the docs, and tables that commands have written."""
+
 ROOT = Path(__file__).resolve().parents[1]
 
 _LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<path>[^)#\s:]+)(?P<anchor>#[^)\s]*)?\)")
@@ -40,6 +43,8 @@ def on_files(files: Files, *, config: Any) -> Files:
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
     """The page's text with the links as they are on the site; one that leads nowhere stays, for mkdocs to refuse."""
     here = page.file.src_uri
+    if here.startswith(BEHIND):
+        page.meta["search"] = {"boost": 0.1}
     source = here.removeprefix(SHOWN) if here.startswith(SHOWN) else DOCS + here
 
     def on_site(link: re.Match[str]) -> str:
