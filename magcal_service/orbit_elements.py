@@ -69,6 +69,11 @@ class ElementSets:
     satellites: tuple[Any, ...]
     epochs_ns: Times
 
+    @property
+    def number(self) -> int:
+        """Catalogue number of the craft."""
+        return int(self.satellites[0].satnum)
+
     def ages_ns(self, times_utc_ns: Times) -> Times:
         """How far each time (n,) is from the epoch of the nearest set [ns], before or after."""
         return np.asarray(np.abs(times_utc_ns - self.epochs_ns[self._nearest(times_utc_ns)]), dtype=np.int64)

@@ -38,6 +38,7 @@ def add_apply(parser: Parser) -> None:
 
 
 def _apply(options: argparse.Namespace) -> int:
+    from magcal_service.errors import Fault, InputRefusedError
     from magcal_service.offline.apply import apply
     from magcal_service.offline.given import read_given
     from magcal_service.offline.vector_file import refuse_suffix, write_vectors
@@ -46,9 +47,12 @@ def _apply(options: argparse.Namespace) -> int:
     from magcal_service.recordings.usable import refuse_hopeless
 
     refuse_suffix(options.out)
-    refuse_unwritable(options.out)
+    refuse_unwritable(options.out, options.recording, options.given)
     given = read_given(options.given)
     recording = read_recording(options.recording, options.craft, source=options.source)
+    if given.source and recording.source and given.source != recording.source:
+        accepted = f"a result of magnetometer {recording.source} is accepted; --source chooses another of the recording"
+        raise InputRefusedError([Fault(f"{options.given}: source", given.source, accepted)])
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
     applied = apply(given, inspection)
@@ -57,7 +61,7 @@ def _apply(options: argparse.Namespace) -> int:
     print("\n".join([*source_lines(recording), *recording.report.lines(), *inspection.lines()]))
     print(f"rows: {inspection.account}")
     print("\n".join(_said(given, inspection, applied, options.out)))
-    return DONE if given.trusted and not inspection.open and not applied.remark else NOT_TRUSTED
+    return DONE if applied.trusted and not inspection.open and not applied.remark else NOT_TRUSTED
 
 
 def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> list[str]:

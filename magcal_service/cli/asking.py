@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,13 @@ ASK_AGAIN_S: Final = 1.0
 
 LOOK_S: Final = 2.0
 """Between two looks at which craft are served at all [s]: nobody waits for one that no daemon there has."""
+
+
+_HIGHEST_START: Final = 1 << 31
+"""Of a number, half of what a sequence number holds."""
+
+LONGEST_SOURCE: Final = 29
+"""Characters of a source's name, with room for what tells two processes of it apart."""
 
 
 class NotReachedError(MagcalError):
@@ -90,21 +98,34 @@ class Desk:
     Parameters
     ----------
     link: open, as a viewer has it.
-    source: who gives the commands, as the daemon logs it.
+    source: who gives the commands, as the daemon logs it, with two digits after it.
+
+    ``give`` raises ``ConfigError`` for arguments that no message can hold.
     """
 
     def __init__(self, link: Link, source: str) -> None:
-        self._link, self._source, self._numbers = link, source, itertools.count()
+        self._link, self._names = link, dict[int, str]()
+        # Replies are told apart by source and number: another end's must not be taken for this one's.  A later process
+        # begins lower, which a daemon takes for a source's restart and not for messages that were lost.
+        self._source = f"{source}-{os.urandom(1).hex()}"
+        self._numbers = itertools.count(_HIGHEST_START - time.time_ns() // 1_000_000 % _HIGHEST_START)
 
     def give(self, craft: str, name: str, arguments: Mapping[str, str | int | float | bool] | None = None) -> int:
         """Send a command; its number."""
+        from magcal_service.errors import DecodeError
+        from magcal_service.wire.codec import encode
         from magcal_service.wire.messages import Command
 
         number, now_ns = next(self._numbers), time.time_ns()
         given = dict(arguments or {})
-        self._link.send(
-            Command(craft=craft, source=self._source, sequence=number, time_ns=now_ns, name=name, arguments=given)
-        )
+        command = Command(craft=craft, source=self._source, sequence=number, time_ns=now_ns, name=name, arguments=given)
+        try:
+            encode(command)
+        except DecodeError as error:
+            accepted = "numbers that are finite and printable texts that a message can hold are accepted"
+            raise ConfigError([Fault(f"{name}: arguments", str(error), accepted)]) from None
+        self._names[number] = name
+        self._link.send(command)
         return number
 
     def reach(self, craft: str, timeout_s: float) -> CommandReply | None:
@@ -144,4 +165,5 @@ class Desk:
             and message.craft == craft
             and message.command_source == self._source
             and message.command_sequence in numbers
+            and message.name == self._names.get(message.command_sequence)
         )

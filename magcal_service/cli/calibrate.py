@@ -89,7 +89,7 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     if len(options.recordings) != 1:
         raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
     refuse_executor(options, accepted)
-    refuse_unwritable(options.json)
+    refuse_unwritable(options.json, *options.recordings, options.prior, options.config)
     configured = craft_from(options.config, options.craft, "a calibration")
     method = options.method and find_method(options.method).name
     path = options.recordings[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
@@ -134,8 +135,11 @@ def refuse_executor(options: argparse.Namespace, accepted: str) -> None:
         raise ConfigError(faults)
 
 
-def refuse_unwritable(path: Path | None) -> None:
-    """Refuse before the work is done an output file that plainly cannot be written after it."""
+def refuse_unwritable(path: Path | None, *inputs: Path | None) -> None:
+    """Refuse before the work is done an output file that plainly cannot be written after it.
+
+    Nor may it be one of the ``inputs``, nor a file that one of them names, such as the log of a description.
+    """
     from magcal_service.errors import InputRefusedError, unwritable
 
     if path is None or path == STDOUT:
@@ -144,6 +148,37 @@ def refuse_unwritable(path: Path | None) -> None:
         raise InputRefusedError([Fault(str(path), "a folder", "give a file that can be written")])
     if not path.parent.is_dir():
         raise unwritable(path, FileNotFoundError())
+    for one in filter(None, inputs):
+        for file in _read_with(one):
+            if path.exists() and file.exists() and path.samefile(file):
+                accepted = f"it is read ({one}), and would be gone; give another file"
+                raise InputRefusedError([Fault(str(path), "the input itself", accepted)])
+
+
+def _read_with(path: Path) -> Iterator[Path]:
+    """An input, and the files beside it that a description or a configuration names in any of its texts."""
+    yield path
+    if path.suffix.lower() != ".toml":
+        return
+    try:
+        if path.stat().st_size > _LARGEST_TOML:
+            return
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return  # whoever reads it says so
+    open_values: list[object] = [content]
+    while open_values:
+        value = open_values.pop()
+        if isinstance(value, dict):
+            open_values += value.values()
+        elif isinstance(value, list):
+            open_values += value
+        elif isinstance(value, str) and value and "\0" not in value and len(value) < _LONGEST_NAME:
+            yield path.parent / value
+
+
+_LARGEST_TOML: Final = 1 << 20  # 1 MiB, as the readers take
+_LONGEST_NAME: Final = 4096  # of a path, as the kernel takes
 
 
 def tell(asked: Asked) -> int:

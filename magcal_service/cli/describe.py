@@ -39,7 +39,7 @@ def _keys_text() -> str:
 def _describe(options: argparse.Namespace) -> int:
     from magcal_service.recordings.describe.describe import describe
 
-    refuse_unwritable(options.out)
+    refuse_unwritable(options.out, options.log)
     answers = _answers(options.answer)
     beside = None if options.out is None else options.out.parent
     described = describe(options.log, answers, beside)

@@ -5,8 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Final
 
 from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable
+
+_LSB_NT: Final = (0.01, 1e4)
+"""Of one count: a fluxgate's digitiser, and a compass for the pocket."""
 
 
 def add_export(parser: Parser) -> None:
@@ -40,9 +44,10 @@ def _export(options: argparse.Namespace) -> int:
     form = FORMS.get(options.format)
     if form is None:
         raise ConfigError([Fault("--format", options.format, nearest(options.format, FORMS))])
-    if options.lsb_nt is not None and not 0.0 < options.lsb_nt < float("inf"):
-        raise ConfigError([Fault("--lsb-nt", options.lsb_nt, "nT of one count, above 0, is accepted")])
-    refuse_unwritable(options.out)
+    if options.lsb_nt is not None and not _LSB_NT[0] <= options.lsb_nt <= _LSB_NT[1]:
+        accepted = f"nT of one count, {_LSB_NT[0]:g} to {_LSB_NT[1]:g}, is accepted"
+        raise ConfigError([Fault("--lsb-nt", options.lsb_nt, accepted)])
+    refuse_unwritable(options.out, options.result)
     given = read_given(options.result)
     made = form.make(given, Wanted(options.index, options.lsb_nt))
     if options.out is None:

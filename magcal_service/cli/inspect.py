@@ -35,7 +35,7 @@ def _inspect(options: argparse.Namespace) -> int:
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
 
-    refuse_unwritable(options.json)
+    refuse_unwritable(options.json, options.recording)
     recording = read_recording(options.recording, options.craft, source=options.source)
     inspection = inspect(recording)
     content = inspection.to_dict()

@@ -29,7 +29,7 @@ def _plot(options: argparse.Namespace) -> int:
     from magcal_service.plots.plot import sheet_of
 
     refuse_suffix(options.out)
-    refuse_unwritable(options.out)
+    refuse_unwritable(options.out, options.input, options.given)
     save(sheet_of(options.input, options.figure, options.given, options.craft, options.source), options.out)
     print(f"written: {options.out}")
     return DONE

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, Parser
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser
 
 _MORE = """
 Without --tle it hears the craft's position messages on a zenoh link and sends the field at each.  A daemon can do the
@@ -56,6 +57,7 @@ def _reference(options: argparse.Namespace) -> int:
     from magcal_service.daemon.reference_node import Elements, cost_of, run_along, run_beside
     from magcal_service.errors import ConfigError, Fault
     from magcal_service.links import Role, open_link
+    from magcal_service.links.silence import why_silent
 
     craft = default_craft(options.craft).name
     address = options.link or viewers_address(DEFAULT_LINK)
@@ -79,6 +81,10 @@ def _reference(options: argparse.Namespace) -> int:
         else:
             with open_link(address, Role.VIEWER, crafts=[craft]) as heard:
                 sent = run_beside(link, heard, craft, stop)
+        served = link.served()
+        lonely = why_silent(link, [craft]) if link.alone or (served is not None and craft not in served) else ""
     refused = "".join(f"; {name} {count}" for name, count in sorted(sent.refused.items()))
-    print(f"{sent.references} references sent{refused}")
-    return DONE
+    print(f"{sent.references} references put on the link{refused}")
+    if lonely:
+        print(f"nobody heard them: {lonely}", file=sys.stderr)
+    return DONE if sent.references and not lonely else NOT_TRUSTED

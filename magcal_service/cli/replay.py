@@ -13,6 +13,7 @@ from magcal_service.cli.common import (
     RECORDING_HELP,
     SOURCE_HELP,
     Parser,
+    refuse_unwritable,
     source_lines,
     speed,
     verdict_text,
@@ -47,6 +48,7 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless
 
+    refuse_unwritable(options.out, options.recording, options.config)
     configured = craft_from(options.config, options.craft, "a replay")
     to_read = craft_to_read(options.recording, options.config, options.craft)
     recording = read_recording(options.recording, to_read, source=options.source)

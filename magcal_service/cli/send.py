@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.cli.asking import Desk, NotReachedError, add_where, whom
+from magcal_service.cli.asking import LONGEST_SOURCE, Desk, NotReachedError, add_where, whom
 from magcal_service.cli.common import DONE, REFUSED, Parser
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.typed_toml import nearest
+from magcal_service.wire.fields import NAME, NAME_LENGTH
 
 if TYPE_CHECKING:
     from magcal_service.daemon.command_table import CommandSpec
@@ -53,7 +55,7 @@ def _send(options: argparse.Namespace) -> int:
 
     arguments = request(options.name, options.arguments)
     craft = _name("CRAFT", options.craft)
-    _name("--as", options.source)
+    _name("--as", options.source, LONGEST_SOURCE)
     address, _ = whom(options, [craft], "CRAFT")
     with open_link(address, Role.VIEWER, crafts=[craft]) as link:
         before, reply = _answered(link, craft, options, arguments)
@@ -141,14 +143,14 @@ def _take(
         found[key] = value
     else:
         try:
-            found[key] = float(value)
+            found[key] = float("nan" if "_" in value else value)
         except ValueError:
+            found[key] = math.nan
+        if not math.isfinite(float(found[key])):
             faults.append(Fault(f"{name}: {key}", value, f"{argument.accepted} is accepted"))
 
 
-def _name(field: str, value: str) -> str:
-    from magcal_service.wire.fields import NAME, NAME_LENGTH
-
-    if not NAME.fullmatch(value):
-        raise ConfigError([Fault(field, value, f"1 to {NAME_LENGTH} letters, digits, _ and - are accepted")])
+def _name(field: str, value: str, longest: int = NAME_LENGTH) -> str:
+    if not NAME.fullmatch(value) or len(value) > longest:
+        raise ConfigError([Fault(field, value, f"1 to {longest} letters, digits, _ and - are accepted")])
     return value

@@ -16,7 +16,7 @@ from magcal_service.errors import ConfigError, Fault
 if TYPE_CHECKING:
     from magcal_service.views.sources import ReplaySource, Source
 
-_PORT: Final = 8047
+_PORT: Final = 8047  # choice: free of what is usual
 
 
 def add_view(parser: Parser) -> None:

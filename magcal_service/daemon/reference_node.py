@@ -76,15 +76,22 @@ class Elements:
             accepted = f"sets within {self._most_days:g} days are accepted; fetch newer ones, or raise --max-age-days"
             raise InputRefusedError([Fault(f"{self.path}: epoch", f"{age:.1f} days from now", accepted)])
 
-    def refresh(self) -> None:
+    def refresh(self, now_ns: int) -> None:
         """Read the file again where it has changed; one that is refused is logged, and the sets before it stay."""
         if self._stamp() == self._seen:
             return
         self._seen = self._stamp()
+        before = self._sets
         try:
             self._sets = read_element_sets(self.path)
-            log.info("%s was read again; %s", self.path, cost_of(self.age_days(time.time_ns())))
+            if self._sets.number != before.number:
+                raise InputRefusedError(
+                    [Fault("craft", self._sets.number, f"sets of craft {before.number} are accepted")]
+                )
+            self.refuse_old(now_ns)
+            log.info("%s was read again; %s", self.path, cost_of(self.age_days(now_ns)))
         except MagcalError as error:
+            self._sets = before
             log.error("%s is not used, the sets before it stay: %s", self.path, error)
 
     def position(self, craft: str, number: int, now_ns: int) -> PositionSample | str:
@@ -128,7 +135,7 @@ def run_along(
         link.receive(0.0)
         if time.monotonic() > look_s:
             look_s = time.monotonic() + _LOOK_S
-            elements.refresh()
+            elements.refresh(now_ns())
             _tell_alone(link, craft)
         due_s = max(due_s + period_s, time.monotonic() - period_s)
         stop.wait(max(0.0, due_s - time.monotonic()))

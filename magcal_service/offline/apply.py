@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -33,6 +35,11 @@ from magcal_service.wire.messages import (
     Verdict,
 )
 
+_MEDIAN_TO_SIGMA: Final = 1.4826  # of the size of normal noise: 1 / quantile(3/4)
+
+_NOISE_RATIO: Final = math.sqrt(1.5**2 - 1.0)
+"""Beside the noise, in its units: a residual of 1.5 times the noise, as ``[craft.trust] residual_ratio`` has it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Applied:
@@ -50,6 +57,11 @@ class Applied:
     strayed: int
     missing: Counter[str]
     remark: str = ""
+
+    @property
+    def trusted(self) -> int:
+        """How many vectors may be used."""
+        return sum(one.verdict is Verdict.TRUSTED for one in self.vectors)
 
 
 def apply(given: Given, inspection: Inspection) -> Applied:
@@ -77,7 +89,37 @@ def apply(given: Given, inspection: Inspection) -> Applied:
         waiting_for=None,
         spin_given_up=False,
     )
-    return _applied(recording, given, state, compensation, remark)
+    applied = _applied(recording, given, state, compensation, remark)
+    return _judged(applied, inspection, given, state.noise_nt)
+
+
+def _judged(applied: Applied, inspection: Inspection, given: Given, noise_nt: float) -> Applied:
+    """All doubtful where the vectors are off the field by more than noise and protection level explain.
+
+    Judged by the median, for a spike is doubted by itself.  A bias that is off by p moves the length of a vector that
+    turns everywhere by up to p, evenly: p / 2 by the median.  Noise that is told somewhat too low is allowed for as a
+    calibration does (``[craft.trust] residual_ratio``).
+    """
+    usable = inspection.usable
+    length = dict(zip(usable.time_ns.tolist(), usable.reference.magnitude_nt.tolist(), strict=True))
+    off = [
+        float(np.linalg.norm(one.field_body_nt)) - magnitude
+        for one in applied.vectors
+        if math.isfinite(magnitude := length.get(one.time_ns, math.nan))
+    ]
+    if not off:
+        return applied
+    spread = _MEDIAN_TO_SIGMA * float(np.median(np.abs(off)))
+    level = math.sqrt(max(0.0, spread**2 - noise_nt**2))
+    allowed = max(_NOISE_RATIO * noise_nt, 0.5 * _MEDIAN_TO_SIGMA * (given.protection_nt or 0.0))
+    if level <= allowed:
+        return applied
+    remark = (
+        f"{given.name} does not fit this recording: beside {noise_nt:.1f} nT of noise the vectors are {level:.1f} nT "
+        f"off the field where {allowed:.1f} nT are explained"
+    )
+    vectors = tuple(replace(one, verdict=Verdict.DOUBTFUL) for one in applied.vectors)
+    return replace(applied, vectors=vectors, remark="; ".join(filter(None, (applied.remark, remark))))
 
 
 def _noise(given: Given, recording: Recording) -> float:

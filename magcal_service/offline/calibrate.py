@@ -72,6 +72,7 @@ class Calibration(NineErrors):
     counters: what happened to the samples, by kind.
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     findings: what is wrong with the recording itself.
+    source: of which magnetometer, where the recording says.
     protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     """
@@ -90,6 +91,7 @@ class Calibration(NineErrors):
     findings: tuple[Finding, ...] = ()
     protection_nt: float | None = None
     protection_by: str | None = None
+    source: str = ""
     whole_log: str = ""
 
     @property
@@ -106,6 +108,7 @@ class Calibration(NineErrors):
         """What ``calibrate --json`` writes, as plain data."""
         return {
             **head(CALIBRATION),
+            "source": self.source,
             "method": self.method,
             "trusted": self.trusted,
             "verdict": self.verdict,
@@ -222,6 +225,7 @@ def calibrate(
         findings=inspection.findings,
         protection_nt=pipeline.trust.protection_nt,
         protection_by=pipeline.trust.protection_by,
+        source=recording.source,
         whole_log=whole.remedy if whole is not None and (whole.doubts or verdict is not Verdict.DOUBTFUL) else "",
     )
 

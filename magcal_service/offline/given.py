@@ -13,7 +13,7 @@ import numpy as np
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
-from magcal_service.offline.result_head import schema_of
+from magcal_service.offline.result_head import SCHEMAS, head, schema_of
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.wire.messages import Verdict
 
@@ -22,6 +22,8 @@ _LARGEST_FILE: Final = 8 << 20
 
 _LARGEST_BIAS_NT: Final = 1e6  # 1 mT, as for a recording
 _LARGEST_D: Final = 10.0  # a scale of eleven: beyond, no gate of any method lets an estimate pass
+
+_SMALLEST_NOISE_NT, _LARGEST_NOISE_NT = 1e-3, 1e5  # of [craft.sensor] noise_nt, and what a residual may show below it
 
 ACCEPTED: Final = "what calibrate --json or diagnose --out writes is accepted: a .json, or physics.toml"
 
@@ -39,6 +41,7 @@ class Given(NineErrors):
     trusted, reasons: as the result says.
     protection_nt, protection_by: the protection level of the estimate; None where the file has none.
     model: of a ``physics.toml``; None of a result.
+    source: of which magnetometer it is; empty where the file does not say.
     schema: that the result keeps; empty where it says none that is known.
     """
 
@@ -54,6 +57,7 @@ class Given(NineErrors):
     protection_by: str | None = None
     model: PhysicsModel | None = None
     schema: str = ""
+    source: str = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -91,7 +95,7 @@ def read_given(path: Path) -> Given:
         raise InputRefusedError([Fault(str(path), f"{size} bytes", f"at most {_LARGEST_FILE} bytes; {ACCEPTED}")])
     digest = hashlib.sha256(raw).hexdigest()
     if path.suffix.lower() == ".toml":
-        return _of_model(path.name, digest, parse_model(raw))
+        return _of_model(path.name, digest, parse_model(raw, path.name))
     try:
         content = json.loads(raw)
     except (ValueError, RecursionError):
@@ -131,26 +135,40 @@ def _of_result(path: Path, digest: str, content: dict[str, Any]) -> Given:
             reading.array(sigma, "bias_nt", (3,), _LARGEST_BIAS_NT), reading.array(sigma, "D", (3, 3), _LARGEST_D)
         )
         covariance = np.diag(np.square(sigmas))
+    levels = content.get("residual_rms_nt")
+    floor = ("noise_floor", levels) if isinstance(levels, dict) else ("noise_floor_nt", numbers)
+    noise = reading.number(floor[1], floor[0], _SMALLEST_NOISE_NT, _LARGEST_NOISE_NT)
+    level = reading.number(content, "protection_nt", 0.0, _LARGEST_BIAS_NT)
+    reasons = reading.texts(content, "reasons")
+    reading.covariance(covariance)
+    reading.head(content)
     reading.done()
     if not np.allclose(d, d.T, rtol=0.0, atol=1e-9):
         raise InputRefusedError([Fault(f"{path}: D", d.tolist(), "a symmetric matrix is accepted")])
     if np.linalg.eigvalsh(np.eye(3) + d)[0] <= 0.0:
         raise InputRefusedError([Fault(f"{path}: D", d.tolist(), "I + D with eigenvalues above 0 is accepted")])
-    levels = content.get("residual_rms_nt")
-    noise = levels.get("noise_floor") if isinstance(levels, dict) else numbers.get("noise_floor_nt")
-    level, hazard = content.get("protection_nt"), content.get("protection_by")
+    hazard = content.get("protection_by")
     return Given(
         path.name,
         digest,
         _state(bias, d),
         covariance,
         whole,
-        float(noise) if isinstance(noise, int | float) else None,
-        content.get("trusted") is True,
-        tuple(str(one) for one in content.get("reasons") or ()),
-        float(level) if isinstance(level, int | float) else None,
+        noise,
+        _is_trusted(content, reasons),
+        reasons,
+        level,
         hazard if isinstance(hazard, str) else None,
         schema=schema_of(content),
+        source=content["source"] if isinstance(content.get("source"), str) else "",
+    )
+
+
+def _is_trusted(content: dict[str, Any], reasons: tuple[str, ...]) -> bool:
+    """Whether a result says so, and nothing in it says otherwise."""
+    verdicts = {"trusted"} if "fit" not in content else {"none", "named"}
+    return (
+        content.get("trusted") is True and not reasons and content.get("verdict", "trusted") in {*verdicts, "trusted"}
     )
 
 
@@ -162,6 +180,13 @@ def _state(bias: Array, d: Array) -> Array:
     return x
 
 
+def _is_numbers(value: Any) -> bool:
+    """Whether something is numbers, or lists of them."""
+    if isinstance(value, list):
+        return all(map(_is_numbers, value))
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 class _Reading:
     """Arrays out of a result; what is wrong with any of them is said together."""
 
@@ -171,8 +196,8 @@ class _Reading:
     def array(self, content: dict[str, Any], key: str, shape: tuple[int, ...], limit: float) -> Array:
         """Finite numbers of a shape, none beyond a limit; zeros where they are none."""
         try:
-            found = np.array(content.get(key), dtype=np.float64)
-        except (TypeError, ValueError):
+            found = np.array(content.get(key) if _is_numbers(content.get(key)) else None, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
             found = np.zeros(0)
         if found.shape != shape or not np.all(np.abs(found) <= limit):
             accepted = f"numbers of shape {shape} up to {limit:g} are accepted; {ACCEPTED}"
@@ -180,6 +205,47 @@ class _Reading:
             self._faults.append(Fault(f"{self._path}: {key}", shown, accepted))
             return np.zeros(shape)
         return found
+
+    def number(self, content: dict[str, Any], key: str, low: float, high: float) -> float | None:
+        """A number within limits; None where there is none."""
+        value = content.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            self._faults.append(Fault(f"{self._path}: {key}", str(value)[:60], f"{low:g} to {high:g} is accepted"))
+            return None
+        return float(value)
+
+    def texts(self, content: dict[str, Any], key: str) -> tuple[str, ...]:
+        """A list of texts; none where there is none."""
+        value = content.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+            self._faults.append(Fault(f"{self._path}: {key}", str(value)[:60], "a list of texts is accepted"))
+            return ()
+        return tuple(value)
+
+    def covariance(self, found: Array) -> None:
+        """Symmetric, with no variance below 0 in any direction (to rounding)."""
+        scale = np.sqrt(np.maximum(np.diagonal(found), 0.0))
+        scaled = found / np.maximum(np.outer(scale, scale), 1e-300)
+        even = np.allclose(scaled, scaled.T, rtol=0.0, atol=1e-6)
+        if np.any(np.diagonal(found) < 0.0) or not even or np.linalg.eigvalsh(scaled)[0] < -1e-6:
+            accepted = "a symmetric matrix with no negative eigenvalue is accepted"
+            self._faults.append(Fault(f"{self._path}: covariance", "it is none", accepted))
+
+    def head(self, content: dict[str, Any]) -> None:
+        """What a result says of its own form has to be what is read here; one that says nothing is read as it is."""
+        name = content.get("schema")
+        if name is not None and name not in SCHEMAS:
+            self._faults.append(
+                Fault(f"{self._path}: schema", str(name)[:60], f"one of {', '.join(SCHEMAS)} is accepted")
+            )
+            return
+        known = head(name or SCHEMAS[0])
+        for key in ("equation", "units", "frame"):
+            if key in content and content[key] != known[key]:
+                accepted = f"{known[key]} is accepted"
+                self._faults.append(Fault(f"{self._path}: {key}", str(content[key])[:60], accepted))
 
     def done(self) -> None:
         """Raise InputRefusedError where anything was refused."""

@@ -40,4 +40,4 @@ def strays(vector: CalibratedVector, reference_nt: float, age_s: float) -> bool:
     allowed = _SIGMA * math.sqrt(variance) + FASTEST_NT_S * age_s + _IN_DOUBT * reference_nt
     allowed += vector.protection_nt or 0.0
     length = math.hypot(*vector.field_body_nt) - variance / reference_nt
-    return abs(length - reference_nt) > allowed
+    return not abs(length - reference_nt) <= allowed  # what is no number strays as well

@@ -18,7 +18,7 @@ from magcal_service.wire.messages import Verdict
 WIDTH, HEIGHT = 80, 24
 """The smallest screen that the picture is made for; a larger one has longer traces and more events."""
 
-_LABEL: Final = 10
+_LABEL: Final = 10  # columns left of a trace
 _FIGURE: Final = 32  # columns right of a trace
 _RECENT: Final = 300  # rows that the figures beside before and after are of
 _OLD_S: Final = 60.0  # sample time between a status and the newest estimate from which that is said

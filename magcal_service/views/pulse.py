@@ -9,7 +9,7 @@ from typing import Final
 STALE_S: Final = 5.0
 """Silence after which results are called stale [s], or three times the longest of the newest gaps if that is longer."""
 
-_GAPS: Final = 16
+_GAPS: Final = 16  # choice: the newest, between which the usual one is found
 
 
 class Pulse:

@@ -14,7 +14,7 @@ from magcal_service.views.nine import PARAMETERS, sigmas, values
 from magcal_service.views.words import event_of, finding_of
 from magcal_service.wire.messages import CommandReply, Estimate, Status, Verdict
 
-_MOST_EVENTS: Final = 40
+_MOST_EVENTS: Final = 40  # choice: a page of them
 _REMEDIES: Final = {str(reason): remedy for reason, remedy in REMEDIES.items()}
 
 

@@ -15,6 +15,7 @@ from magcal_service.daemon.reference_node import SOURCE, Elements, cost_of, run_
 from magcal_service.errors import InputRefusedError
 from magcal_service.geomagnetic import igrf_eci_nt
 from magcal_service.links import Role, open_link
+from magcal_service.orbit_elements import checksum
 from magcal_service.wire.messages import Clock, Frame, PositionSample, ReferenceSample
 from tests.cli.cli_inputs import run
 
@@ -74,14 +75,21 @@ def test_nothing_is_sent_by_sets_that_are_too_old(elements: Elements) -> None:
 def test_a_file_that_changes_is_read_again_and_one_that_is_broken_is_not_used(elements: Elements) -> None:
     before = elements.position("iss", 0, EPOCH_NS)
     elements.path.write_text("ISS\nnothing\n")
-    elements.refresh()
+    elements.refresh(EPOCH_NS)
     assert elements.position("iss", 0, EPOCH_NS) == before
     first, second = SETS.splitlines()[1:]
-    later = first[:20] + "65" + first[22:]  # 2008, day 65
-    digits = sum(int(c) if c.isdigit() else c == "-" for c in later[:68])
-    elements.path.write_text(f"{later[:68]}{digits % 10}\n{second}\n")
-    elements.refresh()
-    assert elements.age_days(EPOCH_NS) > 150.0
+
+    def write(first: str, second: str) -> None:
+        lines = [f"{line[:68]}{checksum(line)}" for line in (first, second)]
+        elements.path.write_text("\n".join([*lines, ""]))
+        elements.refresh(EPOCH_NS)
+
+    write(first.replace("25544", "25545"), second.replace("25544", "25545"))  # of another craft
+    assert elements.position("iss", 0, EPOCH_NS) == before
+    write(f"{first[:20]}165{first[23:]}", second)  # a hundred days old
+    assert elements.position("iss", 0, EPOCH_NS) == before
+    write(f"{first[:20]}265{first[23:]}", second)  # of the next day
+    assert elements.age_days(EPOCH_NS) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_the_field_at_positions_that_are_heard() -> None:

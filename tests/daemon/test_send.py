@@ -10,9 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.cli.asking import Desk
 from magcal_service.cli.send import commands_text, request
 from magcal_service.daemon.command_table import COMMANDS
+from magcal_service.daemon.outbox import Stamp, command_reply
 from magcal_service.errors import ConfigError
+from magcal_service.links import Role, open_link
+from magcal_service.wire.messages import Clock, Command
 from sim_sensor.demo.pty_pair import PtyPair
 from tests.cli.cli_inputs import run
 from tests.daemon.service_processes import daemon, free_port
@@ -89,6 +93,8 @@ def test_a_sealed_line_takes_what_is_sealed_alone(tmp_path: Path) -> None:
         ("process_noise", ["bias=1"], "process_noise: bias: '1' is refused; did you mean 'bias_nt'?"),
         ("process_noise", ["D=x"], "process_noise: D: 'x' is refused; 0 to 0.01 /sqrt(s) is accepted"),
         ("process_noise", ["D=0", "D=0"], "process_noise: D: '0' is refused; it is given twice"),
+        ("process_noise", ["bias_nt=1e999"], "process_noise: bias_nt: '1e999' is refused; 0 to 1000 nT/sqrt(s)"),
+        ("process_noise", ["bias_nt=1_0"], "process_noise: bias_nt: '1_0' is refused"),
         ("checkpoint", [], "checkpoint: name: 'missing' is refused; a text is accepted"),
     ],
 )
@@ -96,6 +102,23 @@ def test_what_no_daemon_would_take_is_refused_before_it_is_asked(name: str, give
     with pytest.raises(ConfigError, match=r".") as caught:
         request(name, given)
     assert told in str(caught.value)
+
+
+def test_two_operators_hear_their_own_answers_alone() -> None:
+    with open_link("loop:two", Role.SERVICE, crafts=["a"]) as service, open_link("loop:two", Role.VIEWER) as link:
+        one, two = Desk(link, "send"), Desk(link, "send")
+        numbers = one.give("a", "freeze"), two.give("a", "reset")
+        commands = service.receive(0.1)
+        assert len({(each.source, each.sequence) for each in commands}) == 2
+        stamp = Stamp("a", 0, 0, Clock.ELAPSED)
+        for each in commands:
+            assert isinstance(each, Command)
+            service.send(command_reply(stamp, each, "", each.name))
+        heard = two.answer("a", numbers[1], 1.0)
+        assert heard is not None
+        assert heard.text == "reset"
+        with pytest.raises(ConfigError, match="checkpoint: arguments"):
+            one.give("a", "checkpoint", {"name": "x" * 4000})
 
 
 def test_texts_stay_texts_and_numbers_become_numbers() -> None:

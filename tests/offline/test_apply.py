@@ -135,7 +135,7 @@ def test_a_vector_that_is_not_as_long_as_the_field_is_doubtful(flight: Path, res
     recording = read_recording(flight)
     field = recording.field_body_nt.copy()
     field[700] *= 1.5
-    content = {**json.loads(result.read_text()), "trusted": True}
+    content = {**json.loads(result.read_text()), "trusted": True, "verdict": "trusted", "reasons": []}
     path = result.with_name("trusted.json")
     path.write_text(json.dumps(content))
     applied = apply(read_given(path), inspect(replace(recording, field_body_nt=field)))
@@ -151,6 +151,71 @@ def test_what_is_not_to_be_trusted_ends_with_3_and_says_why(flight: Path, result
     assert done.code == 3
     assert done.out.endswith("not to be trusted: poor_coverage\n")
     assert ",trusted," not in (tmp_path / "v.csv").read_text()
+
+
+def test_a_result_of_another_magnetometer_is_not_trusted_on_it(flight: Path, result: Path, tmp_path: Path) -> None:
+    """A bias 700 nT off moves every length by less than the noise's 6 sigma, and all of them together by far more."""
+    content = {**json.loads(result.read_text()), "trusted": True, "verdict": "trusted", "reasons": []}
+    path = tmp_path / "result.json"
+    for off_nt, code in ((0.0, 0), (1500.0, 3)):
+        bias = [content["bias_nt"][0] + off_nt, *content["bias_nt"][1:]]
+        path.write_text(json.dumps({**content, "bias_nt": bias}))
+        done = run("apply", flight, "--with", path, "--out", tmp_path / "v.csv")
+        assert done.code == code, done
+        assert (",trusted," in (tmp_path / "v.csv").read_text()) == (code == 0)
+    assert "result.json does not fit this recording: beside 300.0 nT of noise" in done.out
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"protection_nt": float("nan")},
+        {"protection_nt": 1e9},
+        {"protection_nt": 10**400},
+        {"residual_rms_nt": {"noise_floor": float("nan")}},
+        {"residual_rms_nt": {"noise_floor": -5.0}},
+        {"bias_nt": [10**400, 0, 0]},
+        {"bias_nt": ["1", "2", "3"]},
+        {"reasons": 5},
+        {"covariance": (-np.eye(9)).tolist()},
+        {"covariance": np.triu(np.ones((9, 9))).tolist()},
+        {"schema": "foo-99"},
+        {"equation": "w = B - b"},
+        {"units": {"B": "uT"}},
+    ],
+    ids=str,
+)
+def test_numbers_that_no_estimate_has_are_refused(result: Path, changes: dict[str, object], tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps({**json.loads(result.read_text()), **changes}))
+    with pytest.raises(InputRefusedError, match=f"result.json: {next(iter(changes)).split('_rms')[0][:8]}|noise_floor"):
+        read_given(path)
+
+
+@pytest.mark.parametrize("changes", [{"verdict": "doubtful"}, {"reasons": ["poor_coverage"]}, {"trusted": 1}])
+def test_a_result_that_contradicts_itself_is_not_trusted(
+    result: Path, changes: dict[str, object], tmp_path: Path
+) -> None:
+    content = {**json.loads(result.read_text()), "trusted": True, "verdict": "trusted", "reasons": []}
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content))
+    assert read_given(path).trusted
+    path.write_text(json.dumps({**content, **changes}))
+    assert not read_given(path).trusted
+
+
+def test_what_is_read_is_not_written_over(flight: Path, result: Path) -> None:
+    """The result, the description, and the log that it names."""
+    log = flight.with_name("samples.csv")
+    before = [path.read_bytes() for path in (flight, result, log)]
+    for out in (log, flight.with_name("samples.csv").resolve()):
+        done = run("apply", flight, "--with", result, "--out", out)
+        assert (done.code, "'the input itself' is refused" in done.err) == (2, True), done
+    assert run("calibrate", flight, "--json", flight).code == 2
+    assert run("inspect", flight, "--json", log).code == 2
+    assert run("describe", log, "--out", log).code == 2
+    assert run("export", result, "--format", "csv", "--out", result).code == 2
+    assert [path.read_bytes() for path in (flight, result, log)] == before
 
 
 @pytest.mark.parametrize(

@@ -184,8 +184,16 @@ def test_what_no_target_takes_is_refused(arguments: tuple[str, ...], told: str, 
     assert told in done.err
 
 
+def test_texts_of_a_result_end_no_comment(tmp_path: Path) -> None:
+    path = written(tmp_path, trusted=False, reasons=["x */\n#define EVIL 1\n/* "])
+    for name in ("c-header", "cfs-table", "ardupilot", "px4"):
+        text = run("export", path, "--format", name).out
+        assert "x * /?#define EVIL 1?/* " in text
+        assert not any(line.startswith("#define EVIL") for line in text.splitlines())
+
+
 def test_numbers_beyond_the_target_are_refused(tmp_path: Path) -> None:
     far = run("export", written(tmp_path, bias_nt=[300_000.0, 0.0, 0.0]), "--format", "ardupilot")
     assert far.code == 2
-    assert "COMPASS_OFS_X" in far.err
-    assert "ArduPilot takes -1800 to 1800 mGauss" in far.err
+    assert "length of COMPASS_OFS" in far.err
+    assert "ArduPilot takes 0 to 1800 mGauss" in far.err

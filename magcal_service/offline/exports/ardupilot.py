@@ -6,6 +6,7 @@ Source: ``AP_Compass_Backend::correct_field`` of ArduPilot 4; offsets and field 
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from magcal_service.offline.exports.form import Exported, Form, Wanted, about, refuse_beyond
@@ -14,14 +15,16 @@ from magcal_service.offline.given import Given
 NT_PER_MILLIGAUSS: Final = 100.0  # by definition
 
 _LARGEST_OFFSET: Final = 1800.0
-"""Default of ``COMPASS_OFFS_MAX`` [mGauss]: beyond it the autopilot does not arm."""
+"""Default of ``COMPASS_OFFS_MAX`` [mGauss]: with a longer offset the autopilot does not arm."""
 
 _INDICES: Final = ("", "2", "3")
 """What follows the names of the first, second and third compass."""
 
 
 def _make(given: Given, wanted: Wanted) -> Exported:
-    refuse_beyond("ArduPilot", "--index", wanted.index, 0, len(_INDICES) - 1, "compasses after the first")
+    refuse_beyond(
+        "ArduPilot", "--index", wanted.index, 0, len(_INDICES) - 1, "compasses after the first", "choose one of them"
+    )
     nth, matrix = _INDICES[wanted.index], given.matrix
     offsets = (-given.offset_nt / NT_PER_MILLIGAUSS).tolist()
     lines = [f"# {line}" for line in about(given)]
@@ -29,8 +32,9 @@ def _make(given: Given, wanted: Wanted) -> Exported:
         "# field = M (raw + OFS) in mGauss, M of DIA (diagonal) and ODI (xy, xz, yz); raw in the board's axes:"
     )
     lines.append("# right where the log that was calibrated has the axes that COMPASS_ORIENT gives")
+    length = math.hypot(*offsets)
+    refuse_beyond("ArduPilot", f"length of COMPASS_OFS{nth}", length, 0.0, _LARGEST_OFFSET, "mGauss")
     for axis, value in zip("XYZ", offsets, strict=True):
-        refuse_beyond("ArduPilot", f"COMPASS_OFS{nth}_{axis}", value, -_LARGEST_OFFSET, _LARGEST_OFFSET, "mGauss")
         lines.append(f"COMPASS_OFS{nth}_{axis},{value:.4f}")
     for axis, value in zip("XYZ", matrix.diagonal().tolist(), strict=True):
         lines.append(f"COMPASS_DIA{nth}_{axis},{value:.8f}")

@@ -11,6 +11,8 @@ from magcal_service.offline.given import Given
 from magcal_service.offline.result_head import EQUATION
 from magcal_service.version import __version__
 
+_REMEDY = "degauss or move the sensor, or calibrate it elsewhere"
+
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
@@ -61,14 +63,23 @@ class Form:
 def about(given: Given) -> list[str]:
     """Equation, units, frame, sign convention, where the numbers are from and how far to trust them, a line each."""
     doubts = given.doubts()
-    return [
+    lines = [
         f"magcal {__version__}: nine errors of a magnetometer, from {given.name}",
         f"sha256 of that file: {given.sha256}",
         f"{EQUATION}: B measured, w calibrated, both in nT in the sensor's own axes; b is subtracted after the matrix",
-        *([f"DO NOT FLY THIS: {doubts}"] if doubts else []),
-        *(["the effects of physics.toml are not in these numbers: they hold where its disturbances are subtracted"]
-          if given.model is not None and given.model.terms else []),
-    ]  # fmt: skip
+    ]
+    if doubts:
+        lines.append(f"DO NOT FLY THIS: {doubts}")
+    if given.model is not None and given.model.terms:
+        lines.append(
+            "the effects of physics.toml are not in these numbers: they hold where its disturbances are subtracted"
+        )
+    return list(map(_plain, lines))
+
+
+def _plain(text: str) -> str:
+    """A line that stays one, and ends no comment, whatever was in the file."""
+    return "".join(one if one.isprintable() else "?" for one in text).replace("*/", "* /")
 
 
 def numbers(given: Given) -> list[tuple[str, float, float, str]]:
@@ -78,8 +89,10 @@ def numbers(given: Given) -> list[tuple[str, float, float, str]]:
     return list(zip(STATE_NAMES, given.x.tolist(), sigma.tolist(), units, strict=True))
 
 
-def refuse_beyond(form: str, name: str, value: float, low: float, high: float, unit: str) -> None:
+def refuse_beyond(
+    form: str, name: str, value: float, low: float, high: float, unit: str, remedy: str = _REMEDY
+) -> None:
     """Raise ``InputRefusedError`` for a number that a target does not take."""
     if not low <= value <= high:
-        accepted = f"{form} takes {low:g} to {high:g} {unit}; degauss or move the sensor, or calibrate it elsewhere"
+        accepted = f"{form} takes {low:g} to {high:g} {unit}; {remedy}"
         raise InputRefusedError([Fault(name, f"{value:.6g} {unit}", accepted)])

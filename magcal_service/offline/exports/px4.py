@@ -20,7 +20,7 @@ _MOST: Final = 3  # compasses after the first
 
 
 def _make(given: Given, wanted: Wanted) -> Exported:
-    refuse_beyond("PX4", "--index", wanted.index, 0, _MOST, "compasses after the first")
+    refuse_beyond("PX4", "--index", wanted.index, 0, _MOST, "compasses after the first", "choose one of them")
     matrix, nth = given.matrix, f"CAL_MAG{wanted.index}"
     found = {f"{nth}_{axis}OFF": one / NT_PER_GAUSS for axis, one in zip("XYZ", given.offset_nt.tolist(), strict=True)}
     for axis, value in zip("XYZ", matrix.diagonal().tolist(), strict=True):
