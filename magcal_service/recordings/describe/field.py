@@ -44,6 +44,11 @@ class Size:
         return self.usual if self.radius is None else self.radius
 
 
+def in_earth_field(length: float, unit: str) -> bool:
+    """Whether a length in a unit is one that the Earth's field can have."""
+    return EARTH_NT[0] <= length * FIELD_NT[FieldUnit(unit)] <= EARTH_NT[1]
+
+
 def size_of(vectors: FloatArray, *, still: bool = False) -> Size | None:
     """The size of vectors (n, 3); None where too few are finite, or they never change and are not allowed to."""
     good = vectors[np.isfinite(vectors).all(axis=1)]

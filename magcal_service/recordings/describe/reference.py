@@ -15,6 +15,7 @@ from magcal_service.recordings.describe.field import Size, find_unit, size_of
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
 from magcal_service.recordings.describe.place import Place, likely_height
+from magcal_service.recordings.describe.reference_unit import reference_unit
 from magcal_service.recordings.describe.times import Times
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.units import FIELD_NT, FieldUnit
@@ -139,8 +140,7 @@ def _model(draft: Draft, times: Times | None, place: Place, why: str) -> None:
 
 def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Triple, by: str) -> bool:
     """A reference vector for each row; false where the numbers are no field."""
-    said = draft.answers.get("reference.unit") or triple.unit
-    unit = find_unit(size_of(triple.values, still=True), said, whole=False)
+    unit = reference_unit(draft, size_of(triple.values, still=True), triple.unit)
     if not unit.possible and not by:
         draft.said.append(f"reference: {triple.label} left out: {unit.why}")
         return False
@@ -174,8 +174,7 @@ def _size(column: Column) -> Size | None:
 
 
 def _magnitude(draft: Draft, column: Column, size: Size | None, by: str, expected_nt: float | None) -> bool:
-    said = draft.answers.get("reference.unit") or column.unit
-    unit = find_unit(size, said, whole=False, expected_nt=expected_nt)
+    unit = reference_unit(draft, size, column.unit, expected_nt)
     if not unit.sure:
         asks = f"in which unit is the reference {column.label}? {unit.why}"
         draft.ask(Question("reference.unit", asks, tuple((one, "") for one in unit.possible), "nT"))

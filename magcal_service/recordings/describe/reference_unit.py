@@ -1,0 +1,55 @@
+"""The unit of a reference: sure only where its length is one that the Earth's field can have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.recordings.describe.draft import Draft, answered
+from magcal_service.recordings.describe.field import EARTH_NT, Size, UnitFound, find_unit, in_earth_field
+from magcal_service.units import FIELD_NT, FieldUnit
+
+_EARTH: Final = f"the {EARTH_NT[0] / 1e3:g} to {EARTH_NT[1] / 1e3:g} uT that the Earth's field can be"
+
+
+def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: float | None = None) -> UnitFound:
+    """The unit by the answer, else by names and numbers; open where it leads outside the Earth's field.
+
+    Parameters
+    ----------
+    size: of the reference's vectors or magnitudes, in its own unit.
+    said: the unit that the names say, empty where none.
+    expected_nt: the field [nT] that the sensor has there, where known.
+
+    Raises
+    ------
+    InputRefusedError: the answer is no unit of a field.
+    """
+    answer = draft.answers.get("reference.unit")
+    if answer is not None:
+        return _told(draft, size, answer)
+    found = find_unit(size, said, whole=False, expected_nt=expected_nt)
+    if not found.sure or size is None or in_earth_field(size.usual, found.unit):
+        return found
+    inside = tuple(unit.value for unit in FieldUnit if in_earth_field(size.usual, unit))
+    amount = size.usual * FIELD_NT[FieldUnit(found.unit)] / 1e3
+    says = f"the names say {said}" if said else "no name says it"
+    why = f"{says}, but as {found.unit} most is {amount:.3g} uT, outside {_EARTH}"
+    return replace(found, unit="", sure=False, why=why, possible=(*inside, found.unit))
+
+
+def _told(draft: Draft, size: Size | None, answer: str) -> UnitFound:
+    if answer not in list(FieldUnit):
+        raise InputRefusedError([Fault("--answer reference.unit", answer, f"{' '.join(FieldUnit)} are accepted")])
+    if size is not None:
+        warn_outside(draft, f"reference.unit={answer}", size.usual * FIELD_NT[FieldUnit(answer)])
+    return UnitFound(answer, True, answered("reference.unit"), (answer,))
+
+
+def warn_outside(draft: Draft, answer: str, amount_nt: float) -> None:
+    """Say where an answer makes the reference [nT] one that the Earth's field cannot be."""
+    if not EARTH_NT[0] <= amount_nt <= EARTH_NT[1]:
+        draft.said.append(
+            f"warning: by your answer {answer} the reference is {amount_nt / 1e3:.4g} uT, outside {_EARTH}"
+        )

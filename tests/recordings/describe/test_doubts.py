@@ -1,0 +1,45 @@
+"""Where names and numbers differ, or an answer contradicts the numbers: asked or warned, and not concluded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service.recordings.describe.describe import Described, describe
+from tests.recordings.describe import maker_logs
+
+
+def write(folder: Path, head: str, *columns: object) -> Path:
+    """A log of columns, each (n,) or (n, k) numbers."""
+    table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+    log = folder / "log.csv"
+    log.write_text("\n".join([head, *(",".join(f"{value:.10g}" for value in row) for row in table)]))
+    return log
+
+
+def question(result: Described, key: str) -> str:
+    """The question of a key, as printed; empty where it is not asked."""
+    return "\n".join(line for one in result.questions if one.key == key for line in one.lines())
+
+
+def clock(vectors: object) -> object:
+    """Seconds from 0, two rows in each."""
+    return 0.5 * np.arange(len(np.asarray(vectors)))
+
+
+@pytest.mark.parametrize("head", ["ref_uT", "ref_x_uT,ref_y_uT,ref_z_uT"])
+def test_a_reference_stronger_than_the_earth_s_field_is_asked_about(head: str, tmp_path: Path) -> None:
+    field = maker_logs.ground() / 200.0  # milligauss of a field of half the strength, called microtesla
+    reference = np.full(len(field), 246.0) if head == "ref_uT" else np.tile([100.0, 4.0, 224.7], (len(field), 1))
+    log = write(tmp_path, f"t_s,mx_uT,my_uT,mz_uT,{head}", clock(field), field, reference)
+    asked = question(describe(log, {}), "reference.unit")
+    assert "as uT most is 246 uT, outside the 18 to 75 uT" in asked
+    assert asked.index("could be mG") < asked.index("could be uT")
+    frame = {} if head == "ref_uT" else {"reference.frame": "ned"}
+    told = describe(log, {"reference.unit": "uT"} | frame)
+    assert told.text is not None
+    assert any(
+        line.startswith("warning: by your answer reference.unit=uT the reference is 246 uT") for line in told.said
+    )
