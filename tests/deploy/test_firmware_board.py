@@ -36,7 +36,9 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]
     with PtyPair() as pair:
         link = f"serial:{pair.paths[0]}?key={key}&counter={folder / 'line.counter'}"
         config = folder / "magcal.toml"
-        crafts = "".join(f'[[craft]]\nname = "{name}"\n[craft.sensor]\nnoise_nt = 100.0\n' for name in ("demo", "m4"))
+        crafts = "".join(
+            f'[[craft]]\nname = "{name}"\n[craft.sensor]\nnoise_nt = 100.0\n' for name in ("demo", "bad", "m4")
+        )
         config.write_text(f"version = 1\nlink = {json.dumps(link)}\n{crafts}[output]\nstatus_period_s = 1.0\n")
         with DaemonProcess(config, folder / "daemon.log") as process:
             wait_for('"text": "serving', process.log)
@@ -46,25 +48,63 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]
 def told(result: subprocess.CompletedProcess[str]) -> dict[str, int]:
     """The counts that a board prints at its end."""
     assert result.returncode == 0, result.stdout + result.stderr
-    return {name: int(count) for name, count in re.findall(r"([a-z_][a-z_ ]*) (\d+)(?=[,\n])", result.stdout)}
+    return {name: int(count) for name, count in re.findall(r"([a-z_][a-z_ ]*):? (\d+)(?=[,\n])", result.stdout)}
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The example board, built for this machine."""
+    folder = tmp_path_factory.mktemp("built")
+    subprocess.run(["make", "-s", "-C", str(KIT), f"BUILD={folder}", "board"], check=True)
+    return str(folder / "board")
 
 
 @needs_cc
-def test_a_board_gets_a_vector_for_each_sample_and_counts_the_noise_of_a_bad_cable(line, tmp_path):
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("demo abc", "SECONDS 'abc': a whole number from 1 to 10000000 is accepted"),
+        ("demo -5", "SECONDS '-5': a whole number from 1 to 10000000 is accepted"),
+        ("demo 99999999999999999999", "SECONDS '99999999999999999999': a whole number from 1 to 10000000 is accepted"),
+        ("demo 60 -1", "SPEED '-1': a whole number from 0 to 1000000 is accepted"),
+        ("demo 60 1x", "SPEED '1x': a whole number from 0 to 1000000 is accepted"),
+        ("demo 60 0 xyz", "NOISE 'xyz': a whole number from 0 to 4294967295 is accepted"),
+        ("demo 60 0 4294967296", "NOISE '4294967296': a whole number from 0 to 4294967295 is accepted"),
+        ("de.mo", "CRAFT 'de.mo': 1 to 32 characters of A-Z a-z 0-9 _ - are accepted"),
+        (33 * "c", f"CRAFT '{33 * 'c'}': 1 to 32 characters of A-Z a-z 0-9 _ - are accepted"),
+        ("demo 60 0 0 /k -1", "COUNTER '-1': a whole number from 0 to 18446744073709551615 is accepted"),
+        ("demo 60 0 0 /k", "6 arguments; accepted: board DEVICE [CRAFT [SECONDS [SPEED [NOISE [KEYFILE COUNTER]]]]]"),
+    ],
+)
+def test_a_board_refuses_a_word_that_is_no_value_before_it_opens_the_line(board, words, said):
+    done = subprocess.run([board, "/dev/absent", *words.split()], capture_output=True, text=True, timeout=10)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", said + "\n")
+
+
+@needs_cc
+def test_a_board_says_how_it_is_used(board):
+    done = subprocess.run([board, "--help"], capture_output=True, text=True, timeout=10)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("usage: board DEVICE [CRAFT [SECONDS [SPEED [NOISE [KEYFILE COUNTER]]]]]\n")
+
+
+@needs_cc
+def test_a_board_gets_a_vector_for_each_sample_and_counts_the_noise_of_a_bad_cable(line, board):
     device, key = line
-    subprocess.run(["make", "-s", "-C", str(KIT), f"BUILD={tmp_path}", "board"], check=True)
-    board = str(tmp_path / "board")
     common = {"capture_output": True, "text": True, "timeout": 60}
-    clean = told(subprocess.run([board, device, "demo", "200", "0", "0", str(key), "1000"], **common))
-    assert (clean["samples"], clean["vectors"], clean["replies"]) == (2000, 2000, 1)
-    assert (clean["bad"], clean["lost"], clean["skipped"], clean["wrong"]) == (0, 0, 0, 0)
-    assert clean["estimates"] > 150
-    noisy = told(subprocess.run([board, device, "demo", "60", "0", "2000", str(key), "2000"], **common))
+    first = subprocess.run([board, device, "bad", "60", "0", "2000", str(key), "1000"], **common)
+    noisy = told(first)
+    assert re.search(r"\n60 s: 600 samples, \d+ vectors, [a-z_]+, protection none yet, bias ", first.stdout)
+    assert "\nusable vectors: none\n" in first.stdout
     assert noisy["bad"] > 10
     assert noisy["bad"] == noisy.get("bad_cobs", 0) + noisy.get("bad_crc", 0) + noisy.get("bad_length", 0)
     assert 0 < noisy["lost"] < noisy["frames"]
     assert 300 < noisy["vectors"] < 600
-    assert noisy["wrong"] == 0
+    clean = told(subprocess.run([board, device, "demo", "600", "0", "0", str(key), "2000"], **common))
+    assert (clean["samples"], clean["vectors"], clean["replies"]) == (6000, 6000, 1)
+    assert (clean["bad"], clean["lost"], clean["skipped"], clean["wrong"]) == (0, 0, 0, 0)
+    assert clean["estimates"] > 550
+    assert clean["usable vectors"] > 1000
 
 
 @needs_m4

@@ -101,7 +101,7 @@ static void use_vector(const magcal_message *m) {
     b.answered_at_ns = port_time_ns() - b.start_ns;
     b.verdict = c->verdict;
     b.protection_nt = c->protection.known ? c->protection.nt : (magcal_real)-1;
-    b.hazard = c->protection.known ? magcal_hazard_name(c->protection.by.code) : "-";
+    b.hazard = c->protection.known ? magcal_hazard_name(c->protection.by.code) : "";
     if (b.samples - m->sequence > KEPT) return;
     calibrate_here(c, b.measured_nt[m->sequence % KEPT]);
     if (!magcal_usable(c->verdict, &c->protection, (magcal_real)LIMIT_NT)) return;
@@ -143,23 +143,41 @@ static void read_line(void) {
 }
 
 static void tell(long second) {
-    printf("%ld s: %" PRIu32 " samples, %" PRIu32 " vectors, %s, protection %.1f nT by %s, bias %.1f %.1f %.1f nT\n",
-           second, b.samples, b.vectors, magcal_verdict_name(b.verdict), (double)b.protection_nt, b.hazard,
-           (double)b.bias_nt[0], (double)b.bias_nt[1], (double)b.bias_nt[2]);
+    printf("%ld s: %" PRIu32 " samples, %" PRIu32 " vectors, %s, protection ", second, b.samples, b.vectors,
+           magcal_verdict_name(b.verdict));
+    if (b.protection_nt < 0) {
+        printf("none yet");
+    } else {
+        printf("%.1f nT by %s", (double)b.protection_nt, b.hazard);
+    }
+    if (b.estimates == 0) {
+        printf(", no estimate yet\n");
+    } else {
+        printf(", bias %.1f %.1f %.1f nT\n", (double)b.bias_nt[0], (double)b.bias_nt[1], (double)b.bias_nt[2]);
+    }
     fflush(stdout);
 }
 
-static void tell_counts(void) {
+static void tell_usable(void) {
     const double mean_nt2 = b.compared > 0.0 ? b.square_nt2 / b.compared : 0.0;
     double rms_nt = mean_nt2 > 1.0 ? mean_nt2 : 1.0;
     int i;
+    if (b.usable == 0) {
+        printf("usable vectors: none\n");
+        return;
+    }
     for (i = 0; i < 60; i++) rms_nt = 0.5 * (rms_nt + mean_nt2 / rms_nt);
+    printf("usable vectors: %" PRIu32 ", rms error per axis %.1f nT (sensor noise %.0f nT), wrong %" PRIu32 "\n", b.usable,
+           rms_nt, WORLD_NOISE_NT, b.wrong);
+}
+
+static void tell_counts(void) {
+    int i;
     printf("sent: samples %" PRIu32 ", refused here %" PRIu32 "\n", b.samples, b.unsent);
     printf("back: vectors %" PRIu32 ", estimates %" PRIu32 ", statuses %" PRIu32 ", replies %" PRIu32 "\n", b.vectors,
            b.estimates, b.statuses, b.replies);
-    printf("usable vectors: %" PRIu32 ", rms error per axis %.1f nT (sensor noise %.0f nT), wrong %" PRIu32 "\n", b.usable,
-           rms_nt, WORLD_NOISE_NT, b.wrong);
-    printf("calibrated here: at most %.6f nT from the daemon's vectors\n", b.apart_nt);
+    tell_usable();
+    if (b.estimates > 0) printf("calibrated here: at most %.6f nT from the daemon's vectors\n", b.apart_nt);
     printf("line: frames %" PRIu32 ", lost %" PRIu32 ", restarts %" PRIu32 ", skipped %" PRIu32 ", bad %" PRIu32
            ", bytes flipped by the cable %" PRIu32 "\n",
            b.decoder.frames, b.decoder.frames_lost, b.decoder.frame_restarts, b.decoder.skipped,
@@ -201,20 +219,6 @@ static void wait_for_turn(int64_t elapsed_ns) {
     }
 }
 
-static int digit(char c) {
-    if (c >= '0' && c <= '9') return c - '0';
-    if (c >= 'a' && c <= 'f') return c - 'a' + 10;
-    return c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
-}
-
-size_t board_key(const char *text, uint8_t key[64]) {
-    size_t size = 0;
-    for (; size < 64 && digit(text[0]) >= 0 && digit(text[1]) >= 0; text += 2) {
-        key[size++] = (uint8_t)(16 * digit(text[0]) + digit(text[1]));
-    }
-    return size >= MAGCAL_KEY_LEAST ? size : 0;
-}
-
 int board_run(const board_options *options) {
     const int64_t period_ns = SECOND_NS / HZ;
     magcal_origin measured = {options->craft, "mag0", 0, 0, MAGCAL_CLOCK_ELAPSED};
@@ -226,7 +230,7 @@ int board_run(const board_options *options) {
     int64_t until_ns;
     b.options = options;
     b.random = 88172645u;
-    b.hazard = "-";
+    b.protection_nt = -1;
     magcal_decoder_begin(&b.decoder, b.held, sizeof b.held);
     world_begin(&b.world);
     wait_for_daemon();

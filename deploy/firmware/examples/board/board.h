@@ -20,6 +20,12 @@ typedef struct {
     uint64_t counter;
 } board_options;
 
+/* Craft, seconds, speed and noise of up to 4 words (their defaults: demo, 60, 1, 0); 0 where one is refused, which stderr says. */
+int board_read(board_options *options, int count, char **words);
+
+/* The counter of a text; 0 where it is refused, which stderr says. */
+int board_counter(const char *text, uint64_t *counter);
+
 /* The key of a text in hexadecimal, of up to 64 bytes; its size, 0 where it is none. */
 size_t board_key(const char *text, uint8_t key[64]);
 

@@ -82,13 +82,10 @@ int main(int argc, char **argv) {
     TIMER_CONTROL = 1;
     SYSTICK_RELOAD = CLOCK_HZ / 1000 - 1;
     SYSTICK_CONTROL = 7; /* on, pending each millisecond, by the processor's clock */
-    options.craft = argc > 1 ? argv[1] : "demo";
-    options.seconds = argc > 2 ? atol(argv[2]) : 60;
-    options.speed = argc > 3 ? atol(argv[3]) : 1;
-    options.noise = argc > 4 ? (uint32_t)strtoul(argv[4], NULL, 10) : 0;
+    if (!board_read(&options, argc - 1, argv + 1)) return 2;
     if (argc > 6) {
         options.key_size = board_key(argv[5], options.key);
-        options.counter = strtoull(argv[6], NULL, 10);
+        if (!board_counter(argv[6], &options.counter)) return 2;
     }
     return board_run(&options);
 }

@@ -2,7 +2,7 @@
  *
  *     board DEVICE [CRAFT [SECONDS [SPEED [NOISE [KEYFILE COUNTER]]]]]
  *
- * DEVICE "pty" makes a pseudo-terminal and prints its name: give that to the daemon.  The others are those of board.h.
+ * `board --help` says what they are, and board.h what they become.
  */
 #define _XOPEN_SOURCE 600
 #include <fcntl.h>
@@ -16,6 +16,15 @@
 
 #include "board.h"
 #include "port.h"
+
+#define USAGE "board DEVICE [CRAFT [SECONDS [SPEED [NOISE [KEYFILE COUNTER]]]]]\n"
+#define HELP                                                                                         \
+    "DEVICE   a serial device, or pty: makes a pseudo-terminal and prints its name for the daemon\n" \
+    "CRAFT    its name in the daemon's configuration (demo)\n"                                       \
+    "SECONDS  of the craft's time to run for (60)\n"                                                 \
+    "SPEED    craft seconds per second; 0: as fast as the daemon answers (1)\n"                      \
+    "NOISE    one byte in so many has a bit flipped, both ways; 0: none (0)\n"                       \
+    "KEYFILE  the key that commands are sealed with, in hexadecimal, and COUNTER, the first to seal with\n"
 
 static int line;
 static struct timespec start;
@@ -89,16 +98,17 @@ static size_t read_key(const char *path, uint8_t key[64]) {
 
 int main(int argc, char **argv) {
     static board_options options;
-    if (argc < 2) {
-        fprintf(stderr, "board DEVICE [CRAFT [SECONDS [SPEED [NOISE [KEYFILE COUNTER]]]]]\n");
+    if (argc > 1 && (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0)) {
+        printf("usage: " USAGE HELP);
+        return 0;
+    }
+    if (argc < 2 || argc == 7 || argc > 8) {
+        fprintf(stderr, "%d arguments; accepted: " USAGE, argc - 1);
         return 2;
     }
-    options.craft = argc > 2 ? argv[2] : "demo";
-    options.seconds = argc > 3 ? atol(argv[3]) : 60;
-    options.speed = argc > 4 ? atol(argv[4]) : 1;
-    options.noise = argc > 5 ? (uint32_t)strtoul(argv[5], NULL, 10) : 0;
+    if (!board_read(&options, argc - 2, argv + 2)) return 2;
     if (argc > 7) {
-        options.counter = strtoull(argv[7], NULL, 10);
+        if (!board_counter(argv[7], &options.counter)) return 2;
         options.key_size = read_key(argv[6], options.key);
         if (options.key_size == 0) {
             fprintf(stderr, "%s: no key of 16 to 64 bytes in hexadecimal there\n", argv[6]);
