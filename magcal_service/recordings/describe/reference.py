@@ -11,16 +11,18 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.expected import frame_of_field
-from magcal_service.recordings.describe.field import Size, find_unit, size_of
+from magcal_service.recordings.describe.field import Size, find_unit, in_earth_field, size_of
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
 from magcal_service.recordings.describe.place import Place, likely_height
-from magcal_service.recordings.describe.reference_unit import reference_unit
+from magcal_service.recordings.describe.reference_unit import reference_unit, warn_outside
 from magcal_service.recordings.describe.times import Times
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
+from magcal_service.recordings.reference_spec import MAX_FIELD_NT
 from magcal_service.units import FIELD_NT, FieldUnit
 
 _CONSTANT: Final = re.compile(r"(?:constant\s+|=)?\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*(nT|uT|mT|T|mG|G)?", re.ASCII)
+_FIELD: Final = re.compile(r"(?:constant\s|=|[+-]?\.?[0-9])[^,]*$")
 _MAGNITUDE: Final = {
     "f", "abs", "absolute", "ref", "reference", "igrf", "igrf13", "igrf14", "wmm", "model", "expected", "total",
     "magnitude", "norm", "intensity", "btot", "btotal", "bref", "href", "bnorm", "absb", "scalar", "strength",
@@ -82,15 +84,14 @@ def _by_answer(draft: Draft, times: Times | None, place: Place | None) -> bool:
     if len(given) > 1:
         raise InputRefusedError([Fault("--answer reference", " and ".join(given), "exactly one reference is accepted")])
     text = given[0].strip()
-    match = _CONSTANT.fullmatch(text)
     if model is not None or (free is not None and text.lower() in {"igrf", "model igrf", "model=igrf"}):
         if text.lower().split("=")[-1].split()[-1] != "igrf":
             raise InputRefusedError([Fault("--answer reference.model", text, "igrf is accepted")])
         return _model_by_answer(draft, times, place)
-    if magnitude is None and columns is None and match is not None:
-        return _constant(draft, float(match.group(1)), match.group(2))
     if constant is not None:
-        raise InputRefusedError([Fault("--answer reference.constant", text, f"a field is accepted, such as {_FORM}")])
+        return _constant(draft, text, "reference.constant")
+    if free is not None and _is_field(draft, text):
+        return _constant(draft, text, "reference")
     key = "reference.magnitude" if magnitude else "reference.columns" if columns else "reference"
     named = draft.named(key, text.removeprefix("columns ").removeprefix("magnitude "), (1, 3))
     if len(named) == 1:
@@ -101,17 +102,28 @@ def _by_answer(draft: Draft, times: Times | None, place: Place | None) -> bool:
     return True
 
 
-def _constant(draft: Draft, value: float, unit: str | None) -> bool:
-    unit = unit or draft.answers.get("reference.unit")
+def _is_field(draft: Draft, text: str) -> bool:
+    """Whether an answer is meant as a field: a number with or without something behind it, and no column's name."""
+    parts = {part.strip() for part in text.split(",")}
+    return bool(_FIELD.match(text)) and not parts <= {column.name for column in draft.log.columns}
+
+
+def _constant(draft: Draft, text: str, key: str) -> bool:
+    """One field for all rows, as it was answered; without a unit, the one that makes it the Earth's."""
+    match = _CONSTANT.fullmatch(text)
+    value = float(match.group(1)) if match is not None and match.group(1).count(".") < 2 else 0.0
+    unit = (match.group(2) if match is not None else None) or draft.answers.get("reference.unit")
+    why = answered("reference")
     if unit is None:
-        units = [u.value for u in FieldUnit if 15e3 <= value * FIELD_NT[u] <= 80e3]
-        unit = units[0] if len(units) == 1 else None
-    if unit is None or unit not in list(FieldUnit):
-        accepted = f"a field with its unit is accepted, such as {_FORM}; units: {' '.join(FieldUnit)}"
-        raise InputRefusedError([Fault("--answer reference", value, accepted)])
+        unit = next((one.value for one in FieldUnit if in_earth_field(value, one)), None)
+        why += f"; {value:g}: no unit given, {unit} taken, for it lies within the Earth's field"
+    if unit not in list(FieldUnit) or not 0.0 < value * FIELD_NT[FieldUnit(unit)] <= MAX_FIELD_NT:
+        accepted = f"a field above 0 and up to 1 mT with its unit is accepted, such as {_FORM}; units: "
+        raise InputRefusedError([Fault(f"--answer {key}", text, accepted + " ".join(FieldUnit))])
     draft.put("reference", "constant", value)
     draft.put("reference", "unit", unit)
-    draft.conclude("reference.constant", f"{value:g} {unit}", answered("reference"))
+    draft.conclude("reference.constant", f"{value:g} {unit}", why)
+    warn_outside(draft, f"{key}={text}", value * FIELD_NT[FieldUnit(unit)])
     return True
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.errors import InputRefusedError
 from magcal_service.recordings.describe.describe import Described, describe
 from tests.recordings.describe import maker_logs
 
@@ -43,3 +44,23 @@ def test_a_reference_stronger_than_the_earth_s_field_is_asked_about(head: str, t
     assert any(
         line.startswith("warning: by your answer reference.unit=uT the reference is 246 uT") for line in told.said
     )
+
+
+@pytest.mark.parametrize(("answer", "unit"), [("48.7", "uT"), ("487", "mG"), ("0.0487", "mT"), ("48700", "nT")])
+def test_a_field_without_a_unit_says_which_was_taken(answer: str, unit: str, tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    log = write(tmp_path, "t_s,mx_nT,my_nT,mz_nT", clock(field), field)
+    result = describe(log, {"reference": answer})
+    assert any(f"; {answer}: no unit given, {unit} taken, for it lies within" in line for line in result.said)
+    assert f'constant = {float(answer)}\nunit = "{unit}"' in (result.text or "")
+
+
+@pytest.mark.parametrize("answer", ["48.7 ut", "0 uT", "-48 uT", "4.8.7 uT", "5", "48.7uT nT", "1e30 T", "3 mT"])
+def test_a_bad_field_is_refused_with_the_units(answer: str, tmp_path: Path) -> None:
+    field = maker_logs.ground()[:40]
+    log = write(tmp_path, "t_s,mx_nT,my_nT,mz_nT", clock(field), field)
+    for key in ("reference", "reference.constant"):
+        with pytest.raises(InputRefusedError) as refusal:
+            describe(log, {key: answer})
+        assert str(refusal.value).startswith(f"--answer {key}: '{answer}' is refused; ")
+        assert str(refusal.value).endswith("units: nT uT mT T mG G")
