@@ -1,12 +1,15 @@
 /* sizes.c: each part of the kit as a function that firmware would call; sizes.sh builds and measures it. */
 #include "magcal.h"
+#if PART == 5
+#include "magcal_igrf.h"
+#endif
 
 void entry(void);
 volatile uint8_t line;
 static uint8_t frame[MAGCAL_TELEMETRY_FRAME_BYTES];
 static magcal_real field_nt[3];
 
-#if PART >= 1 /* samples */
+#if PART >= 1 && PART <= 4 /* samples */
 static size_t samples(const magcal_origin *o) {
     return magcal_magnetometer(frame, 0, o, field_nt) + magcal_reference_magnitude(frame, 0, o, field_nt[0]);
 }
@@ -45,7 +48,7 @@ void entry(void) {
     const magcal_origin origin = {"sat1", "mag0", 0, 0, MAGCAL_CLOCK_ELAPSED};
     size_t size = 0;
     field_nt[0] = (magcal_real)line;
-#if PART >= 1
+#if PART >= 1 && PART <= 4
     size += samples(&origin);
 #endif
 #if PART == 2
@@ -54,6 +57,8 @@ void entry(void) {
     size += sealed(&origin);
 #elif PART == 4
     size += decode();
+#elif PART == 5 /* the field alone */
+    size += (size_t)magcal_igrf((magcal_real)2026 + (magcal_real)line, field_nt, field_nt);
 #endif
     line = (uint8_t)(size + frame[line]);
 }
