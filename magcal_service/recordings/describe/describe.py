@@ -9,6 +9,7 @@ from pathlib import Path
 from magcal_service.errors import Fault, InputRefusedError, RecordingError, printable
 from magcal_service.recordings.describe.attitude import find_attitude
 from magcal_service.recordings.describe.columns import Log, read_log, triples
+from magcal_service.recordings.describe.contradictions import warn_of_unit
 from magcal_service.recordings.describe.draft import Answers, Draft, Question
 from magcal_service.recordings.describe.expected import expected_nt
 from magcal_service.recordings.describe.layout import Layout, find_layout
@@ -94,10 +95,12 @@ def _fill(draft: Draft) -> None:
     draft.reserved |= set(times.columns) if times else set()
     place = find_place(draft, times, groups)
     draft.reserved |= set(place.columns) if place else set()
-    magnetometers = find_magnetometers(draft, groups, expected_nt(times, place))
+    model_nt = expected_nt(times, place)
+    magnetometers = find_magnetometers(draft, groups, model_nt)
     field = magnetometers[0].field_nt if magnetometers else None
     draft.reserved |= {c.number for one in magnetometers for c in one.triple.columns}
     find_reference(draft, groups, magnetometers, times, place)
+    warn_of_unit(draft, magnetometers, model_nt)
     _leave_out_position(draft, place)
     platform = draft.answers.get("platform.kind")
     if platform is not None:

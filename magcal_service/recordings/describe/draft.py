@@ -124,6 +124,7 @@ class Draft:
     folder: where the descriptor will lie.
     reserved: numbers of columns whose meaning is known.
     doubted: whether the header was seen to name wrong columns.
+    reference_nt: how strong the reference usually is [nT], where it is in the log or answered and its unit is sure.
     """
 
     log: Log
@@ -134,6 +135,7 @@ class Draft:
     questions: list[Question] = field(default_factory=list)
     reserved: set[int] = field(default_factory=set)
     doubted: bool = False
+    reference_nt: float | None = None
 
     def conclude(self, key: str, value: str, why: str) -> None:
         """Say what was concluded, and on what evidence."""

@@ -123,7 +123,8 @@ def _constant(draft: Draft, text: str, key: str) -> bool:
     draft.put("reference", "constant", value)
     draft.put("reference", "unit", unit)
     draft.conclude("reference.constant", f"{value:g} {unit}", why)
-    warn_outside(draft, f"{key}={text}", value * FIELD_NT[FieldUnit(unit)])
+    draft.reference_nt = value * FIELD_NT[FieldUnit(unit)]
+    warn_outside(draft, f"{key}={text}", draft.reference_nt)
     return True
 
 

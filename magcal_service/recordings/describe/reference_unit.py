@@ -16,6 +16,8 @@ _EARTH: Final = f"the {EARTH_NT[0] / 1e3:g} to {EARTH_NT[1] / 1e3:g} uT that the
 def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: float | None = None) -> UnitFound:
     """The unit by the answer, else by names and numbers; open where it leads outside the Earth's field.
 
+    A sure one tells the draft how strong the reference is.
+
     Parameters
     ----------
     size: of the reference's vectors or magnitudes, in its own unit.
@@ -27,8 +29,13 @@ def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: floa
     InputRefusedError: the answer is no unit of a field.
     """
     answer = draft.answers.get("reference.unit")
-    if answer is not None:
-        return _told(draft, size, answer)
+    found = _told(draft, size, answer) if answer is not None else _found(size, said, expected_nt)
+    if found.sure and size is not None:
+        draft.reference_nt = size.usual * FIELD_NT[FieldUnit(found.unit)]
+    return found
+
+
+def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound:
     found = find_unit(size, said, whole=False, expected_nt=expected_nt)
     if not found.sure or size is None or in_earth_field(size.usual, found.unit):
         return found

@@ -41,6 +41,8 @@ _FRACTIONS_S: Final = 2.0
 
 _USUAL_STEP_S: Final = 0.1  # of a logger: of several readings, the one nearest to it is named first
 
+MANY_REPEATED: Final = 0.3  # of the rows: more that share their stamp with the row before are told
+
 _CLEAR_STEP_S: Final = (0.0045, 130.0)
 """Between these bounds the usual logs are; a unit that leads outside is less likely than one within."""
 
@@ -75,6 +77,11 @@ def is_named(column: Column) -> bool:
     return bool(words & TIME_WORDS) or any(word.startswith(("time", "unix", "epoch")) for word in words)
 
 
+def repeated(times: FloatArray) -> int:
+    """How many rows have the stamp of the row before."""
+    return int(np.sum(np.diff(times) == 0.0))
+
+
 def within(values: FloatArray, low: float, high: float) -> bool:
     good = values[np.isfinite(values)]
     return bool(good.size) and float(np.mean((good >= low) & (good <= high))) > 0.99
@@ -103,7 +110,12 @@ def numbers(column: Column) -> list[Form]:
             fits = column.unit in {"", unit}
             counter = bool(set(column.words) & {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"})
             years = f"{1970 + int(values[0] * factor / 31556952)}"
-            why = f"it rises from row to row and as Unix time in {unit} it is of the year {years}" + (
+            runs = (
+                "rises from row to row"
+                if repeated(values) <= MANY_REPEATED * len(values)
+                else "rises, though not in each row,"
+            )
+            why = f"it {runs} and as Unix time in {unit} it is of the year {years}" + (
                 ", as the name says" if named else ""
             )
             sure = fits and not counter and (named or not column.name)

@@ -16,7 +16,7 @@ from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.time_forms import ROLLOVERS, joined, of_columns
 from magcal_service.recordings.describe.time_forms import forms as all_forms
-from magcal_service.recordings.describe.time_numbers import Form, as_told
+from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, as_told, is_named, repeated, rises
 from magcal_service.recordings.timestamps import iso8601_to_ns
 
 FloatArray = npt.NDArray[np.float64]
@@ -56,6 +56,7 @@ def find_times(draft: Draft) -> Times | None:
     forms = [form for form in forms if form.pattern or form.absolute or not set(form.columns) & dated]
     sure = sorted((form for form in forms if form.sure), key=lambda form: form.rank)
     if sure:
+        _say_repeats(draft, sure[0])
         return _take(draft, sure[0], sure[0].why)
     if forms:
         _ask_form(draft, forms)
@@ -86,6 +87,24 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
     offset = (_instant("time.start", start) if start is not None else 0.0) or 0.0
     numbers = tuple(column.number for column in form.columns)
     return Times(form.times + offset, form.absolute or start is not None, numbers)
+
+
+def _say_repeats(draft: Draft, form: Form) -> None:
+    """Say how many rows share their stamp where many do, and which other column could be the time."""
+    shared = repeated(form.times)
+    if shared <= MANY_REPEATED * len(form.times):
+        return
+    label = " + ".join(column.label for column in form.columns)
+    text = f"time: {shared} of {len(form.times)} rows have the stamp of the row before in {label}"
+    others = [
+        column
+        for column in draft.log.columns
+        if column.numeric and column not in form.columns and rises(column.values) and not repeated(column.values)
+    ]
+    others.sort(key=lambda column: not is_named(column))
+    if others:
+        text += f"; {others[0].label} rises in each and could be the time: --answer time.column={draft.name(others[0])}"
+    draft.said.append(text)
 
 
 def _rollovers(draft: Draft, week: Column) -> None:

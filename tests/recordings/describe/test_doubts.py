@@ -16,7 +16,7 @@ def write(folder: Path, head: str, *columns: object) -> Path:
     """A log of columns, each (n,) or (n, k) numbers."""
     table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
     log = folder / "log.csv"
-    log.write_text("\n".join([head, *(",".join(f"{value:.10g}" for value in row) for row in table)]))
+    log.write_text("\n".join([head, *(",".join(f"{value:.14g}" for value in row) for row in table)]))
     return log
 
 
@@ -64,3 +64,35 @@ def test_a_bad_field_is_refused_with_the_units(answer: str, tmp_path: Path) -> N
             describe(log, {key: answer})
         assert str(refusal.value).startswith(f"--answer {key}: '{answer}' is refused; ")
         assert str(refusal.value).endswith("units: nT uT mT T mG G")
+
+
+def test_an_answered_unit_that_the_numbers_contradict_is_taken_with_a_warning(tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    log = write(tmp_path, "t_s,mx,my,mz", clock(field), field / 1e5)
+    result = describe(log, {"magnetometer.unit": "nT", "reference": "48500 nT"})
+    assert result.text is not None
+    (warning,) = (line for line in result.said if line.startswith("warning"))
+    assert "magnetometer.unit=nT" in warning
+    assert "is 0.492 nT, where the reference has 48500 nT" in warning
+    right = describe(log, {"magnetometer.unit": "G", "reference": "48500 nT"})
+    assert not any(line.startswith("warning") for line in right.said)
+
+
+def test_stamps_that_repeat_are_counted_and_another_time_is_named(tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    seconds = np.arange(len(field)) / 10.0
+    log = write(
+        tmp_path,
+        "unix_time,count,uptime_s,mx_nT,my_nT,mz_nT",
+        np.floor(seconds) + maker_logs.START_S,
+        np.arange(len(field)),
+        seconds,
+        field,
+    )
+    said = describe(log, {"reference": "49.2 uT"}).said
+    (line,) = (line for line in said if line.startswith("time: "))
+    assert "540 of 600 rows have the stamp of the row before" in line
+    assert line.endswith("--answer time.column=uptime_s")
+    assert not any("rises from row to row" in line for line in said)
+    even = write(tmp_path, "unix_time,mx_nT,my_nT,mz_nT", seconds + maker_logs.START_S, field)
+    assert not any("stamp" in line for line in describe(even, {"reference": "49.2 uT"}).said)
