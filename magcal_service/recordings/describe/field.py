@@ -25,7 +25,7 @@ _FEWEST: Final = 12  # vectors that a sphere is fitted to
 _SPREAD: Final = 0.35
 """Of the radius: a cloud thinner than that in a direction has no centre in it."""
 
-
+_ROUGHEST: Final = 0.25  # of the radius: beyond that a cloud is no shell
 _LEAST_CHANGE: Final = 0.1  # of F^2 along the rows: below that there is nothing to follow
 _EXPLAINED: Final = 0.8  # of its changes: then the sensor follows the model, and its scale is known
 _NEAR: Final = 1.3  # between the fitted scale and that of a unit: a sensor's own error
@@ -33,10 +33,18 @@ _NEAR: Final = 1.3  # between the fitted scale and that of a unit: a sensor's ow
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How long vectors are: their usual length, and the radius of a sphere through them where they show one."""
+    """How long vectors are.
+
+    Parameters
+    ----------
+    usual: their usual length.
+    radius: that of a sphere through them; None where they show none.
+    roughness: standard deviation of their distance from its centre, of the radius; 1 where there is none.
+    """
 
     usual: float
     radius: float | None
+    roughness: float = 1.0
 
     @property
     def best(self) -> float:
@@ -55,29 +63,29 @@ def size_of(vectors: FloatArray, *, still: bool = False) -> Size | None:
     if len(good) < 2 or (not still and float(np.ptp(good, axis=0).max()) == 0.0):
         return None
     lengths = np.sqrt((good**2).sum(axis=1))
-    return Size(float(np.quantile(lengths, 0.8)), _radius(good))
+    return Size(float(np.quantile(lengths, 0.8)), *_sphere(good))
 
 
-def _radius(vectors: FloatArray) -> float | None:
-    """The radius of the sphere through a cloud; None where the cloud is no shell."""
+def _sphere(vectors: FloatArray) -> tuple[float | None, float]:
+    """Radius and roughness of the sphere through a cloud; None and 1 where the cloud is no shell."""
     if len(vectors) < _FEWEST:
-        return None
+        return None, 1.0
     scale = float(np.abs(vectors).max())
     if scale == 0.0:
-        return None
+        return None, 1.0
     unit = vectors / scale
     terms = np.column_stack([2.0 * unit, np.ones(len(unit))])
     solution, *_ = np.linalg.lstsq(terms, (unit**2).sum(axis=1), rcond=None)
     squared = float(solution[3] + solution[:3] @ solution[:3])
     if squared <= 0.0:
-        return None
+        return None, 1.0
     radius = float(np.sqrt(squared))
     from_centre = unit - solution[:3]
     least = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(from_centre.T))[0], 0.0)))
-    off = np.sqrt((from_centre**2).sum(axis=1)) - radius
-    if least < _SPREAD * radius or float(off.std()) > 0.25 * radius:
-        return None
-    return radius * scale
+    roughness = float((np.sqrt((from_centre**2).sum(axis=1)) - radius).std()) / radius
+    if least < _SPREAD * radius or roughness > _ROUGHEST:
+        return None, 1.0
+    return radius * scale, roughness
 
 
 def scale_by_model(vectors: FloatArray, model_nt: FloatArray) -> float | None:

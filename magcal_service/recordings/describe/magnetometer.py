@@ -216,7 +216,7 @@ def _ask_columns(draft: Draft, groups: list[Triple], model_nt: FloatArray | None
 
 def _rank(
     draft: Draft, triple: Triple, model_nt: FloatArray | None
-) -> tuple[tuple[bool, bool, bool, bool], str, str] | None:
+) -> tuple[tuple[bool, bool, bool, float, bool], str, str] | None:
     """What speaks against three columns (the strongest first), their names, what they would be; None for no field."""
     size = size_of(triple.values)
     unit = find_unit(size, triple.unit, whole=False, expected_nt=_usual(model_nt))
@@ -225,10 +225,12 @@ def _rank(
     amount = size.best * FIELD_NT[FieldUnit(unit.possible[0])]
     inside = EARTH_NT[0] <= amount <= EARTH_NT[1]
     text = f"as {unit.possible[0]}, {'on a sphere of' if size.radius else 'most'} {amount / 1e3:.3g} uT"
+    text += f", round to {size.roughness:.1%}" if size.radius is not None else ""
     by_model = unit_by_model(triple.unit, None if model_nt is None else scale_by_model(triple.values, model_nt))
     if by_model is not None:
         text = f"as {by_model.possible[0]}, their length follows IGRF along the way"
-    against = (by_model is None, size.radius is None, not inside, _mixed(triple))
+    rough = round(size.roughness, 2)  # noise alone does not decide
+    against = (by_model is None, size.radius is None, not inside, rough, _mixed(triple))
     return against, ",".join(draft.names(triple.columns)), text
 
 

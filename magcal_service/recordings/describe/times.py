@@ -103,7 +103,9 @@ def _say_repeats(draft: Draft, form: Form) -> None:
     ]
     others.sort(key=lambda column: not is_named(column))
     if others:
-        text += f"; {others[0].label} rises in each and could be the time: --answer time.column={draft.name(others[0])}"
+        text += (
+            f"; {others[0].label} does not repeat and could be the time: --answer time.column={draft.name(others[0])}"
+        )
     draft.said.append(text)
 
 

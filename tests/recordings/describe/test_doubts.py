@@ -96,3 +96,11 @@ def test_stamps_that_repeat_are_counted_and_another_time_is_named(tmp_path: Path
     assert not any("rises from row to row" in line for line in said)
     even = write(tmp_path, "unix_time,mx_nT,my_nT,mz_nT", seconds + maker_logs.START_S, field)
     assert not any("stamp" in line for line in describe(even, {"reference": "49.2 uT"}).said)
+
+
+def test_of_nameless_columns_those_on_the_roundest_sphere_are_offered_first(tmp_path: Path) -> None:
+    first = maker_logs.ground()
+    other = 1.2 * first[:, 2:] + 0.3 * first[:, :1]  # an axis of a second sensor, mounted otherwise
+    log = write(tmp_path, "t_s,c1,c22,c35,c48", clock(first), other, first)
+    asked = question(describe(log, {}), "magnetometer.columns")
+    assert "could be c22,c35,c48: as nT, on a sphere of 49.2 uT, round to 0.1%" in asked.splitlines()[1]
