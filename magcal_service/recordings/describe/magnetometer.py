@@ -20,7 +20,7 @@ from magcal_service.recordings.describe.field import (
     size_of,
     unit_by_model,
 )
-from magcal_service.recordings.describe.kinds import kind_of_triple
+from magcal_service.recordings.describe.kinds import kind_of_triple, may_be_milli_g
 from magcal_service.recordings.describe.vocabulary import Kind, kind_of
 from magcal_service.units import FIELD_NT, FieldUnit
 
@@ -75,7 +75,10 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
             draft.said.append(f"magnetometer: {group.label} left out: in no unit a field near the Earth's ({unit.why})")
     possible = _uncalibrated(draft, possible)
     if not possible:
-        _ask_columns(draft, groups, model_nt, "no columns are a magnetometer by their names and numbers. ")
+        why = "no columns are a magnetometer by their names and numbers. "
+        unclear = [g.label for g in groups if kind_of_triple(g) is Kind.UNKNOWN and may_be_milli_g(g)]
+        why += "".join(f"The mg of {label} may be milligauss or milli-g. " for label in unclear)
+        _ask_columns(draft, groups, model_nt, why)
         return []
     return _put(draft, possible, "")
 

@@ -104,3 +104,17 @@ def test_of_nameless_columns_those_on_the_roundest_sphere_are_offered_first(tmp_
     log = write(tmp_path, "t_s,c1,c22,c35,c48", clock(first), other, first)
     asked = question(describe(log, {}), "magnetometer.columns")
     assert "could be c22,c35,c48: as nT, on a sphere of 49.2 uT, round to 0.1%" in asked.splitlines()[1]
+
+
+def test_mg_alone_makes_no_magnetometer(tmp_path: Path) -> None:
+    field = maker_logs.ground() / 100.0
+    log = write(tmp_path, "t_s,x_mg,y_mg,z_mg", clock(field), field)
+    asked = question(describe(log, {}), "magnetometer.columns")
+    assert "The mg of 'x_mg', 'y_mg', 'z_mg' may be milligauss or milli-g" in asked
+    assert "could be x_mg,y_mg,z_mg: as mG, on a sphere of 49.2 uT" in asked
+    accelerometer = write(tmp_path, "t_s,acc_x_mg,acc_y_mg,acc_z_mg", clock(field), field)
+    assert question(describe(accelerometer, {}), "magnetometer.columns")
+    for head in ("x_mG,y_mG,z_mG", "mag_x_mg,mag_y_mg,mag_z_mg", "x_mgauss,y_mgauss,z_mgauss"):
+        sure = describe(write(tmp_path, f"t_s,{head}", clock(field), field), {})
+        assert not question(sure, "magnetometer.columns")
+        assert any(line.startswith("magnetometer.unit = mG") for line in sure.said)
