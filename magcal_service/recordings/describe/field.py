@@ -94,19 +94,31 @@ def scale_by_model(vectors: FloatArray, model_nt: FloatArray) -> float | None:
     A bias b and one scale s leave |s m - b|^2 = F^2, so F^2 = s^2 |m|^2 - 2 s b m + b^2 is linear in the rest: a fit
     over the rows (n, 3) and (n,) with what it explains of the model's changes.
     """
+    return _fit_to_model(vectors, model_nt)[0]
+
+
+def differs_from_model(vectors: FloatArray, model_nt: FloatArray) -> bool:
+    """Whether a model's magnitudes (n,) change along the rows, and those of the vectors (n, 3) do not with them."""
+    scale, told = _fit_to_model(vectors, model_nt)
+    return told and scale is None
+
+
+def _fit_to_model(vectors: FloatArray, model_nt: FloatArray) -> tuple[float | None, bool]:
+    """The scale, None where the vectors do not follow; and whether the model changes enough to tell."""
     good = np.isfinite(vectors).all(axis=1) & np.isfinite(model_nt)
     if good.sum() < 4 * _FEWEST:
-        return None
+        return None, False
     m, f2 = vectors[good] / float(np.abs(vectors[good]).max()), model_nt[good] ** 2
     f2 = f2 / float(f2.max())
     if float(f2.std()) < _LEAST_CHANGE:
-        return None
+        return None, False
     terms = np.column_stack([(m**2).sum(axis=1), m, np.ones(len(m))])
     solution, *_ = np.linalg.lstsq(terms, f2, rcond=None)
     explained = 1.0 - float(((f2 - terms @ solution) ** 2).sum()) / float(((f2 - f2.mean()) ** 2).sum())
     if explained < _EXPLAINED or solution[0] <= 0.0:
-        return None
-    return float(np.sqrt(solution[0])) * float(model_nt[good].max()) / float(np.abs(vectors[good]).max())
+        return None, True
+    scale = float(np.sqrt(solution[0])) * float(model_nt[good].max()) / float(np.abs(vectors[good]).max())
+    return scale, True
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,14 @@ from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.field import (
     EARTH_NT,
     UnitFound,
+    differs_from_model,
     find_unit,
     scale_by_model,
     size_of,
     unit_by_model,
 )
 from magcal_service.recordings.describe.kinds import kind_of_triple, may_be_milli_g
-from magcal_service.recordings.describe.vocabulary import Kind, kind_of
+from magcal_service.recordings.describe.vocabulary import STRONG_MAGNETOMETER, Kind, kind_of
 from magcal_service.units import FIELD_NT, FieldUnit
 
 FloatArray = npt.NDArray[np.float64]
@@ -61,6 +62,14 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     for group in doubted:
         named.remove(group)
         draft.said.append(f"magnetometer: not believed: the header names {group.label}, which hold something else")
+    unlike = [group for group in named if _short_name(group) and _unlike(group, model_nt)]
+    if unlike and len(unlike) < len(named):
+        named = [group for group in named if group not in unlike]
+        draft.said += [f"magnetometer: {g.label} left out: their length does not follow IGRF" for g in unlike]
+    elif unlike:
+        why = f"{unlike[0].label} have a magnetometer's name, but their length does not follow IGRF along the way. "
+        _ask_columns(draft, groups, model_nt, why)
+        return []
     if draft.doubted:
         named = [group for group in named if _follows(group, model_nt)]
     if doubted or (draft.doubted and not named):
@@ -129,6 +138,15 @@ def _follows(triple: Triple, model_nt: FloatArray | None) -> bool:
         return False
     unit = unit_by_model(triple.unit, scale_by_model(triple.values, model_nt))
     return unit is not None and unit.sure
+
+
+def _short_name(triple: Triple) -> bool:
+    """Whether only a letter or two say a magnetometer, as in m1, m2, m3, and no unit does."""
+    return not set(triple.words) & STRONG_MAGNETOMETER and triple.unit not in list(FieldUnit)
+
+
+def _unlike(triple: Triple, model_nt: FloatArray | None) -> bool:
+    return model_nt is not None and differs_from_model(triple.values, model_nt)
 
 
 def _usual(model_nt: FloatArray | None) -> float | None:

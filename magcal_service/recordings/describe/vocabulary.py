@@ -25,7 +25,7 @@ _MAGNETOMETER: Final = {
     "mgm", "fgm", "mfield", "hmc", "hmc5883", "lis", "lis3mdl", "rm", "rm3100", "qmc", "qmc5883", "ak", "bmm", "mmc",
     "iis2mdc", "mlx", "mlx90393", "fluxgate", "amr", "bmag", "field", "magraw", "magcal",
 }  # fmt: skip
-_STRONG_MAGNETOMETER: Final = _MAGNETOMETER - {"m", "b", "lis", "rm", "ak"}
+STRONG_MAGNETOMETER: Final = _MAGNETOMETER - {"m", "b", "lis", "rm", "ak"}
 _REFERENCE: Final = {
     "ref", "reference", "igrf", "igrf13", "igrf14", "wmm", "model", "expected", "truth", "true", "predicted", "h",
     "ned", "eci", "ecef", "inertial", "bref", "href", "bigrf", "beci", "bned", "becef",
@@ -55,10 +55,10 @@ FRAMES: Final = {
 def kind_of(words: tuple[str, ...]) -> Kind:
     """What three columns are by the words that they share; unknown where the words say nothing or two things."""
     found = set(words)
-    if found & _TORQUER and not found & _STRONG_MAGNETOMETER:
+    if found & _TORQUER and not found & STRONG_MAGNETOMETER:
         return Kind.TORQUER
     magnetic = bool(found & _MAGNETOMETER)
-    strong = bool(found & _STRONG_MAGNETOMETER)
+    strong = bool(found & STRONG_MAGNETOMETER)
     if found & _OTHER:
         return Kind.UNKNOWN
     if found & (_REFERENCE - {"h", "ned", "eci", "ecef"}) or (magnetic and found & _REFERENCE):

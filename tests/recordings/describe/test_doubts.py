@@ -118,3 +118,17 @@ def test_mg_alone_makes_no_magnetometer(tmp_path: Path) -> None:
         sure = describe(write(tmp_path, f"t_s,{head}", clock(field), field), {})
         assert not question(sure, "magnetometer.columns")
         assert any(line.startswith("magnetometer.unit = mG") for line in sure.said)
+
+
+def test_a_short_name_whose_length_does_not_follow_the_model_is_asked_about(tmp_path: Path) -> None:
+    flight = maker_logs.orbit()
+    answers = {"position.altitude_km": "500"}
+
+    def of(field: object) -> str:
+        columns = (flight.time_s, flight.latitude_deg, flight.longitude_deg, field)
+        return question(describe(write(tmp_path, "unix,lat,lon,m1,m2,m3", *columns), answers), "magnetometer.columns")
+
+    assert not of(flight.field_nt / 1e3)
+    asked = of(maker_logs.ground(len(flight.time_s)) / 1e3)
+    assert "'m1', 'm2', 'm3' have a magnetometer's name, but their length does not follow IGRF" in asked
+    assert "could be m1,m2,m3" in asked
