@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -63,10 +64,20 @@ def find_channels(draft: Draft, groups: list[Triple], field_nt: FloatArray | Non
 
 
 def left_out(draft: Draft) -> list[str]:
-    """Columns that the descriptor does not name."""
+    """Columns that neither the descriptor nor a question names."""
     return [
-        c.label for c in draft.log.columns if c.number not in draft.reserved and (c.name or c.numeric) and any(c.cells)
+        c.label
+        for c in draft.log.columns
+        if c.number not in draft.reserved and (c.name or c.numeric) and any(c.cells) and not _asked_about(draft, c)
     ]
+
+
+def _asked_about(draft: Draft, column: Column) -> bool:
+    """Whether an open question names a column, in its text or as what it could be."""
+    label = re.compile(rf"(?<!\w){re.escape(column.label)}(?!\w)")
+    of_columns = [one for one in draft.questions if one.key.endswith((".column", ".columns"))]
+    offered = {name for one in of_columns for value, _ in one.candidates for name in value.split(",")}
+    return draft.name(column) in offered or any(label.search(one.asks) for one in draft.questions)
 
 
 def _asked_channels(draft: Draft) -> dict[str, dict[str, str]]:

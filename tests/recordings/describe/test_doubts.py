@@ -132,3 +132,14 @@ def test_a_short_name_whose_length_does_not_follow_the_model_is_asked_about(tmp_
     asked = of(maker_logs.ground(len(flight.time_s)) / 1e3)
     assert "'m1', 'm2', 'm3' have a magnetometer's name, but their length does not follow IGRF" in asked
     assert "could be m1,m2,m3" in asked
+
+
+def test_what_is_asked_about_is_not_listed_as_not_described(tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    for head, asked in (("a,b1,c", "magnetometer.columns"), ("mag_x,mag_y,mag_z", "magnetometer.unit")):
+        columns = np.round(field / 7.0) if "unit" in asked else field
+        log = write(tmp_path, f"t_s,{head},mode,mag", clock(field), columns, np.ones(len(field)), np.ones(len(field)))
+        result = describe(log, {})
+        assert question(result, asked)
+        (line,) = (line for line in result.said if line.startswith("not described"))
+        assert line.startswith("not described: 'mode', 'mag';")
