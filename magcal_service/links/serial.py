@@ -6,6 +6,7 @@ frames and writes what the line takes.  A line that dies is opened again with ba
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import select
@@ -35,6 +36,7 @@ _log = logging.getLogger("magcal.links.serial")
 _READ_BYTES = 65536  # taken from the line at once: all that a pseudo-terminal or a serial driver of Linux holds (4 kB)
 _CLOSE_WAIT_S = 1.0  # how long close lets the line take what is still queued [s]
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
+_HELD: Final = (errno.EAGAIN, errno.EBUSY)  # how a device that another process has refuses to be opened
 _REFUSING_SOURCE: Final = "magcal-line"  # source of the answers to commands that the line itself refuses
 _RECEIVED_GROUPS = {Role.SERVICE: ("sample", "command")}  # the rest is an echo of what this end sends
 
@@ -130,6 +132,7 @@ class SerialLink(Link):
         )
         self._text = TextWatch()
         self._port: serial.Serial | None = None
+        self._unopened = ""  # why the newest attempt to open has failed
         self._back_off = BackOff()
         self._next_attempt_s = 0.0  # not before this on the monotonic clock [s]
         self._backlog: deque[tuple[float, bytes]] = deque()  # (deadline [s], frame), the first may be partly written
@@ -140,7 +143,7 @@ class SerialLink(Link):
     @property
     def alone(self) -> str:
         """Why nobody can be at the other end now: the line is not open."""
-        return "" if self._port is not None else f"{self._settings.device} cannot be opened"
+        return "" if self._port is not None else f"{self._settings.device} cannot be opened{self._unopened}"
 
     # Receiving
 
@@ -270,6 +273,7 @@ class SerialLink(Link):
         try:
             self._port = self._settings.open()
         except (OSError, ValueError, termios.error) as error:
+            self._unopened = f": {_words_of(error)}"
             if self._life.happens(LinkEvent.FAILED).logged:
                 _log.warning("%s: cannot be opened (%s); trying on", self.address, error)
             self._next_attempt_s = time.monotonic() + self._back_off.next_s()
@@ -282,6 +286,7 @@ class SerialLink(Link):
         if self._life.happens(LinkEvent.DIED).logged:
             _log.warning("%s: the line died (%s); opening it again", self.address, error)
         self._release()
+        self._unopened = ""
         self._next_attempt_s = time.monotonic() + self._back_off.next_s()
 
     def _release(self) -> None:
@@ -306,3 +311,11 @@ class SerialLink(Link):
             self._write()
         self._life.happens(LinkEvent.CLOSE)
         self._release()
+
+
+def _words_of(error: Exception) -> str:
+    """Why a device does not open, in words for people."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number in _HELD:
+        return "another process has it"
+    return os.strerror(number) if number else str(error)

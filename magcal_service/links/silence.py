@@ -18,6 +18,8 @@ def why_silent(link: Link, crafts: Collection[str] = ()) -> str:
     crafts: whose answers are missed; of any where empty.
     """
     alone, served = link.alone, link.served()
+    if alone and served is None:
+        return f"{alone}; give the device opposite the daemon's, or see the daemon's log and metrics (docs/health.md)"
     if alone:
         return f"{alone}; is the daemon running?"
     if served is None:

@@ -80,7 +80,16 @@ def test_a_line_that_cannot_be_opened_is_a_trouble() -> None:
     with open_link("serial:/dev/absent", Role.SERVICE, crafts=["demo"]) as link:
         service = Service(Config(link.address, (CraftConfig("demo"),)), link)
         assert "/dev/absent cannot be opened" in service._status(service.pipelines["demo"]).text
-        assert why_silent(link) == "/dev/absent cannot be opened; is the daemon running?"
+        assert why_silent(link).startswith("/dev/absent cannot be opened: No such file or directory; give the device ")
+
+
+def test_a_line_that_another_process_has_is_said_to_be_taken() -> None:
+    with PtyPair() as pair, open_link(f"serial:{pair.paths[0]}", Role.SERVICE, crafts=["demo"]) as own:
+        assert own.alone == ""
+        with open_link(own.address, Role.VIEWER, crafts=["demo"]) as second:
+            assert why_silent(second).startswith(
+                f"{pair.paths[0]} cannot be opened: another process has it; give the device "
+            )
 
 
 def test_an_end_that_connects_to_nobody_says_so_and_that_somebody_came(caplog: pytest.LogCaptureFixture) -> None:
