@@ -273,9 +273,10 @@ class SerialLink(Link):
         try:
             self._port = self._settings.open()
         except (OSError, ValueError, termios.error) as error:
-            self._unopened = f": {_words_of(error)}"
+            words = _words_of(error)
+            self._unopened = f": {words}"
             if self._life.happens(LinkEvent.FAILED).logged:
-                _log.warning("%s: cannot be opened (%s); trying on", self.address, error)
+                _log.warning("%s: cannot be opened (%s); trying on", self.address, words)
             self._next_attempt_s = time.monotonic() + self._back_off.next_s()
             return False
         self._life.happens(LinkEvent.OPENED)

@@ -83,13 +83,15 @@ def test_a_line_that_cannot_be_opened_is_a_trouble() -> None:
         assert why_silent(link).startswith("/dev/absent cannot be opened: No such file or directory; give the device ")
 
 
-def test_a_line_that_another_process_has_is_said_to_be_taken() -> None:
+def test_a_line_that_another_process_has_is_said_to_be_taken(caplog: pytest.LogCaptureFixture) -> None:
     with PtyPair() as pair, open_link(f"serial:{pair.paths[0]}", Role.SERVICE, crafts=["demo"]) as own:
         assert own.alone == ""
         with open_link(own.address, Role.VIEWER, crafts=["demo"]) as second:
             assert why_silent(second).startswith(
                 f"{pair.paths[0]} cannot be opened: another process has it; give the device "
             )
+    told = f"{own.address}: cannot be opened (another process has it); trying on"
+    assert [record.message for record in caplog.records] == [told]
 
 
 def test_an_end_that_connects_to_nobody_says_so_and_that_somebody_came(caplog: pytest.LogCaptureFixture) -> None:
