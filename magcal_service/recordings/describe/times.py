@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,16 +97,16 @@ def _say_repeats(draft: Draft, form: Form) -> None:
         return
     label = " + ".join(column.label for column in form.columns)
     text = f"time: {shared} of {len(form.times)} rows have the stamp of the row before in {label}"
-    others = [
-        column
-        for column in draft.log.columns
-        if column.numeric and column not in form.columns and rises(column.values) and not repeated(column.values)
-    ]
+    left = [column for column in draft.log.columns if column not in form.columns]
+    others = [c for c in left if c.numeric and rises(c.values) and not repeated(c.values)]
     others.sort(key=lambda column: not is_named(column))
+    named = [c for c in left if is_named(c) and all(a != b for a, b in itertools.pairwise(c.cells))]
     if others:
         text += (
             f"; {others[0].label} does not repeat and could be the time: --answer time.column={draft.name(others[0])}"
         )
+    elif named:
+        text += f"; {named[0].label} does not repeat and is called a time, but is none that a descriptor can read"
     draft.said.append(text)
 
 

@@ -94,6 +94,11 @@ def test_stamps_that_repeat_are_counted_and_another_time_is_named(tmp_path: Path
     assert "540 of 600 rows have the stamp of the row before" in line
     assert line.endswith("--answer time.column=uptime_s")
     assert not any("rises from row to row" in line for line in said)
+    rows = [row.split(",") for row in log.read_text().splitlines()]
+    clocks = ["cur_time", *(f"{i // 600:02d}:{i // 10 % 60:02d}.{i % 10}" for i in range(len(field)))]
+    log.write_text("\n".join(",".join([row[0], clock, *row[3:]]) for row, clock in zip(rows, clocks, strict=True)))
+    (line,) = (line for line in describe(log, {"reference": "49.2 uT"}).said if line.startswith("time: "))
+    assert "'cur_time' does not repeat and is called a time" in line
     even = write(tmp_path, "unix_time,mx_nT,my_nT,mz_nT", seconds + maker_logs.START_S, field)
     assert not any("stamp" in line for line in describe(even, {"reference": "49.2 uT"}).said)
 
