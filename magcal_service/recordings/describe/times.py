@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import eq
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,7 @@ _RATE: Final = re.compile(
     r"(?:rate|freq\w*|fs)\b[^0-9\n]{0,24}([0-9]+(?:\.[0-9]+)?)\s*(?:hz|sps|samples)", re.IGNORECASE
 )
 
+_FEW_SHARED: Final = 0.2  # of the shared stamps: a column that repeats so much less is the finer time
 _TEN_BITS: Final = 1024  # weeks
 _SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
 
@@ -98,15 +99,13 @@ def _say_repeats(draft: Draft, form: Form) -> None:
     label = " + ".join(column.label for column in form.columns)
     text = f"time: {shared} of {len(form.times)} rows have the stamp of the row before in {label}"
     left = [column for column in draft.log.columns if column not in form.columns]
-    others = [c for c in left if c.numeric and rises(c.values) and not repeated(c.values)]
+    others = [c for c in left if c.numeric and rises(c.values) and repeated(c.values) < _FEW_SHARED * shared]
     others.sort(key=lambda column: not is_named(column))
-    named = [c for c in left if is_named(c) and all(a != b for a, b in itertools.pairwise(c.cells))]
+    named = [c for c in left if is_named(c) and sum(map(eq, c.cells, c.cells[1:])) < _FEW_SHARED * shared]
     if others:
-        text += (
-            f"; {others[0].label} does not repeat and could be the time: --answer time.column={draft.name(others[0])}"
-        )
+        text += f"; {others[0].label} repeats less and could be the time: --answer time.column={draft.name(others[0])}"
     elif named:
-        text += f"; {named[0].label} does not repeat and is called a time, but is none that a descriptor can read"
+        text += f"; {named[0].label} repeats less and is called a time, but is none that a descriptor can read"
     draft.said.append(text)
 
 

@@ -98,7 +98,7 @@ def test_stamps_that_repeat_are_counted_and_another_time_is_named(tmp_path: Path
     clocks = ["cur_time", *(f"{i // 600:02d}:{i // 10 % 60:02d}.{i % 10}" for i in range(len(field)))]
     log.write_text("\n".join(",".join([row[0], clock, *row[3:]]) for row, clock in zip(rows, clocks, strict=True)))
     (line,) = (line for line in describe(log, {"reference": "49.2 uT"}).said if line.startswith("time: "))
-    assert "'cur_time' does not repeat and is called a time" in line
+    assert "'cur_time' repeats less and is called a time" in line
     even = write(tmp_path, "unix_time,mx_nT,my_nT,mz_nT", seconds + maker_logs.START_S, field)
     assert not any("stamp" in line for line in describe(even, {"reference": "49.2 uT"}).said)
 
