@@ -26,7 +26,9 @@ def add_send(parser: Parser) -> None:
     """The arguments of ``magcal send``."""
     parser.add_argument("craft", metavar="CRAFT", help="whose")
     parser.add_argument("name", metavar="COMMAND", help="one of those below")
-    parser.add_argument("arguments", nargs="*", metavar="KEY=VALUE", help="its arguments")
+    parser.add_argument(
+        "arguments", nargs="*", default=[], metavar="KEY=VALUE", help="its arguments, none where it needs none"
+    )
     add_where(parser)
     parser.add_argument(
         "--as", dest="source", default=SOURCE, metavar="NAME", help="who gives it, for the daemon's log"

@@ -56,7 +56,7 @@ class CommandSpec:
     arguments: Mapping[str, Argument] = field(default_factory=dict)
 
 
-_NAME: Final = Argument("a text", is_needed=True)
+_NAME: Final = Argument("1 to 32 of A-Z a-z 0-9 _ -", is_needed=True)
 
 WHICH: Final = "source"
 """An argument that every command takes as well: which magnetometer alone it is for."""

@@ -141,6 +141,12 @@ class Craft(Stateful, CraftMemory):
 
     # Estimator and verdict as a whole
 
+    def freeze(self, frozen: bool) -> None:
+        """Learn from ticks no more, or again; the verdict says so at once, and not with the next tick."""
+        self.frozen = frozen
+        self.monitor.observe_freeze(frozen)
+        self.trust = self.monitor.judge(self._state)
+
     def reset(self) -> None:
         """Begin estimate and verdict anew; samples and counters stay."""
         self.estimator.reset()

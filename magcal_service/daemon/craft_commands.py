@@ -19,10 +19,12 @@ class Commanded(Protocol):
     """What commands need of a craft."""
 
     estimator: Estimator
-    frozen: bool
 
     def note(self, what: str, cause: str, source: str = ...) -> None:
         """Record an event."""
+
+    def freeze(self, frozen: bool) -> None:
+        """Learn no more, or again."""
 
     def reset(self) -> None:
         """Begin estimate and verdict anew."""
@@ -37,8 +39,9 @@ def _status(_craft: Commanded, _command: Command) -> str:
 
 
 def _freeze_or_resume(craft: Commanded, command: Command) -> str:
-    craft.frozen = command.name == "freeze"
-    craft.note("frozen" if craft.frozen else "resumed", BY_COMMAND, command.source)
+    frozen = command.name == "freeze"
+    craft.freeze(frozen)
+    craft.note("frozen" if frozen else "resumed", BY_COMMAND, command.source)
     return ""
 
 

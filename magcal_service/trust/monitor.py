@@ -289,6 +289,10 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._unpaired_s = 0.0
         self._frozen = True
 
+    def observe_freeze(self, frozen: bool) -> None:
+        """Ticks are not used for the estimate from now on, or they are again."""
+        self._frozen = frozen
+
     def observe_held(self, factor: float) -> None:
         """How many samples there are to a reading of the sensor."""
         self._held_factor = factor

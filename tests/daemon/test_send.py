@@ -47,7 +47,9 @@ def test_commands_over_zenoh_are_answered_with_what_has_changed(tmp_path: Path) 
         assert before.startswith("  before: ")
         assert "not_started" in before
         assert sent("freeze")[1].startswith("paper: freeze accepted: frozen, ")
-        assert sent("resume", "--as", "me")[1].startswith("paper: resume accepted: resumed; ")
+        code, said = sent("resume", "--as", "me")
+        assert said.startswith("paper: resume accepted: resumed; ")
+        assert "frozen" not in said.splitlines()[0]
         loaded = sent("load_physics", "name=other.toml")[1]
         assert f"accepted: physics_loaded: other.toml: {other.effect} by {other.driver}; " in loaded
         assert "none.toml: 'No such file or directory' is refused" in sent("load_physics", "name=none.toml")[1]
@@ -95,7 +97,7 @@ def test_a_sealed_line_takes_what_is_sealed_alone(tmp_path: Path) -> None:
         ("process_noise", ["D=0", "D=0"], "process_noise: D: '0' is refused; it is given twice"),
         ("process_noise", ["bias_nt=1e999"], "process_noise: bias_nt: '1e999' is refused; 0 to 1000 nT/sqrt(s)"),
         ("process_noise", ["bias_nt=1_0"], "process_noise: bias_nt: '1_0' is refused"),
-        ("checkpoint", [], "checkpoint: name: 'missing' is refused; a text is accepted"),
+        ("checkpoint", [], "checkpoint: name: 'missing' is refused; 1 to 32 of A-Z a-z 0-9 _ - is accepted"),
     ],
 )
 def test_what_no_daemon_would_take_is_refused_before_it_is_asked(name: str, given: list[str], told: str) -> None:
