@@ -9,6 +9,9 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
+pytest.register_assert_rewrite("tests.links.link_contract", "tests.links.link_messages")
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """Three processes for two cores, for many tests wait for a daemon, a link or a child and use none."""

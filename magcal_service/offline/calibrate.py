@@ -38,6 +38,19 @@ _UNFINISHED: Final = (Reason.NOT_SETTLED, Reason.UNPROTECTED)
 _HELD_OUT_BLOCKS: Final = 10  # contiguous, every second one held out: ten minutes each of an orbit
 
 
+_LONGER: Final = "record for longer, or go on from an earlier result by --prior"
+
+_OF_A_RECORDING: Final = {
+    Reason.NOT_SETTLED: _LONGER,
+    Reason.UNPROTECTED: "a disturbance too small to be seen yet may put vectors off by more than protection_nt: "
+    f"{_LONGER}",
+    Reason.POOR_COVERAGE: "more directions of the field in the body are needed: record for more of the orbit, or turn "
+    "the sensor about further axes",
+    Reason.COLLAPSED: "the solution shrinks an axis: check units and axes of sensor and reference",
+}
+"""Remedies where nobody can wait, for the recording is over."""
+
+
 @dataclass(frozen=True, slots=True)
 class Residuals:
     """rms of |(I+D)B - b| - |H| over a recording [nT].
@@ -102,7 +115,9 @@ class Calibration(NineErrors):
     @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
-        return self.whole_log or (REMEDIES[self.reasons[0]] if self.reasons else "")
+        if self.whole_log or not self.reasons:
+            return self.whole_log
+        return _OF_A_RECORDING.get(self.reasons[0], REMEDIES[self.reasons[0]])
 
     def to_dict(self) -> dict[str, Any]:
         """What ``calibrate --json`` writes, as plain data."""

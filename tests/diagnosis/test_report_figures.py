@@ -12,6 +12,7 @@ import pytest
 import magcal_service.diagnosis.report as package
 from magcal_service.diagnosis.report.drawing import AFTER, AFTER_POINTS, BEFORE, BEFORE_POINTS, DIVERGING, picture
 from magcal_service.diagnosis.report.figures import coastlines
+from magcal_service.views import PAGE
 from tests.figures.coastlines import arcs, simplified, without_frame
 
 
@@ -28,7 +29,7 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-LIGHT, DARK = re.findall(r"--card:(#[0-9a-f]+)", Path(package.__path__[0], "frame.html").read_text("utf-8"))
+LIGHT, DARK = re.findall(r"--card:(#[0-9a-f]+)", (PAGE / "base.css").read_text("utf-8"))
 """What a figure is drawn on."""
 
 
