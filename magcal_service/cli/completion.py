@@ -42,7 +42,7 @@ def _completion(whole: Parser, options: argparse.Namespace) -> int:
     return DONE
 
 
-def _complete(command: Parser, files: dict[str, str]) -> None:
+def _complete(command: Parser, files: object) -> None:
     """Let every argument that is a path be completed by files."""
     for action in command._actions:
         if action.type is Path:
