@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import magcal_service as magcal
 from magcal_service.diagnosis.diagnose import Verdict
@@ -246,3 +247,9 @@ def test_a_recording_given_twice_is_refused(days: list[Day]) -> None:
 def test_one_recording_is_not_several(days: list[Day]) -> None:
     with pytest.raises(magcal.InputRefusedError, match="two or more are diagnosed together"):
         gather([days[0].recording])
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("value", [0.05, 0.8, 3.0, 25.0])
+def test_the_tail_of_chi_square_is_that_of_scipy(degrees: int, value: float) -> None:
+    assert chi_square_tail(value, degrees) == pytest.approx(float(chi2.sf(value, degrees)), rel=1e-12)
