@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 
+MEDIAN_TO_SIGMA: Final = 1.4826
+"""Sigma of a normal distribution over the median of its absolute values, 1 / quantile(3/4)."""
+
 _FLOOR_SAMPLES: Final = 64
 """Shortest evenly sampled stretch whose spectrum is looked at."""
 

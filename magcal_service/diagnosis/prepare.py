@@ -26,7 +26,7 @@ from magcal_service.physics.scene.view import View
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import cleaned, recorded_attitude, scene_of
-from magcal_service.residuals import noise_floor
+from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
 
 MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
@@ -222,9 +222,9 @@ def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
     padded = np.pad(residual, 4, mode="reflect")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
     off = np.abs(residual - around)
-    limit = _SPIKE * 1.4826 * float(np.median(off))
+    limit = _SPIKE * MEDIAN_TO_SIGMA * float(np.median(off))
     spread = np.abs(residual - np.median(residual))
-    return np.asarray((off > limit) & (spread > _SPIKE * 1.4826 * float(np.median(spread))))
+    return np.asarray((off > limit) & (spread > _SPIKE * MEDIAN_TO_SIGMA * float(np.median(spread))))
 
 
 def _sample_findings(

@@ -22,7 +22,7 @@ from magcal_service.physics.apply.model_file import text_of
 from magcal_service.recordings.inspect.inspection import Inspection
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.recording import Recording
-from magcal_service.residuals import noise_floor
+from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
 from magcal_service.trust.monitor import Trust
 from magcal_service.trust.vector_gate import strays
 from magcal_service.wire.messages import (
@@ -34,8 +34,6 @@ from magcal_service.wire.messages import (
     TelemetrySample,
     Verdict,
 )
-
-_MEDIAN_TO_SIGMA: Final = 1.4826  # of the size of normal noise: 1 / quantile(3/4)
 
 _NOISE_RATIO: Final = math.sqrt(1.5**2 - 1.0)
 """Beside the noise, in its units: a residual of 1.5 times the noise, as ``[craft.trust] residual_ratio`` has it."""
@@ -109,9 +107,9 @@ def _judged(applied: Applied, inspection: Inspection, given: Given, noise_nt: fl
     ]
     if not off:
         return applied
-    spread = _MEDIAN_TO_SIGMA * float(np.median(np.abs(off)))
+    spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(off)))
     level = math.sqrt(max(0.0, spread**2 - noise_nt**2))
-    allowed = max(_NOISE_RATIO * noise_nt, 0.5 * _MEDIAN_TO_SIGMA * (given.protection_nt or 0.0))
+    allowed = max(_NOISE_RATIO * noise_nt, 0.5 * MEDIAN_TO_SIGMA * (given.protection_nt or 0.0))
     if level <= allowed:
         return applied
     remark = (

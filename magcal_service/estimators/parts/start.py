@@ -27,7 +27,7 @@ from magcal_service.estimators.parts.spin_window import Window
 from magcal_service.estimators.parts.start_gates import BAD_FIT, Proposal, handover_sigma, stopped_by, vector_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
-from magcal_service.residuals import white_floor
+from magcal_service.residuals import MEDIAN_TO_SIGMA, white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
@@ -172,7 +172,7 @@ def _solve_without_outliers(problem: BatchProblem, noise_unknown: bool) -> Batch
 def _within(values: Array) -> NDArray[np.bool_]:
     """Which values (..., n) lie within 6 sigma of zero, sigma taken from their median."""
     size = np.abs(values)
-    inside: NDArray[np.bool_] = size <= _OUTLIER * 1.4826 * np.median(size, axis=-1, keepdims=True)
+    inside: NDArray[np.bool_] = size <= _OUTLIER * MEDIAN_TO_SIGMA * np.median(size, axis=-1, keepdims=True)
     return inside
 
 

@@ -18,6 +18,7 @@ from magcal_service.estimators.steady_spin.start import SpinGuess
 from magcal_service.estimators.steady_spin.state import SPIN_STATE_SIZE, SpinState
 from magcal_service.estimators.steady_spin.watch import FitQuality, fit_quality
 from magcal_service.model import scalar_residual
+from magcal_service.residuals import MEDIAN_TO_SIGMA
 
 _FIRST_S: Final = 240.0
 """The first fit takes the newest so many seconds: H turns by 15 to 30 degrees meanwhile, which attitude rests on."""
@@ -27,9 +28,6 @@ _TURNS: Final = 2.0
 
 Choice: the second is for a configured rate that is too high, and so too short a turn; more turns delay the start.
 """
-
-_MEDIAN_TO_SIGMA: Final = 1.4826
-"""Sigma of a normal distribution over the median of its absolute values."""
 
 _SLOWEST_RAD_S: Final = 0.3 * 2.0 * math.pi / 60.0
 """Slowest rate that is searched, 0.3 rpm: 1.2 turns in the first fit's 240 s; what is slower shows no whole turn."""
@@ -100,7 +98,7 @@ class Candidates:
         """Without those that the scalar filter would have stopped at its gate."""
         magnitude_nt = np.linalg.norm(samples.reference_eci_nt, axis=1)
         residual = np.abs(scalar_residual(scalar.x, samples.field_nt, magnitude_nt))
-        level = max(_MEDIAN_TO_SIGMA * float(np.median(residual)), self.noise_nt(scalar))
+        level = max(MEDIAN_TO_SIGMA * float(np.median(residual)), self.noise_nt(scalar))
         return samples.where(residual < self.config.filter.gate_sigma * level)
 
     def first_span_s(self) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.table import FloatArray
+from magcal_service.residuals import MEDIAN_TO_SIGMA
 
 _AXES: Final = "xyz"
 _WORD: Final = 65_536.0
@@ -121,7 +122,7 @@ def start_transient(log: Log) -> Iterator[Seen]:
         return
     field, magnitude = log.field_nt[known], log.magnitude_nt[known]
     off = np.abs(_nine_errors_residual(field, magnitude))
-    sigma = 1.4826 * float(np.median(off))
+    sigma = MEDIAN_TO_SIGMA * float(np.median(off))
     most = min(_LONGEST_START, int(_SHARE_OF_START * len(known)))
     count = int(np.argmin(np.append(off[: most + 1] > _OUT * sigma, False)))
     if not 1 <= count <= most or np.count_nonzero(off[count:] > _OUT * sigma) > 0.001 * len(known):
