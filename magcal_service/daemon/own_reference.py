@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -20,12 +21,15 @@ OUTSIDE: Final = "position_out_of_range"
 """Counts positions where the model says nothing: another unit, or a date beyond it."""
 
 
+@lru_cache(maxsize=16)
 def reference_at(position: PositionSample) -> ReferenceSample | str:
     """The main field at a position, as a reference message in ECI; the name of a counter where there is none.
 
     Parameters
     ----------
     position: in ECI or ECEF [km], on UTC.
+
+    Each magnetometer of a craft asks for the same position, so the newest are remembered.
 
     The crust and the currents above the craft are not in it: some 20 to 100 nT (``geomagnetic``).
     """
