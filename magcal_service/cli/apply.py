@@ -68,9 +68,8 @@ def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> 
     import numpy as np
 
     vectors = applied.vectors
-    counts = {verdict: sum(one.verdict == verdict for one in vectors) for verdict in ("trusted", "doubtful")}
     lines = [
-        f"{out}: {len(vectors)} vectors, {counts['trusted']} of them trusted; w = (I + D) B - b by {given.name}, "
+        f"{out}: {len(vectors)} vectors, {applied.trusted} of them trusted; w = (I + D) B - b by {given.name}, "
         f"sha256 {given.sha256[:12]}"
     ]
     usable = inspection.usable.sorted_unique()

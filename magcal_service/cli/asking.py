@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.cli.common import REFUSED
+from magcal_service.cli.common import REFUSED, within
 from magcal_service.errors import ConfigError, Fault, LinkAddressError, MagcalError
 
 if TYPE_CHECKING:
@@ -42,7 +42,13 @@ def add_where(
 ) -> None:
     """The arguments that say where the daemon is, and how long to wait for it."""
     add_link(parser, config_help)
-    parser.add_argument("--timeout", type=_seconds, default=15.0, metavar="S", help="longest wait (default: 15 s)")
+    parser.add_argument(
+        "--timeout",
+        type=within(0.1, 3600.0, "0.1 to 3600 s"),
+        default=15.0,
+        metavar="S",
+        help="longest wait (default: 15 s)",
+    )
 
 
 def add_link(parser: argparse.ArgumentParser, config_help: str) -> None:
@@ -50,16 +56,6 @@ def add_link(parser: argparse.ArgumentParser, config_help: str) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
     where.add_argument("--config", type=Path, metavar="FILE", help=config_help)
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.1 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0.1 to 3600 s is accepted")
-    return value
 
 
 def whom(options: argparse.Namespace, crafts: list[str], field: str) -> tuple[str, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -71,11 +72,15 @@ def beside_json(path: Path | None) -> Iterator[None]:
 
 def write_json(path: Path | None, text: str) -> None:
     """Write to a file, to standard output where it is ``-``, nowhere without one; raises ``InputRefusedError``."""
+    if path is not None:
+        write_text(None if path == STDOUT else path, text)
+
+
+def write_text(path: Path | None, text: str) -> None:
+    """Write to a file, to standard output without one; raises ``InputRefusedError``."""
     from magcal_service.errors import unwritable
 
     if path is None:
-        return
-    if path == STDOUT:
         sys.stdout.write(text)
         return
     try:
@@ -91,15 +96,24 @@ def source_lines(recording: Recording) -> list[str]:
     return [f"magnetometer {recording.source}; --source chooses another: {', '.join(recording.others)}"]
 
 
-def speed(text: str) -> float:
-    """The speed of a replay, times real time, as an argument."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 (as fast as it goes) to 1e6 is accepted")
-    return value
+def within(low: float, high: float, accepted: str = "") -> Callable[[str], float]:
+    """The type of an argument that is a number from ``low`` to ``high``; ``accepted`` says so in other words."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            words = accepted or f"{low:g} to {high:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} is refused; {words} is accepted")
+        return value
+
+    return number
+
+
+REPLAY_SPEED: Final = within(0.0, 1e6, "0 (as fast as it goes) to 1e6")
+"""The speed of a replay, times real time."""
 
 
 def add_executor(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable, write_text
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 if TYPE_CHECKING:
@@ -96,14 +96,9 @@ def _ask(described: Described) -> dict[str, str]:
 
 
 def _write(out: Path | None, text: str, evidence: list[str]) -> None:
-    from magcal_service.errors import unwritable
-
     if out is None:
-        print(text, end="")
+        write_text(None, text)
         return
-    try:
-        out.write_text("\n".join(evidence) + "\n\n" + text, encoding="utf-8")
-    except OSError as exc:
-        raise unwritable(out, exc) from None
+    write_text(out, "\n".join(evidence) + "\n\n" + text)
     name = quote(str(out))
     print(f"# written: {out}; next: magcal inspect {name}, magcal calibrate {name}")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable, write_text
 
 _LSB_NT: Final = (0.01, 1e4)
 """Of one count: a fluxgate's digitiser, and a compass for the pocket."""
@@ -36,7 +36,7 @@ def forms_text() -> str:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from magcal_service.errors import ConfigError, Fault, unwritable
+    from magcal_service.errors import ConfigError, Fault
     from magcal_service.offline.exports import FORMS, Wanted
     from magcal_service.offline.given import read_given
     from magcal_service.typed_toml import nearest
@@ -50,13 +50,7 @@ def _export(options: argparse.Namespace) -> int:
     refuse_unwritable(options.out, options.result)
     given = read_given(options.result)
     made = form.make(given, Wanted(options.index, options.lsb_nt))
-    if options.out is None:
-        print(made.text, end="")
-    else:
-        try:
-            options.out.write_text(made.text, encoding="utf-8")
-        except OSError as error:
-            raise unwritable(options.out, error) from None
+    write_text(options.out, made.text)
     for line in filter(None, (made.remark, given.doubts())):
         print(line, file=sys.stderr)
     return NOT_TRUSTED if made.lossy or not given.trusted else DONE

@@ -9,7 +9,7 @@ import threading
 import time
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, within
 
 _MORE = """
 Without --tle it hears the craft's position messages on a zenoh link and sends the field at each.  A daemon can do the
@@ -22,32 +22,18 @@ def add_reference(parser: Parser) -> None:
     parser.add_argument("--craft", required=True, metavar="NAME", help="whose")
     parser.add_argument("--tle", type=Path, metavar="FILE", help="two-line element sets; read again when it changes")
     parser.add_argument("--link", metavar="ADDRESS", help="the daemon's link (default: zenoh:tcp/127.0.0.1:7447)")
-    parser.add_argument("--rate-hz", type=_rate, default=1.0, metavar="HZ", help="fields a second (default: 1)")
-    parser.add_argument("--max-age-days", type=_days, default=3.0, metavar="D", help="oldest element set (default: 3)")
     parser.add_argument(
-        "--duration-s", type=_rate, metavar="S", help="end after so long (default: at SIGTERM or Ctrl-C)"
+        "--rate-hz", type=within(0.01, 1e6), default=1.0, metavar="HZ", help="fields a second (default: 1)"
+    )
+    parser.add_argument(
+        "--max-age-days", type=within(0.01, 60.0), default=3.0, metavar="D", help="oldest element set (default: 3)"
+    )
+    parser.add_argument(
+        "--duration-s", type=within(0.01, 1e6), metavar="S", help="end after so long (default: at SIGTERM or Ctrl-C)"
     )
     parser.more = lambda: _MORE
     parser.examples = ("magcal reference --craft demo --tle demo.tle --link zenoh:tcp/127.0.0.1:7447",)
     parser.set_defaults(command=_reference)
-
-
-def _rate(text: str) -> float:
-    return _number(text, 0.01, 1e6)
-
-
-def _days(text: str) -> float:
-    return _number(text, 0.01, 60.0)
-
-
-def _number(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r} is refused; {low:g} to {high:g} is accepted")
-    return value
 
 
 def _reference(options: argparse.Namespace) -> int:

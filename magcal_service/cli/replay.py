@@ -11,11 +11,11 @@ from magcal_service.cli.common import (
     DONE,
     NOT_TRUSTED,
     RECORDING_HELP,
+    REPLAY_SPEED,
     SOURCE_HELP,
     Parser,
     refuse_unwritable,
     source_lines,
-    speed,
     verdict_text,
 )
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
@@ -31,7 +31,9 @@ def add_replay(parser: Parser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help=CONFIG_HELP)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
-    parser.add_argument("--speed", type=speed, default=0.0, help="times real time; 0 (default) as fast as it goes")
+    parser.add_argument(
+        "--speed", type=REPLAY_SPEED, default=0.0, help="times real time; 0 (default) as fast as it goes"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.csv", help="one row per tick")
     parser.examples = ("magcal replay output/paper/RECORDING.toml --out rows.csv",)
     parser.set_defaults(command=_replay)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import add_link, whom
-from magcal_service.cli.common import DONE, SOURCE_HELP, Parser, speed
+from magcal_service.cli.common import DONE, REPLAY_SPEED, SOURCE_HELP, Parser
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
 
@@ -34,7 +34,10 @@ def add_view(parser: Parser) -> None:
     )
     parser.add_argument("--source", metavar="NAME", help=f"of a recording: {SOURCE_HELP}")
     parser.add_argument(
-        "--speed", type=speed, default=0.0, help="of a recording, times real time; 0 (default) as fast as it goes"
+        "--speed",
+        type=REPLAY_SPEED,
+        default=0.0,
+        help="of a recording, times real time; 0 (default) as fast as it goes",
     )
     parser.add_argument(
         "--port", type=_port, default=_PORT, help=f"on 127.0.0.1 (default: {_PORT}); 0 for one that is free"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import NotReachedError, add_where, whom
-from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP, Parser, speed
+from magcal_service.cli.common import DONE, NOT_TRUSTED, REPLAY_SPEED, SOURCE_HELP, Parser
 from magcal_service.cli.craft_choice import CONFIG_HELP
 from magcal_service.cli.view import replayed
 from magcal_service.errors import ConfigError, Fault
@@ -51,7 +51,7 @@ def add_watch(parser: Parser) -> None:
     parser.add_argument("--craft", action="append", default=[], metavar="NAME", help=only)
     parser.add_argument("--source", metavar="NAME", help=f"of a recording: {SOURCE_HELP}")
     faster = f"of a recording: times real time (default: {SPEED:g}, with --once 0); 0 as fast as it goes"
-    parser.add_argument("--speed", type=speed, metavar="X", help=faster)
+    parser.add_argument("--speed", type=REPLAY_SPEED, metavar="X", help=faster)
     once = "print one picture: when estimate and status have come, or at the end of the recording"
     parser.add_argument("--once", action="store_true", help=once)
     parser.more = lambda: _MORE

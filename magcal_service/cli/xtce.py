@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, Parser, refuse_unwritable
+from magcal_service.cli.common import DONE, Parser, refuse_unwritable, write_text
 
 
 def add_xtce(parser: Parser) -> None:
@@ -19,7 +18,7 @@ def add_xtce(parser: Parser) -> None:
 
 
 def _xtce(options: argparse.Namespace) -> int:
-    from magcal_service.errors import LinkAddressError, unwritable
+    from magcal_service.errors import LinkAddressError
     from magcal_service.links import Role, open_link
     from magcal_service.links.ccsds import DEFAULT_ADDRESS, CcsdsLink
     from magcal_service.wire.xtce import xtce
@@ -31,11 +30,5 @@ def _xtce(options: argparse.Namespace) -> int:
     with open_link(address, Role.SERVICE) as link:
         assert isinstance(link, CcsdsLink)
         text = xtce(link.apids)
-    if options.out is None:
-        sys.stdout.write(text)
-        return DONE
-    try:
-        options.out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise unwritable(options.out, error) from None
+    write_text(options.out, text)
     return DONE

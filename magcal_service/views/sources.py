@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import queue
 import threading
 import time
@@ -34,7 +35,7 @@ class Origin:
     has_ended: bool = False
 
 
-class Source:
+class Source(abc.ABC):
     """Messages taken into ``views`` by a thread; ``views`` is read and written with ``lock`` held."""
 
     def __init__(self, views: Views) -> None:
@@ -43,9 +44,9 @@ class Source:
         self._thread = threading.Thread(target=self._run, name="magcal-view", daemon=True)
 
     @property
+    @abc.abstractmethod
     def origin(self) -> Origin:
         """Where the messages come from, and how that is."""
-        raise NotImplementedError
 
     def give(self, craft: str, name: str) -> bool:
         """Give a command; False where nobody is there to carry it out."""
@@ -66,8 +67,9 @@ class Source:
         with self.lock:
             self.views.take(message, time.monotonic())
 
+    @abc.abstractmethod
     def _run(self) -> None:
-        raise NotImplementedError
+        """Read until ``stop``, in the thread."""
 
 
 class LiveSource(Source):

@@ -41,6 +41,7 @@ _WEEK_S: Final = 604800.0  # seconds in a week
 
 
 def forms(log: Log) -> list[Form]:
+    """Every way in which columns of a log can be its time."""
     found = [*_gps_week(log), *_calendar(log), *_date_and_clock(log)]
     for column in log.columns:
         found += of_columns((column,))
@@ -48,6 +49,7 @@ def forms(log: Log) -> list[Form]:
 
 
 def of_columns(columns: tuple[Column, ...]) -> list[Form]:
+    """Every way in which these columns can be the time: one by itself, or the parts of a date and a clock."""
     if len(columns) > 1:
         return _texts(columns, joined(columns), 2)
     column = columns[0]
@@ -57,6 +59,7 @@ def of_columns(columns: tuple[Column, ...]) -> list[Form]:
 
 
 def joined(columns: Sequence[Column]) -> list[str]:
+    """The cells of each row, a space between them."""
     return [" ".join(parts) for parts in zip(*(column.cells for column in columns), strict=True)]
 
 

@@ -73,6 +73,7 @@ def as_told(column: Column, form: str) -> Form | None:
 
 
 def is_named(column: Column) -> bool:
+    """Whether a column is called a time."""
     words = set(column.words) | {column.stem.lower()}
     return bool(words & TIME_WORDS) or any(word.startswith(("time", "unix", "epoch")) for word in words)
 
@@ -83,6 +84,7 @@ def repeated(times: FloatArray) -> int:
 
 
 def within(values: FloatArray, low: float, high: float) -> bool:
+    """Whether nearly all finite values (n,) lie from ``low`` to ``high``."""
     good = values[np.isfinite(values)]
     return bool(good.size) and float(np.mean((good >= low) & (good <= high))) > 0.99
 
