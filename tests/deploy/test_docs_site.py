@@ -15,11 +15,13 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "docs/mkdocs.yml"
 
 
-def test_every_page_stands_in_the_navigation_once_in_one_of_four_parts() -> None:
+def test_every_page_stands_in_the_navigation_once_in_one_of_five_parts() -> None:
     navigation = CONFIG.read_text(encoding="utf-8").partition("\nnav:\n")[2]
     pages = re.findall(r": (\S+\.md)$", navigation, re.M)
-    assert re.findall(r"^  - (.+):$", navigation, re.M) == ["Start", "How to", "Reference", "Why"]
-    assert sorted(pages) == sorted(path.name for path in (ROOT / "docs").glob("*.md"))
+    assert re.findall(r"^  - (.+):$", navigation, re.M) == ["Start", "Tutorials", "How to", "Reference", "Why"]
+    docs = ROOT / "docs"
+    written = [*docs.glob("*.md"), *docs.glob("tutorials/*.md")]
+    assert sorted(pages) == sorted(str(path.relative_to(docs)) for path in written)
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("material"), reason="mkdocs-material is not installed: make docs")
