@@ -90,7 +90,6 @@ class FairInbox(Generic[T]):
         self._sources: dict[str, dict[str, _Source[T]]] = {}
         self._fullest: _Fullest[T] = _Fullest()
         self._size = self._arrived = self._gone = 0
-        self._woken = False
         self._ready = threading.Condition(threading.Lock())
 
     def put(self, item: T, group: str = "", source: str = "") -> None:
@@ -112,12 +111,6 @@ class FairInbox(Generic[T]):
                 self._ready.notify()
         if pushed_out is not None:
             self._overflowed(pushed_out)
-
-    def wake(self) -> None:
-        """End the consumer's wait, from any thread: it has something else to look at."""
-        with self._ready:
-            self._woken = True
-            self._ready.notify()
 
     def _source(self, group: str, name: str) -> _Source[T]:
         sources = self._sources.setdefault(group, {})
@@ -156,8 +149,7 @@ class FairInbox(Generic[T]):
         taken: list[_Entry[T]] = []
         with self._ready:
             if not self._size and wait_s > 0.0:
-                self._ready.wait_for(lambda: self._size or self._woken, wait_s)
-            self._woken = False
+                self._ready.wait_for(lambda: self._size, wait_s)
             for group in list(self._groups):
                 if len(taken) >= self._batch:
                     break

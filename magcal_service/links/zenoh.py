@@ -70,7 +70,7 @@ class ZenohLink(Link):
         if role is Role.SERVICE:
             self.counters.update(dict.fromkeys((f"denied.{name}" for name in DENIALS), 0))
             watch(self._count, address.text, has_rules(self._config))
-        self._inbox: FairInbox[zenoh.Sample] = FairInbox(
+        self._inbox: FairInbox[zenoh.Sample | StreamName] = FairInbox(
             self._settings.queue, self._overflowed, crafts, TURN if role is Role.SERVICE else None
         )
         self._rate = RateLimit(self._settings.rate, float(self._settings.queue))
@@ -126,11 +126,14 @@ class ZenohLink(Link):
     def _poll(self, wait_s: float) -> list[Message]:
         arrived = self._inbox.drain(self._joining.wait_s(time.monotonic(), wait_s))
         now_s = time.monotonic()
-        passed = [message for sample in arrived if (message := self._passed(sample, now_s)) is not None]
-        return [*self._joining.due(now_s), *passed]
+        passed = [message for one in arrived if (message := self._passed(one, now_s)) is not None]
+        return [*passed, *self._joining.due(now_s)]  # what was held until now must not overtake its references
 
-    def _passed(self, sample: zenoh.Sample, now_s: float) -> Message | None:
+    def _passed(self, sample: zenoh.Sample | StreamName, now_s: float) -> Message | None:
         """The message of what has arrived, where it needs not wait for what its publisher sends again."""
+        if isinstance(sample, StreamName):
+            self._joining.complete(sample, now_s)
+            return None
         message = self._taken(sample)
         recovers = self.role is Role.SERVICE and self.history
         if message is None or isinstance(message, Command) or not recovers or message.craft not in self.crafts:
@@ -278,8 +281,8 @@ class ZenohLink(Link):
             self._joining.again(*found, sample)
 
     def _asked(self, name: StreamName) -> None:
-        self._joining.complete(name, time.monotonic())
-        self._inbox.wake()
+        """A publisher has sent again what it was asked for: its hold ends after what arrived before, in the inbox."""
+        self._inbox.put(name, name.craft, f"{name.session} {name.entity}")
 
     # The session
 

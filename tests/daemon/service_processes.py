@@ -130,7 +130,7 @@ class Node:
         assert callable(what)
         deadline = time.monotonic() + PATIENCE_S
         while not what():
-            assert time.monotonic() < deadline, f"{told}: {self.counters()}"
+            assert time.monotonic() < deadline, f"{told}: { {craft: self.counters(craft) for craft in self.status} }"
             self.flow.receive(0.02)
 
     @property
