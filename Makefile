@@ -56,8 +56,8 @@ clean: ## remove what the other commands made; recordings in output/ stay
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.run: pyproject.toml | $(BIN)/python
-	@echo "installing magcal with its simulator and its view into .venv (once, about a minute) ..."
-	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[sim,view]'
+	@echo "installing magcal with its simulator, view and diagnosis into .venv (once, about a minute) ..."
+	@$(PIP_ENV) $(BIN)/python -m pip install -q -e '.[sim,view,diagnosis]'
 	@touch $@
 
 .venv/.dev: pyproject.toml | $(BIN)/python

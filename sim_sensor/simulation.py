@@ -61,6 +61,10 @@ class Block:
     bias_nt: Floats
     D: Floats
 
+    def first(self, count: int) -> Block:
+        """The first ``count`` samples."""
+        return Block(*(getattr(self, name)[:count] for name in Block.__annotations__))
+
 
 class Simulation:
     """One run of a scenario.

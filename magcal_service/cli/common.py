@@ -112,6 +112,13 @@ def within(low: float, high: float, accepted: str = "") -> Callable[[str], float
     return number
 
 
+def port_number(text: str) -> int:
+    """The type of an argument that is a TCP port, 0 included."""
+    if not (text.isascii() and text.isdigit() and len(text) <= 5 and int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 to 65535 is accepted")
+    return int(text)
+
+
 REPLAY_SPEED: Final = within(0.0, 1e6, "0 (as fast as it goes) to 1e6")
 """The speed of a replay, times real time."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.asking import add_link, whom
-from magcal_service.cli.common import DONE, REPLAY_SPEED, SOURCE_HELP, Parser
+from magcal_service.cli.common import DONE, REPLAY_SPEED, SOURCE_HELP, Parser, port_number
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
 from magcal_service.errors import ConfigError, Fault
 
@@ -40,7 +40,7 @@ def add_view(parser: Parser) -> None:
         help="of a recording, times real time; 0 (default) as fast as it goes",
     )
     parser.add_argument(
-        "--port", type=_port, default=_PORT, help=f"on 127.0.0.1 (default: {_PORT}); 0 for one that is free"
+        "--port", type=port_number, default=_PORT, help=f"on 127.0.0.1 (default: {_PORT}); 0 for one that is free"
     )
     parser.add_argument(
         "--allow-commands", action="store_true", help="let the page freeze, resume and reset; else it only reads"
@@ -50,12 +50,6 @@ def add_view(parser: Parser) -> None:
         "magcal view --link zenoh:tcp/127.0.0.1:7447",
     )
     parser.set_defaults(command=_view)
-
-
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) <= 5 and int(text) <= 65535):
-        raise argparse.ArgumentTypeError(f"{text!r} is refused; 0 to 65535 is accepted")
-    return int(text)
 
 
 def _view(options: argparse.Namespace) -> int:

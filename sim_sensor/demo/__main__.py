@@ -16,12 +16,13 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from magcal_service.cli.common import port_number
 from magcal_service.errors import ExtraMissingError, MagcalError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Estimate, Message
@@ -29,6 +30,7 @@ from sim_sensor.beside import is_own
 from sim_sensor.demo.config import daemon_config, zenoh_settings
 from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.flow import WindowedLink
+from sim_sensor.demo.next_steps import AND_THEN, next_steps, shown
 from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.demo.report import DemoError, Outcome, Plan, Session, Wire, objections, write_results
 from sim_sensor.node import Simulation, run_node
@@ -56,12 +58,33 @@ def run_demo(plan: Plan, console: Console) -> int:
     """
     simulation = Simulation(load_scenario(plan.scenario), plan.seed, plan.duration_s)
     plan.out.mkdir(parents=True, exist_ok=True)
-    session, stop = Session(simulation), threading.Event()
     what = f"scenario {plan.scenario}, seed {simulation.seed}, {simulation.duration_s:.0f} s"
     console.print(f"{what}; starting the daemon on a {plan.wire.value} link", markup=False, highlight=False)
-    with _stop_on_signals(stop):
-        outcome = _exchange(plan, session, stop, console)
-    return _report(plan, session, outcome, console)
+    with contextlib.ExitStack() as stack:
+        watcher = stack.enter_context(_page(plan, f"{what}, over {plan.wire.value}", console))
+        session, stop = Session(simulation, watcher), threading.Event()
+        with _stop_on_signals(stop):
+            outcome = _exchange(plan, session, stop, console)
+        code = _report(plan, session, outcome, console)
+        if plan.stay and not outcome.interrupted:
+            console.print("the page stays until Ctrl-C", style="bold")
+            with _stop_on_signals(stop):
+                stop.wait()
+    return code
+
+
+@contextlib.contextmanager
+def _page(plan: Plan, what: str, console: Console) -> Iterator[Callable[[Message], None]]:
+    """The live page where one is wanted, with its address on the console; gives what takes its messages."""
+    if plan.port is None:
+        yield lambda _: None
+        return
+    from sim_sensor.demo.page import FlightSource, live_page
+
+    source = FlightSource(what)
+    with live_page(source, plan.port) as address:
+        console.print("live page, for a browser on this machine: ", address, sep="", style="bold", soft_wrap=True)
+        yield source.take
 
 
 def _exchange(plan: Plan, session: Session, stop: threading.Event, console: Console) -> Outcome:
@@ -83,7 +106,7 @@ def _exchange(plan: Plan, session: Session, stop: threading.Event, console: Cons
             if isinstance(message, Estimate) and is_own(message):
                 table.update(session.time_s, message, session.truth, _counts(flow))
 
-        flow = WindowedLink(link, WINDOW, take, PATIENCE_S, daemon.check)
+        flow = WindowedLink(link, WINDOW, take, PATIENCE_S, daemon.check, session.watcher)
         table.update(0.0, None, session.truth)
         begin_s = time.monotonic()
         run_node(session.simulation, flow, plan.speed, stop)
@@ -143,10 +166,10 @@ def _report(plan: Plan, session: Session, outcome: Outcome, console: Console) ->
     if session.history.last is None:
         raise DemoError(f"no estimate came back; {outcome.text()}; see {plan.out / 'daemon.log'}")
     summary = summarise(session.history)
-    text = f"{summary.text()}\n{outcome.text()}"
-    say(f"\n{text}\n")
-    for what, path in write_results(plan, session, text, recording=not outcome.interrupted).items():
-        say(f"{what:10} {path}")
+    text = "\n\n".join([summary.text(), *filter(None, [session.gain_text()]), outcome.text()])
+    say(f"\n{text}")
+    files = write_results(plan, session, text, recording=not outcome.interrupted)
+    say(f"results in {shown(plan.out)}: {', '.join(path.name for path in files.values())}\n")
     if outcome.daemon_code != 0:
         raise DemoError(f"the daemon ended with exit code {outcome.daemon_code}; see {plan.out / 'daemon.log'}")
     if outcome.interrupted:
@@ -155,9 +178,14 @@ def _report(plan: Plan, session: Session, outcome: Outcome, console: Console) ->
     found = objections(summary)
     if found:
         say("not as it should be at the end: " + "; ".join(found), "bold red")
-        return NOT_TRUSTED
-    say("all nine errors are inside 3 sigma, and trusted", "bold green")
-    return 0
+    else:
+        say("all nine errors are inside 3 sigma, and trusted", "bold green")
+    say("\nWhat next?  Each line works as it stands:")
+    for what, command in next_steps(plan, files["recording"]).items():
+        say(f"# {what}", "dim")
+        say(command)
+    say(AND_THEN)
+    return NOT_TRUSTED if found else 0
 
 
 @contextlib.contextmanager
@@ -199,9 +227,19 @@ def parse_arguments(arguments: Sequence[str] | None) -> Plan:
     parser.add_argument("--seed", type=int, help="the scenario's own where absent")
     parser.add_argument("--duration", type=_not_negative, help="sample time [s]; the scenario's own where absent")
     parser.add_argument("--out", type=Path, help="folder for the results; output/<time>-<link> where absent")
+    parser.add_argument(
+        "--port", type=port_number, default=0, help="of the live page on 127.0.0.1; one that is free where absent"
+    )
+    parser.add_argument("--no-page", action="store_true", help="no live page")
+    parser.add_argument("--stay", action="store_true", help="keep the page at the end, until Ctrl-C")
     given = parser.parse_args(arguments)
     out = given.out or Path("output") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{given.link.value}"
-    return Plan(given.link, given.scenario, given.speed, given.seed, out.resolve(), given.duration)
+    if given.no_page and (given.stay or given.port):
+        parser.error("--no-page is refused beside --port and --stay: they are about the page")
+    port = None if given.no_page else given.port
+    return Plan(
+        given.link, given.scenario, given.speed, given.seed, out.resolve(), given.duration, port=port, stay=given.stay
+    )
 
 
 def _not_negative(text: str) -> float:

@@ -31,6 +31,7 @@ class WindowedLink(Link):
     patience_s: wall time without any answer after which the samples on the way are given up [s].
     on_message: called for everything that arrives, at once, also while ``send`` waits.
     check: called while waiting; raises where waiting has become pointless.
+    on_send: called for everything that is sent, before it is.
 
     ``counters`` adds to those of every link: ``samples`` (sent), ``answered``, ``unanswered``, ``waits``.
     """
@@ -42,6 +43,7 @@ class WindowedLink(Link):
         on_message: Callable[[Message], None],
         patience_s: float = 5.0,
         check: Callable[[], None] = lambda: None,
+        on_send: Callable[[Message], None] = lambda _: None,
     ) -> None:
         if window < 1:
             raise ValueError(f"window is {window}; at least 1 sample has to be on the way")
@@ -49,7 +51,7 @@ class WindowedLink(Link):
         self.link = link
         self.window = window
         self.patience_s = patience_s
-        self._on_message, self._check = on_message, check
+        self._on_message, self._check, self._on_send = on_message, check, on_send
         self._on_the_way: dict[tuple[str, str, int], None] = {}
 
     @property
@@ -73,6 +75,7 @@ class WindowedLink(Link):
             self.wait_for_room(self.window - 1)
             self._on_the_way[(message.craft, message.source, message.sequence)] = None
             self.counters["samples"] += 1
+        self._on_send(message)
         self.link.send(message)
         self.counters["sent"] += 1
 

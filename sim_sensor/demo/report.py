@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from magcal_service.errors import MagcalError
 from magcal_service.wire.messages import CalibratedVector, Estimate, Message, Status, Verdict
 from sim_sensor.beside import is_own
+from sim_sensor.demo.before_after import before_after
 from sim_sensor.recorder import record_simulation
 from sim_sensor.sensor import errors_at
 from sim_sensor.simulation import Simulation
@@ -50,6 +51,8 @@ class Plan:
     seed, duration_s: the scenario's own where None.
     out: folder for the results.
     daemon: command that takes ``--config FILE``; this installation's ``magcal run`` where None.
+    port: of the live page on 127.0.0.1, 0 for one that is free; None: no page.
+    stay: whether the page stays at the end, until Ctrl-C.
     """
 
     wire: Wire
@@ -59,6 +62,8 @@ class Plan:
     out: Path
     duration_s: float | None = None
     daemon: tuple[str, ...] | None = None
+    port: int | None = None
+    stay: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,10 +87,12 @@ class Session:
     Parameters
     ----------
     simulation: the run; its true errors may change with time (steps).
+    watcher: is given everything that is sent and that comes back.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: Simulation, watcher: Callable[[Message], None] = lambda _: None) -> None:
         self.simulation = simulation
+        self.watcher = watcher
         self.history = History(simulation.truth.start_ns)
         self.estimate: Estimate | None = None
         self.time_s = 0.0
@@ -101,6 +108,7 @@ class Session:
 
     def take(self, message: Message) -> None:
         """Note one message of the daemon."""
+        self.watcher(message)
         if isinstance(message, Status):
             self.statuses += 1
         if isinstance(message, Estimate | CalibratedVector):
@@ -110,6 +118,14 @@ class Session:
             self.time_s = (message.time_ns - self.simulation.truth.start_ns) * 1e-9
             self.truth = self.truth_at(self.time_s)
             self.history.add(message, self.truth)
+
+    def gain_text(self) -> str:
+        """How wrong the vector was and is, over what was flown; empty before the filter has started."""
+        if self.estimate is None or self.estimate.verdict is Verdict.NOT_STARTED:
+            return ""
+        flown = self.simulation.arrays()
+        until = int(np.searchsorted(flown.times_ns, self.estimate.time_ns, side="right"))
+        return before_after(flown.first(max(until, 1)), self.estimate).text()
 
 
 def objections(summary: Summary) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,10 @@ from magcal_service.views.nine import PARAMETERS, Parameter
 from magcal_service.wire.messages import Estimate, Verdict
 from sim_sensor.view.history import FloatArray, History, covariance_matrix, inside
 
-__all__ = ["ParameterSummary", "Summary", "summarise"]
+__all__ = ["ONE_FLIGHT_NEES", "ParameterSummary", "Summary", "summarise"]
+
+ONE_FLIGHT_NEES: Final = (2.7, 19.0)
+"""Between these lie 95 % of single draws of chi-square with nine degrees of freedom: its 2.5 and 97.5 % points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +89,8 @@ class Summary:
         lines = [head, *(self._row(row) for row in self.rows), ""]
         if self.truth_known:
             count = sum(row.inside for row in self.rows)
-            lines.append(f"{count} of {len(self.rows)} final errors inside 3 sigma; NEES {self.nees:.1f} (9 expected)")
+            lines.append(f"{count} of {len(self.rows)} final errors inside 3 sigma")
+            lines.append(self._draw())
             settled = [row.settled_s for row in self.rows]
             times = [time_s for time_s in settled if time_s is not None]
             if len(times) == len(settled):
@@ -98,6 +103,12 @@ class Summary:
             lines.append(_wrap(f"remedy: {self.remedy}"))
         lines.append(f"residual rms {self.residual_rms_nt:.1f} nT at a sensor noise of {self.noise_nt:.1f} nT")
         return "\n".join(lines)
+
+    def _draw(self) -> str:
+        """NEES beside what single flights have."""
+        low, high = ONE_FLIGHT_NEES
+        outside = "" if low <= self.nees <= high else ", not this one"
+        return f"NEES {self.nees:.1f}: one flight is one draw; 95 % lie from {low} to {high}{outside}; mean 9"
 
     def _row(self, row: ParameterSummary) -> str:
         show = row.parameter.text

@@ -86,8 +86,8 @@ def calls(checkout: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("arguments", "install", "last"),
     [
-        (["run"], "-m pip install -q -e .[sim,view]", "-m sim_sensor.demo --link zenoh"),
-        (["run", "LINK=serial"], "-m pip install -q -e .[sim,view]", "-m sim_sensor.demo --link serial"),
+        (["run"], "-m pip install -q -e .[sim,view,diagnosis]", "-m sim_sensor.demo --link zenoh"),
+        (["run", "LINK=serial"], "-m pip install -q -e .[sim,view,diagnosis]", "-m sim_sensor.demo --link serial"),
         (["test"], "-m pip install -q -e .[dev]", "-m pytest -n auto --dist loadfile --no-loadscope-reorder"),
     ],
 )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
+import shlex
 import signal
 import sys
 import threading
@@ -15,6 +17,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from magcal_service.cli.__main__ import main as magcal
+from magcal_service.cli.__main__ import whole_parser
 from magcal_service.config.reader import load_config
 from sim_sensor.demo.__main__ import INTERRUPTED, main, parse_arguments, run_demo
 from sim_sensor.demo.config import daemon_config
@@ -66,7 +70,7 @@ def real_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[Wire, tuple[int,
         patch.setattr("sim_sensor.view.plots.plot_residual", lambda *_: None)
         for wire in Wire:
             shown, out = console(terminal=wire is Wire.ZENOH), tmp_path_factory.mktemp(wire.value)
-            runs[wire] = (run_demo(Plan(wire, "paper", 0.0, 1, out, 1400.0), shown), text_of(shown), out)
+            runs[wire] = (run_demo(Plan(wire, "paper", 0.0, 1, out, 1400.0, port=0), shown), text_of(shown), out)
     return runs
 
 
@@ -87,6 +91,27 @@ def test_both_links_lead_to_the_same_estimates_bit_for_bit(real_runs: dict[Wire,
     ticks = [(out / "ticks.csv").read_bytes() for _, _, out in real_runs.values()]
     assert len(ticks[0].splitlines()) == 1401
     assert ticks[0] == ticks[1]
+
+
+@pytest.mark.parametrize("wire", list(Wire))
+def test_it_opens_with_a_page_and_says_how_wrong_the_vector_was_and_is(
+    real_runs: dict[Wire, tuple[int, str, Path]], wire: Wire
+) -> None:
+    shown = real_runs[wire][1]
+    assert re.search(r"\A.*\n.*live page.*http://127\.0\.0\.1:\d+/", shown)
+    assert re.search(r"was 7\d{3} nT off by its nine errors, and is \d\d\.\d nT off now", shown)
+    assert "one flight is one draw; 95 % lie from 2.7 to 19.0" in shown
+
+
+def test_what_it_says_to_do_next_is_what_the_commands_take(real_runs: dict[Wire, tuple[int, str, Path]]) -> None:
+    _, shown, out = real_runs[Wire.SERIAL]
+    lines = [shlex.split(line) for line in shown.split("What next?")[1].splitlines() if str(out) in line]
+    asked = [line[line.index(str(out / "RECORDING.toml")) - 1 :] for line in lines]
+    assert [line[0] for line in asked] == ["view", "replay", "diagnose", "plot"]
+    for line in asked:
+        whole_parser().parse_args(line)
+    assert magcal(asked[1]) == 0
+    assert (out / "again.csv").read_bytes() == (out / "ticks.csv").read_bytes()
 
 
 @pytest.mark.usefixtures("pictures")
@@ -182,7 +207,22 @@ def test_by_default_a_zenoh_run_of_the_paper_goes_into_a_new_folder() -> None:
     assert given.out.parent.name == "output"
 
 
-@pytest.mark.parametrize("words", [["--speed", "-1"], ["--speed", "nan"], ["--link", "can"], ["--duration", "inf"]])
+def test_the_page_is_on_a_free_port_and_nothing_waits_for_a_person() -> None:
+    given = [parse_arguments(words) for words in ([], ["--port", "8047", "--stay"], ["--no-page"])]
+    assert [(plan.port, plan.stay) for plan in given] == [(0, False), (8047, True), (None, False)]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--speed", "-1"],
+        ["--port", "70000"],
+        ["--no-page", "--stay"],
+        ["--speed", "nan"],
+        ["--link", "can"],
+        ["--duration", "inf"],
+    ],
+)
 def test_a_wrong_argument_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse_arguments(words)
