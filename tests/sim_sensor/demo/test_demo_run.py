@@ -99,7 +99,7 @@ def test_it_opens_with_a_page_and_says_how_wrong_the_vector_was_and_is(
 ) -> None:
     shown = real_runs[wire][1]
     assert re.search(r"\A.*\n.*live page.*http://127\.0\.0\.1:\d+/", shown)
-    assert re.search(r"was 7\d{3} nT off by its nine errors, and is \d{1,3}\.\d nT off now", shown)
+    assert re.search(r"was 8226 nT off by its nine errors, and is \d{1,3}\.\d nT off now", shown)
     assert "one flight is one draw; 95 % lie from 2.7 to 19.0" in shown
 
 
