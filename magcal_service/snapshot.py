@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from functools import cache
-from typing import Any, ClassVar, Final, NoReturn, TypeVar, cast, get_args, get_origin
+from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ _MOST_ELEMENTS: Final = 1_000_000
 """Elements of an array; the largest that is saved has 4096 samples of 7."""
 
 _BOOLS: Final = NDArray[np.bool_]
+
+_SCALARS: Final = frozenset((bool, int, float, str))
 
 
 class SnapshotError(MagcalError):
@@ -89,6 +91,8 @@ def _refuse(where: str, value: object, accepted: str) -> NoReturn:
 
 def plain(value: Any) -> Any:
     """Plain data of any value that a saved attribute may have."""
+    if type(value) in _SCALARS:
+        return value
     if isinstance(value, Stateful):
         return value.export_state()
     if isinstance(value, np.ndarray):
@@ -104,10 +108,27 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return [[plain(key), plain(item)] for key, item in value.items()]
     if isinstance(value, list | tuple | deque):
-        return [plain(item) for item in value]
+        return [item if type(item) in _SCALARS else plain(item) for item in value]
     if is_dataclass(value):
         return [plain(getattr(value, field.name)) for field in fields(value)]
     raise TypeError(f"{type(value).__name__} cannot be saved")
+
+
+class _Shape(NamedTuple):
+    """A type hint taken apart."""
+
+    optional: bool
+    kind: Any  # without the None
+    origin: Any  # of a generic kind, None of others
+
+
+def _read_shape(hint: Any) -> _Shape:
+    options = get_args(hint) if get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
+    kinds = [option for option in options if option is not type(None)]
+    return _Shape(len(kinds) < len(options), kinds[0], get_origin(kinds[0]))
+
+
+_shape: Final = cast("Callable[[Any], _Shape]", cache(_read_shape))
 
 
 def restored(data: Any, hint: Any, where: str, template: Any = None, given: Mapping[Any, Any] | None = None) -> Any:
@@ -122,29 +143,30 @@ def restored(data: Any, hint: Any, where: str, template: Any = None, given: Mapp
     given: types that stand for type variables.
     """
     given = given or {}
-    hint = given.get(hint, hint)
-    options = get_args(hint) if get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
-    if type(None) in options:
-        if data is None:
-            return None
-        options = tuple(option for option in options if option is not type(None))
-    kind = options[0]
+    optional, kind, origin = _shape(given.get(hint, hint))
+    if optional and data is None:
+        return None
     if isinstance(template, Stateful):
         template.restore_state(data, where, _arguments(kind))
         return template
     if kind in (Array, _BOOLS):
         return _array(data, np.dtype(np.float64 if kind == Array else np.bool_), where, template)
-    if kind in (bool, int, float, str):
+    if kind in _SCALARS:
         return _scalar(data, kind, where)
     if isinstance(kind, type) and issubclass(kind, StrEnum):
         return _choice(data, kind, where)
-    if get_origin(kind) is Counter:
+    if origin is Counter:
         return _counter(data, template, where)
-    if get_origin(kind) in (list, tuple, deque, dict):
+    if origin in (list, tuple, deque, dict):
         return _collection(data, kind, template, where, given)
     if isinstance(kind, type) and is_dataclass(kind):
         return _record(data, kind, where)
     return _refuse(where, data, "nothing")
+
+
+def _is_sound(data: Any, hint: Any) -> bool:
+    """Whether data are a scalar of this type, as they stand: most of a state's items are, so these are told quickly."""
+    return type(data) is hint and hint in _SCALARS and (hint is not float or math.isfinite(data))
 
 
 def _arguments(kind: Any) -> dict[Any, Any]:
@@ -202,7 +224,11 @@ def _collection(data: Any, kind: Any, template: Any, where: str, given: Mapping[
         return dict(_items(pair, arguments, where, given) for pair in data)
     if origin is tuple and arguments[-1] is not Ellipsis:
         return tuple(_items(data, arguments, where, given))
-    items = [restored(item, arguments[0], f"{where}[{i}]", given=given) for i, item in enumerate(data)]
+    hint = arguments[0]
+    items = [
+        item if _is_sound(item, hint) else restored(item, hint, f"{where}[{i}]", given=given)
+        for i, item in enumerate(data)
+    ]
     if origin is deque:
         return deque(items, maxlen=template.maxlen if isinstance(template, deque) else None)
     return items if origin is list else tuple(items)
@@ -212,7 +238,7 @@ def _items(data: Any, hints: tuple[Any, ...], where: str, given: Mapping[Any, An
     if not isinstance(data, list) or len(data) != len(hints):
         _refuse(where, data, f"an array of {len(hints)}")
     return [
-        restored(item, hint, f"{where}[{i}]", given=given)
+        item if _is_sound(item, hint) else restored(item, hint, f"{where}[{i}]", given=given)
         for i, (item, hint) in enumerate(zip(data, hints, strict=True))
     ]
 

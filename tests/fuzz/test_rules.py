@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from magcal_service.daemon import service
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.links.loop import LoopLink
 from magcal_service.ticks import assembler
 from magcal_service.wire.kinds import MAX_TELEMETRY
 from magcal_service.wire.messages import Message, TelemetrySample
-from tests.fuzz.rules.__main__ import drive, table
+from tests.fuzz.rules import __main__ as rules
+from tests.fuzz.rules import lines
+from tests.fuzz.rules.__main__ import drive, run
 from tests.fuzz.rules.crafts import METHODS
-from tests.fuzz.rules.machine import rules_of
+from tests.fuzz.rules.machine import Rules, rules_of
+from tests.fuzz.rules.progress import Progress, table
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -54,9 +59,38 @@ def test_times_that_are_not_held_to_the_window_are_found(monkeypatch: pytest.Mon
     assert "a craft failed by itself" in drive(rules_of("plkf"), 1, 200, shrink=False)
 
 
-def test_the_table_has_a_row_for_each_method_and_their_sum() -> None:
-    machine = rules_of("plkf")
-    assert drive(machine, 2, 1) == ""
-    rows = table({"plkf": machine.total, "ukf": machine.total}).splitlines()
-    steps = machine.total["steps"]
-    assert [row.split(" | ")[2] for row in rows[2:]] == [str(steps), str(steps), str(2 * steps)]
+@pytest.mark.parametrize("line", ["zenoh", "serial"])
+def test_the_promises_hold_over_real_links(line: str) -> None:
+    machine = rules_of("plkf", line=line)
+    assert drive(machine, 3, 2, shrink=False) == ""
+    assert machine.total["steps"] >= 100
+    assert machine.total["starts"] > 2  # a daemon was stopped or killed, and another came
+
+
+def test_a_message_that_does_not_arrive_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lines, "WAIT_S", 0.05)
+    monkeypatch.setattr(LoopLink, "_listeners", lambda self, message: [])
+    assert "what was sent has not arrived" in drive(rules_of("plkf"), 1, 1, shrink=False)
+
+
+def test_a_run_that_ended_goes_on_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+
+    def one_batch(machine: type[Rules], number: int, worlds: int) -> str:
+        seeds.append((machine.method, number))
+        machine.total.update(steps=100, worlds=worlds)
+        return "AssertionError: planted" if len(seeds) == 2 else ""
+
+    monkeypatch.setattr(rules, "drive", one_batch)
+    kept = tmp_path / "kept.json"
+    for steps in (200, 300):
+        progress = Progress.load(kept) if kept.exists() else Progress("loop", 5)
+        run(progress, steps, 1e9, ("ukf", "plkf"), kept)
+    assert seeds == [("ukf", 5_000_000), ("plkf", 5_000_001), ("ukf", 5_000_002)]
+    assert [row.split(" | ")[2] for row in table([Progress.load(kept)]).splitlines()[2:]] == [
+        "200",
+        "100",
+        "300",
+        "300",
+    ]
+    assert "plkf over loop, seed 5000001" in Progress.load(kept).escapes[0]

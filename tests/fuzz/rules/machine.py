@@ -51,6 +51,9 @@ class Rules(RuleBasedStateMachine):
     flights_s: ClassVar[tuple[int, int, int]] = SHORT_S
     """How long the craft has flown when a world begins [s], one of them."""
 
+    line: ClassVar[str] = "loop"
+    """The link, one of ``lines.LINES``."""
+
     world: World
 
     @initialize(number=st.integers(0, 5), flown_s=st.integers(0, 2), writes=st.integers(0, 9))
@@ -58,7 +61,7 @@ class Rules(RuleBasedStateMachine):
         """Open a world with one of the method's configurations, at rest or after a flight."""
         choices = crafts(self.method)
         seconds = self.flights_s[flown_s]
-        self.world = World(choices[number % len(choices)], flown_s=seconds, writes=writes == 9)
+        self.world = World(choices[number % len(choices)], flown_s=seconds, writes=writes == 9, line=self.line)
         self.now_ns = {WILD: START_NS + seconds * SECOND_NS, OTHER: START_NS, CALM: START_NS}
         self.seconds = {WILD: seconds, OTHER: 0, CALM: 0}
         self.steps_since_start = 0
@@ -230,7 +233,7 @@ def _spoilt(raw: bytes, at: int, *, cut: bool) -> bytes:
     return raw[:place] if cut else raw[:place] + bytes([raw[place] ^ 1 << at % 8]) + raw[place + 1 :]
 
 
-def rules_of(method: str, flights_s: tuple[int, int, int] = SHORT_S) -> type[Rules]:
-    """The machine of one method."""
-    own = {"method": method, "total": Counter(), "flights_s": flights_s}
+def rules_of(method: str, flights_s: tuple[int, int, int] = SHORT_S, line: str = "loop") -> type[Rules]:
+    """The machine of one method, over one link."""
+    own = {"method": method, "total": Counter(), "flights_s": flights_s, "line": line}
     return type(f"Rules_{method.replace('-', '_')}", (Rules,), own)
