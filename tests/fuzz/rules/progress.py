@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Final
 
@@ -61,7 +61,8 @@ class Progress:
 
     def save(self, path: Path) -> None:
         """Write it as a whole, over what is there."""
-        write_whole(path, json.dumps(asdict(self), indent=1).encode())
+        told = {one.name: getattr(self, one.name) for one in fields(self)}
+        write_whole(path, json.dumps(told, indent=1).encode())
 
     @classmethod
     def load(cls, path: Path) -> Progress:
