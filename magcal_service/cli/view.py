@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import re
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from magcal_service.views.sources import ReplaySource, Source
 
 _PORT: Final = 8047  # choice: free of what is usual
+_ORIGIN: Final = re.compile(r"https?://[A-Za-z0-9.-]+(:[0-9]{1,5})?")
 
 
 def add_view(parser: Parser) -> None:
@@ -45,6 +47,20 @@ def add_view(parser: Parser) -> None:
     parser.add_argument(
         "--allow-commands", action="store_true", help="let the page freeze, resume and reset; else it only reads"
     )
+    parser.add_argument(
+        "--openmct",
+        type=Path,
+        metavar="FOLDER",
+        help="serve the Open MCT in this folder too, under /openmct/; reads only",
+    )
+    parser.add_argument(
+        "--allow-origin",
+        action="append",
+        default=[],
+        metavar="ORIGIN",
+        type=_origin,
+        help="let pages of this web origin read the telemetry, such as http://127.0.0.1:8080; repeatable",
+    )
     parser.examples = (
         "magcal view output/paper/RECORDING.toml",
         "magcal view --link zenoh:tcp/127.0.0.1:7447",
@@ -52,9 +68,29 @@ def add_view(parser: Parser) -> None:
     parser.set_defaults(command=_view)
 
 
+def _origin(text: str) -> str:
+    if not _ORIGIN.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is refused; SCHEME://HOST or SCHEME://HOST:PORT is accepted")
+    return text
+
+
+def _check_openmct(options: argparse.Namespace) -> None:
+    """Refuse a folder without Open MCT, and commands beside it, which its page could give as this one's."""
+    if options.openmct is None:
+        return
+    for needed in ("index.html", "node_modules/openmct/dist/openmct.js"):
+        if not (options.openmct / needed).is_file():
+            accepted = f"a folder with {needed} is accepted; deploy/openmct/README.md says how it gets there"
+            raise ConfigError([Fault("--openmct", str(options.openmct), accepted)])
+    if options.allow_commands:
+        accepted = "reads only; give commands by a second `magcal view`, or by `magcal send`"
+        raise ConfigError([Fault("--allow-commands", "with --openmct", accepted)])
+
+
 def _view(options: argparse.Namespace) -> int:
     import magcal_service.views.server  # noqa: F401 - a missing extra is told before anything is opened
 
+    _check_openmct(options)
     if options.recording is None:
         return _view_live(options)
     refused = {"--link": options.link, "--allow-commands": options.allow_commands or None}
@@ -101,13 +137,15 @@ def replayed(options: argparse.Namespace) -> ReplaySource:
 
 
 def _served(source: Source, options: argparse.Namespace) -> int:
-    from magcal_service.views.server import serve
+    from magcal_service.views.server import Offer, serve
+
+    offer = Offer(options.allow_commands, options.openmct, tuple(options.allow_origin))
 
     async def until_stopped() -> None:
         stopped = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, stopped.set)
-        await serve(source, options.port, options.allow_commands, _tell, stopped)
+        await serve(source, options.port, offer, _tell, stopped)
 
     asyncio.run(until_stopped())
     return DONE

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from magcal_service.views.field import FieldView
+from magcal_service.views.series import Lacking
 from magcal_service.views.state import Views
 
 SPECTRUM_EVERY_S: Final = 2.0
@@ -23,8 +24,7 @@ class Feed:
     def __init__(self, label: str = "") -> None:
         self._asked = label
         self._field: FieldView | None = None
-        self._recent: tuple[int, int] | None = None
-        self._whole: tuple[int, int] | None = None
+        self._rows = Lacking()
         self._sphere = 0
         self._spectrum_s = -SPECTRUM_EVERY_S
         self._spectrum_rows = -1
@@ -43,19 +43,16 @@ class Feed:
         return update
 
     def _field_update(self, field: FieldView, now_s: float) -> dict[str, Any]:
-        if field is not self._field:
-            self._field, self._recent, self._whole, self._sphere = field, None, None, 0
+        is_new = field is not self._field
+        if is_new:
+            self._field, self._rows, self._sphere = field, Lacking(), 0
             self._spectrum_s, self._spectrum_rows = -SPECTRUM_EVERY_S, -1
-        vectors = field.pulse.shown(now_s)
         update: dict[str, Any] = {
-            "vectors": vectors,
-            "fresh": self._recent is None,
+            "vectors": field.pulse.shown(now_s),
+            "fresh": is_new,
             "coverage": round(field.sphere.coverage, 4),
         }
-        for name, series, mark in (("recent", field.recent, self._recent), ("whole", field.whole, self._whole)):
-            anew, rows = series.since(mark)
-            update[name] = {"anew": anew, "rows": rows}
-        self._recent, self._whole = field.recent.mark, field.whole.mark
+        update |= self._rows.update(field.recent, field.whole)
         update["every"] = field.whole.every
         update["cells"] = field.sphere.since(self._sphere)
         self._sphere = field.sphere.count

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_service.trust.doubted import doubted_reasons, doubted_verdict
 from magcal_service.trust.reasons import REMEDIES
+from magcal_service.views.history import History
 from magcal_service.views.nine import PARAMETERS, sigmas, values
 from magcal_service.views.words import event_of, finding_of
 from magcal_service.wire.messages import CommandReply, Estimate, Status, Verdict
@@ -39,6 +40,7 @@ class ResultView:
         self.recording = recording
         self.estimate: Estimate | None = None
         self.status: Status | None = None
+        self.history = History()
         self.events: deque[tuple[int, str]] = deque(maxlen=_MOST_EVENTS)
         self._event = ""
 
@@ -49,6 +51,9 @@ class ResultView:
                 reasons = f" ({', '.join(message.reasons)})" if message.reasons else ""
                 self.events.append((message.time_ns, f"verdict {message.verdict}{reasons}"))
             self.estimate = message
+            if not self.history.continues_with(message):
+                self.history = History()
+            self.history.take(message, doubted_verdict(message.verdict, self._open))
         elif isinstance(message, Status):
             event = event_of(message.text)
             if event and event != self._event:
@@ -80,6 +85,18 @@ class ResultView:
         reasons = () if self.estimate is None else self.estimate.reasons
         own = {} if self.estimate is None else dict.fromkeys(reasons[:1], self.estimate.remedy)
         return [[one, own.get(one) or _REMEDIES.get(one, "")] for one in doubted_reasons(reasons, self._open)]
+
+    def now(self) -> dict[str, Any]:
+        """What is said now, as plain data: reasons with remedies, finding, counters, and when [ms] they were said."""
+        estimate, status = self.estimate, self.status
+        return {
+            "verdict": str(self.verdict),
+            "reasons": self._advice(),
+            "finding": self._finding(),
+            "result_ms": None if estimate is None else estimate.time_ns * 1e-6,
+            "counters": {} if status is None else dict(sorted(status.counters.items())),
+            "status_ms": None if status is None else status.time_ns * 1e-6,
+        }
 
     def shown(self, start_ns: int | None) -> dict[str, Any]:
         """As plain data; times are [s] since ``start_ns``, or since the first event where it is None."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 Row = tuple[float | None, ...]
 """One instant: its time [s] first; None where a column has no value."""
@@ -67,3 +67,20 @@ class Whole:
         if mark is None or mark[0] != self._thinned:
             return True, list(self.rows)
         return False, self.rows[mark[1] :]
+
+
+class Lacking:
+    """What one reader lacks of the newest rows and of all of them."""
+
+    def __init__(self) -> None:
+        self._recent: tuple[int, int] | None = None
+        self._whole: tuple[int, int] | None = None
+
+    def update(self, recent: Recent, whole: Whole) -> dict[str, Any]:
+        """What has come since the last call as plain data: ``recent`` and ``whole``, each ``anew`` and ``rows``."""
+        update: dict[str, Any] = {}
+        for name, series, mark in (("recent", recent, self._recent), ("whole", whole, self._whole)):
+            anew, rows = series.since(mark)
+            update[name] = {"anew": anew, "rows": rows}
+        self._recent, self._whole = recent.mark, whole.mark
+        return update

@@ -6,14 +6,18 @@ import asyncio
 import json
 import os
 import time
-from collections.abc import Awaitable, Callable
-from dataclasses import asdict
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
 from magcal_service.views import PAGE
 from magcal_service.views.feed import Feed
 from magcal_service.views.sources import COMMANDS, Source
+from magcal_service.views.state import Views
+from magcal_service.views.telemetry import Telemetry
 
 try:
     from aiohttp import web
@@ -44,21 +48,40 @@ _HEADERS: Final = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+_OPENMCT: Final = "/openmct"
+_OPENMCT_POLICY: Final = (
+    "default-src 'none'; script-src 'self' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
+    "img-src 'self' data:; font-src 'self' data:; worker-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+"""Open MCT compiles its own templates and sets styles as it runs; from elsewhere it gets nothing either."""
+
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+_Update = Callable[[Views, float], dict[str, Any]]
 
 
-class Page:
-    """The handlers of one source's page.
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What is served beside the page itself, and to whom.
 
     Parameters
     ----------
-    source: what it shows.
-    allow_commands: whether the page may give ``COMMANDS``.
+    commands: whether the page may give ``COMMANDS``.
+    openmct: folder of an Open MCT with the plugin, served below ``/openmct/``; None for none.
+    origins: web origins elsewhere, such as ``http://127.0.0.1:8080``, that may read ``/telemetry``.
     """
 
-    def __init__(self, source: Source, allow_commands: bool = False) -> None:
-        self._source = source
-        self._commands = COMMANDS if allow_commands else ()
+    commands: bool = False
+    openmct: Path | None = None
+    origins: tuple[str, ...] = ()
+
+
+class Page:
+    """The handlers of one source's page."""
+
+    def __init__(self, source: Source, offer: Offer) -> None:
+        self._source, self._offer = source, offer
+        self._commands = COMMANDS if offer.commands else ()
         self._readers = 0
 
     def application(self) -> web.Application:
@@ -69,31 +92,46 @@ class Page:
                 "/" if file.name == "index.html" else f"/{file.name}", _file(file.read_bytes(), file.name)
             )
         app.router.add_get("/events", self.events)
+        app.router.add_get("/telemetry", self.telemetry)
         if self._commands:
             app.router.add_post("/command", self.command)
+        if self._offer.openmct is not None:
+            index = (self._offer.openmct / "index.html").read_bytes()
+            app.router.add_get(f"{_OPENMCT}/", _file(index, "index.html"))
+            app.router.add_static(f"{_OPENMCT}/", self._offer.openmct)
         return app
 
     async def events(self, request: web.Request) -> web.StreamResponse:
         """Updates of the magnetometer that ``of`` names, until the reader goes."""
+        return await self._stream(request, Feed(request.query.get("of", "")).update)
+
+    async def telemetry(self, request: web.Request) -> web.StreamResponse:
+        """Updates of every magnetometer, until the reader goes; other origins that are allowed may read them."""
+        origin = request.headers.get("Origin", "")
+        allowed = {"Access-Control-Allow-Origin": origin} if origin in self._offer.origins else {}
+        return await self._stream(request, Telemetry().update, {"Vary": "Origin"} | allowed)
+
+    async def _stream(
+        self, request: web.Request, update: _Update, headers: Mapping[str, str] = MappingProxyType({})
+    ) -> web.StreamResponse:
         if self._readers >= MOST_READERS:
             raise web.HTTPServiceUnavailable(text=f"{MOST_READERS} pages are open already; close one")
-        response = web.StreamResponse(headers={"Content-Type": "text/event-stream"} | _HEADERS)
-        feed = Feed(request.query.get("of", ""))
+        response = web.StreamResponse(headers={"Content-Type": "text/event-stream", **_HEADERS, **headers})
         self._readers += 1
         try:
             await response.prepare(request)
             while True:
-                await response.write(b"data: " + json.dumps(self._update(feed), allow_nan=False).encode() + b"\n\n")
+                await response.write(b"data: " + json.dumps(self._told(update), allow_nan=False).encode() + b"\n\n")
                 await asyncio.sleep(UPDATE_S)
         except ConnectionError:
             return response
         finally:
             self._readers -= 1
 
-    def _update(self, feed: Feed) -> dict[str, Any]:
+    def _told(self, update: _Update) -> dict[str, Any]:
         with self._source.lock:
-            update = feed.update(self._source.views, time.monotonic())
-        return update | {"origin": asdict(self._source.origin), "commands": self._commands}
+            told = update(self._source.views, time.monotonic())
+        return told | {"origin": asdict(self._source.origin), "commands": self._commands}
 
     async def command(self, request: web.Request) -> web.Response:
         """Give a command: ``{"craft": ..., "name": ...}``, of this page only."""
@@ -135,23 +173,24 @@ async def _guarded(request: web.Request, handler: _Handler) -> web.StreamRespons
         raise
     if not response.prepared:
         response.headers.update(_HEADERS)
+        if request.path.startswith(f"{_OPENMCT}/"):
+            response.headers["Content-Security-Policy"] = _OPENMCT_POLICY
     return response
 
 
-async def serve(
-    source: Source, port: int, allow_commands: bool, told: Callable[[str], None], stopped: asyncio.Event
-) -> None:
+async def serve(source: Source, port: int, offer: Offer, told: Callable[[str], None], stopped: asyncio.Event) -> None:
     """Serve the page until ``stopped`` is set.
 
     Parameters
     ----------
     source: not started yet; it is stopped at the end.
     port: on 127.0.0.1; 0 for one that is free.
+    offer: what is served beside the page itself.
     told: is called with the page's address when it is served.
 
     Raises ``InputRefusedError`` for a port that is taken.
     """
-    runner = web.AppRunner(Page(source, allow_commands).application(), access_log=None, shutdown_timeout=0.5)
+    runner = web.AppRunner(Page(source, offer).application(), access_log=None, shutdown_timeout=0.5)
     await runner.setup()
     try:
         try:

@@ -67,6 +67,12 @@ class Tab:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
+    async def awaited(self, expression: str) -> Any:
+        """What the promise that an expression is in the page comes to."""
+        answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
     async def until(self, expression: str, timeout_s: float = 10.0) -> Any:
         """What an expression is once it is true."""
         async with asyncio.timeout(timeout_s):
@@ -82,9 +88,10 @@ class Tab:
         features = [{"name": "prefers-color-scheme", "value": scheme}]
         await self.call("Emulation.setEmulatedMedia", features=features)
 
-    async def picture(self, path: Path) -> None:
-        """Write what is shown as PNG."""
-        shot = await self.call("Page.captureScreenshot", captureBeyondViewport=True)
+    async def picture(self, path: Path, whole: bool = True) -> None:
+        """Write the page, or what of it is in sight, as PNG or WebP, whichever the name says."""
+        kind = {"format": "webp", "quality": 70} if path.suffix == ".webp" else {"format": "png"}
+        shot = await self.call("Page.captureScreenshot", captureBeyondViewport=whole, **kind)
         path.write_bytes(base64.b64decode(shot["data"]))
 
 

@@ -24,7 +24,7 @@ from magcal_service.offline.replay import craft_of
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.views.feed import Feed
-from magcal_service.views.server import serve
+from magcal_service.views.server import Offer, serve
 from magcal_service.views.sources import Flight, LiveSource, ReplaySource, heard_until
 from magcal_service.wire.messages import CalibratedVector, Command, Message
 from tests.cli.cli_inputs import run
@@ -32,9 +32,11 @@ from tests.diagnosis.diagnosis_runs import recorded
 from tests.views.browser import tab
 from tests.views.view_messages import estimate, second_of, status
 
+READS = Offer()
+
 
 @contextlib.asynccontextmanager
-async def served(name: str, allow_commands: bool = False) -> AsyncIterator[tuple[str, Link, Link]]:
+async def served(name: str, offer: Offer = READS) -> AsyncIterator[tuple[str, Link, Link]]:
     """A page of a live link: its address, and the ends of daemon and node."""
     with (
         open_link(f"loop:{name}", Role.VIEWER) as viewer,
@@ -43,7 +45,7 @@ async def served(name: str, allow_commands: bool = False) -> AsyncIterator[tuple
     ):
         told: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         stopped = asyncio.Event()
-        task = asyncio.create_task(serve(LiveSource(viewer), 0, allow_commands, told.set_result, stopped))
+        task = asyncio.create_task(serve(LiveSource(viewer), 0, offer, told.set_result, stopped))
         await asyncio.wait([told, task], return_when=asyncio.FIRST_COMPLETED)
         try:
             yield await told, daemon, node
@@ -92,7 +94,10 @@ def test_commands_are_taken_only_where_allowed_and_only_from_the_page() -> None:
             session.post(f"{address}command", json=body, headers={"Origin": address[:-1]}) as response,
         ):
             assert response.status == 404
-        async with served("writes", allow_commands=True) as (address, daemon, node), aiohttp.ClientSession() as session:
+        async with (
+            served("writes", Offer(commands=True)) as (address, daemon, node),
+            aiohttp.ClientSession() as session,
+        ):
             fly(daemon, node, range(2))
             while not (await first_update(session, address))["list"]:
                 await asyncio.sleep(0.01)
@@ -156,7 +161,7 @@ def test_what_a_source_cannot_take_is_refused() -> None:
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> None:
     async def look() -> None:
-        async with served("browser", allow_commands=True) as (address, daemon, node), tab(tmp_path) as page:
+        async with served("browser", Offer(commands=True)) as (address, daemon, node), tab(tmp_path) as page:
             fly(daemon, node, range(100))
             fly(daemon, node, range(5), "other")
             daemon.send(
