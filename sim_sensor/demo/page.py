@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
 
-from magcal_service.views.server import serve
+from magcal_service.views.server import Offer, serve
 from magcal_service.views.sources import Origin, Source
 from magcal_service.views.state import Views
 from sim_sensor.demo.report import DemoError
@@ -59,7 +59,7 @@ def live_page(source: Source, port: int) -> Iterator[str]:
     async def until_left() -> None:
         stopped = asyncio.Event()
         handles.set_result((asyncio.get_running_loop(), stopped))
-        await serve(source, port, allow_commands=False, told=address.set_result, stopped=stopped)
+        await serve(source, port, Offer(), told=address.set_result, stopped=stopped)
 
     def run() -> None:
         try:
