@@ -1,9 +1,9 @@
 """What is published when something is missing or wrong: one row for each degraded mode.
 
 This table is the promise; ``tests/daemon/test_pipeline_modes.py`` runs each row through a pipeline and checks
-it, and ``docs/degraded-modes.md`` is written from it (``python -m magcal_service.trust.modes``).  In no mode is a
-vector overstated: it is withheld, or its covariance is the prior's or grows, or its verdict says
-``doubtful``.
+it, or names the test that does, and ``docs/degraded-modes.md`` is written from it
+(``python -m magcal_service.trust.modes``).  In no mode is a vector overstated: it is withheld, or its covariance is the
+prior's or grows, or its verdict says ``doubtful``, or its protection level is told.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ class Mode(StrEnum):
     """Ways in which a daemon can have less than it needs."""
 
     NO_REFERENCE = "no_reference"
+    NO_POSITION = "no_position"
     NO_MAGNETOMETER = "no_magnetometer"
     SATURATED_AXIS = "saturated_axis"
     STUCK_SENSOR = "stuck_sensor"
@@ -31,6 +32,10 @@ class Mode(StrEnum):
     OUTLIERS = "outliers"
     UNKNOWN_CRAFT = "unknown_craft"
     OVERLOAD = "overload"
+    COMMANDS_LIMITED = "commands_limited"
+    SOURCE_REFUSED = "source_refused"
+    LOCAL_DISTURBANCE = "local_disturbance"
+    UNPROTECTED = "unprotected"
     ESTIMATOR_FAILED = "estimator_failed"
     FROZEN = "frozen"
     STALE = "stale"
@@ -70,6 +75,15 @@ MODES: Final = {
         Reason.NO_REFERENCE,
         "ticks_skipped",
         "the next tick with a reference; for the first 60 s the reason is given and the verdict stays",
+    ),
+    Mode.NO_POSITION: Row(
+        "the reference is IGRF's by reference.model, and no position comes, or none on UTC and within the model",
+        "each sample's, by the last estimate",
+        "the last one, grown by the process noise since",
+        Verdict.DOUBTFUL,
+        Reason.NO_REFERENCE,
+        "ticks_skipped",
+        "the next tick with a position; references that are sent are counted as reference_not_used and do not help",
     ),
     Mode.NO_MAGNETOMETER: Row(
         "no sample comes",
@@ -163,12 +177,48 @@ MODES: Final = {
     ),
     Mode.OVERLOAD: Row(
         "more messages than the daemon can take",
-        "those of the messages that were taken; the oldest in the queue are dropped, craft are served in turn",
+        "those of the messages that were taken; the oldest of the fullest source are dropped, craft are served in turn",
         "the estimate's: a lost sample is a gap",
         Verdict.TRUSTED,
         None,
         "overflow",
-        "nothing: it continues with what is received",
+        "nothing: it continues with what is received; event overloaded and a trouble, until 10 s without a loss",
+    ),
+    Mode.COMMANDS_LIMITED: Row(
+        "more commands than commands.burst and commands.rate_per_min allow a craft",
+        "as before: the commands beyond are refused, and as many refusals answered as commands are taken",
+        "as before",
+        Verdict.TRUSTED,
+        None,
+        "commands_limited",
+        "the time that the answer names",
+    ),
+    Mode.SOURCE_REFUSED: Row(
+        "samples of a further magnetometer, beyond max_sources or one that the method cannot serve",
+        "none for its samples; those of the others as before",
+        "of the others: untouched",
+        Verdict.TRUSTED,
+        None,
+        "sources_refused",
+        "nothing: status and log name the source and why",
+    ),
+    Mode.LOCAL_DISTURBANCE: Row(
+        "one of several magnetometers sees a disturbance that another one would see and does not",
+        "each sample's of that one, by its last estimate; those of the others as before",
+        "the estimate's: the disturbance is not in it",
+        Verdict.DOUBTFUL,
+        Reason.LOCAL_DISTURBANCE,
+        "",
+        "30 ticks in which its residual agrees with the reference",
+    ),
+    Mode.UNPROTECTED: Row(
+        "what could not have been seen yet may put a vector off by more than trust.protection_nt",
+        "each sample's, with that level as protection_nt",
+        "the estimate's: the level stands beside it",
+        Verdict.CONVERGING,
+        Reason.UNPROTECTED,
+        "",
+        "the next look at which the level is within the limit",
     ),
     Mode.ESTIMATOR_FAILED: Row(
         "the estimator's arithmetic fails, or its result is not finite or beyond what a message can carry",
@@ -216,8 +266,8 @@ def markdown() -> str:
         "",
         "What is published when something is missing or wrong, for a craft that was trusted before. The table is that",
         "of [`modes.py`](../magcal_service/trust/modes.py), and `tests/daemon/test_pipeline_modes.py` runs each row",
-        "through a pipeline. In no mode is a vector overstated: it is withheld, or its covariance is the",
-        "prior's or grows, or its verdict says `doubtful`.",
+        "through a pipeline, or names the test that plays it. In no mode is a vector overstated: it is withheld, or",
+        "its covariance is the prior's or grows, or its verdict says `doubtful`, or its protection level is told.",
         "",
         "| mode | when | vectors | covariance | verdict | reason | counted as | over with |",
         "|---|---|---|---|---|---|---|---|",

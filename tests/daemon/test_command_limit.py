@@ -14,11 +14,12 @@ import pytest
 
 from magcal_service.config.settings import CommandsConfig, Config, CraftConfig
 from magcal_service.daemon import run as run_module
-from magcal_service.daemon.command_limit import LIMITED, CommandLimit
+from magcal_service.daemon.command_limit import CommandLimit
 from magcal_service.daemon.run import run_daemon
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.rate_limit import RateLimit
+from magcal_service.trust.modes import MODES, Mode
 from magcal_service.wire.messages import Clock, Command, CommandReply, Message
 
 CRAFTS = (CraftConfig("one"), CraftConfig("two"))
@@ -56,7 +57,7 @@ def test_a_burst_passes_and_the_rest_is_refused_with_the_limit_and_when_to_try_a
     assert [(one.command_sequence, one.accepted) for one in replies] == [(n, n < 3) for n in range(6)]
     told = "too many commands: 3 at once and 30 a minute are accepted for craft one; try again in 2 s"
     assert {one.text for one in replies[3:]} == {told}
-    assert session.service.counters[LIMITED] == 17
+    assert session.service.counters[MODES[Mode.COMMANDS_LIMITED].counter] == 17
     assert session.service.pipelines["one"].counters["commands"] == 3
 
 

@@ -24,6 +24,7 @@ from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
+from magcal_service.trust.modes import MODES, Mode
 from magcal_service.wire.messages import (
     CalibratedVector,
     Command,
@@ -84,9 +85,8 @@ def test_each_is_right_within_its_sigma_and_a_magnet_near_one_is_named(apart_nt:
 
         published = give(service, node, [one for one in stream if one.time_ns >= magnet_ns])
         told = [one for one in published if isinstance(one, Estimate) and "local_disturbance" in one.reasons]
-        assert {(one.source, one.verdict, one.reasons[0]) for one in told} == {
-            ("mag2", Verdict.DOUBTFUL, "local_disturbance")
-        }
+        row = MODES[Mode.LOCAL_DISTURBANCE]
+        assert {(one.source, one.verdict, one.reasons[0]) for one in told} == {("mag2", row.verdict, row.reason)}
         assert told[0].time_ns - magnet_ns <= 30_000_000_000
         assert own.trust.verdict is Verdict.TRUSTED
         service.publish_status()
@@ -143,7 +143,7 @@ def test_a_source_beyond_the_bound_is_refused_by_name() -> None:
         published = give(service, node, [*messages(), *third])
         assert vectors(published, "mag3") == []
         status = service._status(service.pipelines["pair"])
-    assert status.counters["sources_refused"] == 5
+    assert status.counters[MODES[Mode.SOURCE_REFUSED].counter] == 5
     assert status.counters["magnetometers"] == 2
     assert "magnetometer samples of source mag3 are refused: max_sources = 2, served: mag, mag2" in status.text
     assert set(service.pipelines) == {"pair", "pair/mag2"}

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.config.settings import Config, CraftConfig, FilterConfig, SensorConfig
+from magcal_service.config.settings import (
+    Config,
+    CraftConfig,
+    FilterConfig,
+    ReferenceConfig,
+    ReferenceModel,
+    SensorConfig,
+)
 from magcal_service.daemon.health.figures import troubles
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
@@ -96,6 +103,12 @@ def with_axis(sample: MagnetometerSample, axis: int, value: float) -> Magnetomet
 
 def no_reference(pipeline: Pipeline) -> list[Message]:
     return handle_all(pipeline, [m for m in messages(BEGIN_S + 80) if isinstance(m, MagnetometerSample)])
+
+
+def no_position(pipeline: Pipeline) -> list[Message]:
+    """References come, which a craft that computes its own does not use."""
+    pipeline.config = replace(pipeline.config, reference=ReferenceConfig(ReferenceModel.IGRF))
+    return handle_all(pipeline, messages(BEGIN_S + 80))
 
 
 def no_magnetometer(pipeline: Pipeline) -> list[Message]:
@@ -190,6 +203,7 @@ def model_doubtful(pipeline: Pipeline) -> list[Message]:
 
 PLAYS = {
     Mode.NO_REFERENCE: no_reference,
+    Mode.NO_POSITION: no_position,
     Mode.NO_MAGNETOMETER: no_magnetometer,
     Mode.SATURATED_AXIS: saturated_axis,
     Mode.STUCK_SENSOR: stuck_sensor,
@@ -205,10 +219,19 @@ PLAYS = {
     Mode.MODEL_DOUBTFUL: model_doubtful,
 }
 OF_THE_SERVICE = (Mode.UNKNOWN_CRAFT, Mode.OVERLOAD)
+ELSEWHERE = {
+    Mode.COMMANDS_LIMITED: "daemon/test_command_limit.py",
+    Mode.SOURCE_REFUSED: "daemon/test_magnetometers.py",
+    Mode.LOCAL_DISTURBANCE: "daemon/test_magnetometers.py",
+    Mode.UNPROTECTED: "trust/test_protection.py",
+}
+TESTS = Path(__file__).resolve().parents[1]
 
 
 def test_every_mode_is_played() -> None:
-    assert set(PLAYS) | set(OF_THE_SERVICE) == set(Mode) == set(MODES)
+    assert set(PLAYS) | set(OF_THE_SERVICE) | set(ELSEWHERE) == set(Mode) == set(MODES)
+    for mode, file in ELSEWHERE.items():
+        assert f"MODES[Mode.{mode.name}]" in (TESTS / file).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("mode", PLAYS)
@@ -318,5 +341,5 @@ def test_strangers_and_floods_leave_a_craft_as_it_is(pipeline: Pipeline, mode: M
 
 
 def test_the_page_is_written_from_the_table() -> None:
-    page = Path(__file__).resolve().parents[2] / "docs/degraded-modes.md"
+    page = TESTS.parent / "docs/degraded-modes.md"
     assert page.read_text(encoding="utf-8") == markdown(), "write it: python -m magcal_service.trust.modes"

@@ -20,6 +20,7 @@ from magcal_service.trust import hazard_sums as sums
 from magcal_service.trust import hazards
 from magcal_service.trust.hazard_look import ALARM_NATS
 from magcal_service.trust.hazards import REMEDY, Hazard
+from magcal_service.trust.modes import MODES, Mode
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.protection import MISSED_SIGMA, alarm_gain, smallest_seen, worst
 from magcal_service.trust.reasons import Reason
@@ -160,7 +161,8 @@ def test_what_is_asked_for_and_not_reached_is_a_reason_whose_remedy_is_the_hazar
     for tick in clean():
         monitor.observe(tick, ukf.handle(tick), ukf.estimate())
     trust = monitor.judge(ukf.estimate())
-    assert (trust.verdict, trust.reasons) == (Verdict.CONVERGING, (Reason.UNPROTECTED,))
+    row = MODES[Mode.UNPROTECTED]
+    assert (trust.verdict, trust.reasons) == (row.verdict, (row.reason,)) == (Verdict.CONVERGING, (Reason.UNPROTECTED,))
     assert trust.remedy == REMEDY[Hazard(str(trust.protection_by))]
     assert trust.protection_nt is not None
     assert trust.protection == f", protected to {trust.protection_nt:.0f} nT ({trust.protection_by})"
