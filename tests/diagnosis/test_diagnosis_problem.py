@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -160,3 +162,15 @@ def test_covariance_holds_for_white_and_for_coloured_noise(correlation: float) -
         fit = solve(Problem(spoiled(measure(X, scene().calibrated_nt + NOISE_NT * noise), scene()), NOISE_NT), X)
         squares.append(np.mean((fit.x - X) ** 2 / np.diagonal(fit.covariance)))
     assert 0.5 < float(np.mean(squares)) < 1.8
+
+
+@pytest.mark.parametrize(("excess", "growth"), [(0, 1.0), (28, 1.0), (32, 1.6)])
+def test_a_covariance_grows_only_by_what_block_sums_do_not_do_by_chance(excess: int, growth: float) -> None:
+    """Signs +-s in 30 blocks of 400: sums of +-``excess`` s make the mean's sigma ``excess`` / 20 times s / sqrt(n)."""
+    level_nt, ups = 7.0, (400 + excess) // 2
+    block = np.repeat([level_nt, -level_nt], [ups, 400 - ups])
+    residual = np.concatenate([sign * block for sign in np.tile([1.0, -1.0], 15)])
+    problem: Any = SimpleNamespace(white=lambda rows: rows)
+    none = np.zeros((0, 3))
+    fit = Fit(problem, np.zeros(1), (), residual, np.ones((12_000, 1)), none, none, np.zeros(1))
+    assert np.sqrt(fit.covariance) == pytest.approx(growth * level_nt / np.sqrt(12_000))

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magcal_service.diagnosis.aimed import Aimed, left_jacobian, turn
+from magcal_service.diagnosis.aimed import Aimed, guessed, left_jacobian, turn
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.prepare import Form
+from magcal_service.model import measure
 from tests.diagnosis.turntable import Bench
+from tests.physics.scenes import X, scene, spoiled
 
 BIAS_NT = np.array([1500.0, -900.0, 700.0])
 
@@ -35,6 +37,27 @@ def test_rows_across_the_field_are_weighted_and_those_along_it_are_not() -> None
     expected = rows * np.array([0.25, 0.25, 1.0, 1.0, 0.25, 0.25])[:, None]
     assert aimed.weighed(rows) == pytest.approx(expected)
     assert aimed.weighed(rows[:, 0]) == pytest.approx(expected[:, 0])
+
+
+def test_a_field_that_turns_gives_mounting_and_nine_errors_at_once() -> None:
+    """Without noise the linear fit is exact, whatever the nine errors it was called with."""
+    truth = mounted((21.0, -13.0, 9.0))
+    aimed, x = guessed(scene(), scene().calibrated_nt @ truth, np.zeros(9))
+    assert aimed.guess == pytest.approx(truth, abs=1e-9)
+    assert aimed.reference_nt == pytest.approx(scene().calibrated_nt, abs=1e-4)
+    assert x == pytest.approx(X, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_field_that_stays_in_a_plane_gives_the_mounting_by_the_errors_that_are_known(seed: int) -> None:
+    """What no field was along has no gain in a linear fit, nor has rounding: the nine errors stay as given."""
+    truth, rng = mounted((21.0, -13.0, 9.0)), np.random.default_rng(seed)
+    flat_nt = scene().calibrated_nt * [1.0, 1.0, 0.0]
+    field_nt = measure(X, flat_nt) + 1e-9 * rng.normal(size=flat_nt.shape)
+    aimed, x = guessed(spoiled(field_nt, scene()), flat_nt @ truth + rng.normal(size=flat_nt.shape), X)
+    assert aimed.guess == pytest.approx(truth, abs=1e-5)
+    assert np.linalg.det(aimed.guess) == pytest.approx(1.0)
+    assert x is X
 
 
 @pytest.mark.parametrize(("seed", "noise_rad"), [(3, 0.0), (4, 0.01)])

@@ -11,10 +11,11 @@ import pytest
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.spin import SpinFilter, SpinTracker, configured_tie
-from magcal_service.estimators.steady_spin.candidates import Candidates
+from magcal_service.estimators.steady_spin.candidates import Candidate, Candidates
+from magcal_service.estimators.steady_spin.fit import SpinFit
 from magcal_service.estimators.steady_spin.search import SpinSearch, SpinStart, retry_at
 from magcal_service.estimators.steady_spin.state import SpinState
-from magcal_service.estimators.steady_spin.watch import SpinGate
+from magcal_service.estimators.steady_spin.watch import FitQuality, SpinGate
 from magcal_service.ticks.assembler import Tick
 
 CONFIG = CraftConfig("c", SensorConfig(100.0))
@@ -101,6 +102,21 @@ def test_an_attempt_waits_for_its_time_and_for_the_scalar_filter(monkeypatch: py
             assert search.gate is (SpinGate.COLLECTING if index == 119 else SpinGate.NO_SCALAR_START)
     assert tried == [130.0, 160.0, 190.0]
     assert search.gate is SpinGate.NO_AXIS
+
+
+@pytest.mark.parametrize(("residual_nt", "growth"), [(50.0, 1.0), (100.0, 1.0), (300.0, 3.0)])
+def test_a_spin_that_is_seen_is_no_surer_than_what_its_fit_leaves(residual_nt: float, growth: float) -> None:
+    """Sigmas grow with a residual above the noise of 100 nT, and never shrink below the fit's own."""
+    state = SpinState(np.zeros(9), np.eye(3), np.array([0.0, 0.0, 0.1]), np.diag([1.0] * 9 + [1e-4] * 3 + [4e-8] * 3))
+    none = np.zeros((0, 3))
+    search = SpinSearch(CONFIG)
+    search._record_spin(
+        Candidate(SpinFit(state, none, none, none), FitQuality(residual_nt, 1.0, 1.0, 500), 240.0), 100.0, 7.0
+    )
+    assert search.seen is not None
+    assert (search.seen.time_s, search.seen.rate_rad_s) == (7.0, 0.1)
+    assert search.seen.rate_sigma_rad_s == pytest.approx(2e-4 * growth)
+    assert search.seen.axis_body_sigma_rad == pytest.approx(2e-3 * growth)
 
 
 def test_a_gap_loses_what_was_collected_and_ticks_without_vectors_are_not_kept() -> None:
