@@ -195,11 +195,6 @@ def costs() -> str:
     return table(["what it costs", "figure", "command"], _cost_rows())
 
 
-def costs_short() -> str:
-    """The costs as the README shows them."""
-    return table(["what it costs", "figure"], [row[:2] for row in _cost_rows()])
-
-
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-ukf": recordings_main,
     "recordings-methods": lambda: _side_by_side("after_nt"),
@@ -211,5 +206,4 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "concealed-reliability": _concealed_reliability,
     "integrity-warnings": lambda: study_table("integrity", "Minutes from the hazard"),
     "costs": costs,
-    "costs-short": costs_short,
 }
