@@ -54,15 +54,25 @@ class Mutant:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a mutant: the test that noticed it, `BY_TIME` where the run came to no end, or none."""
+    """What became of a mutant.
+
+    Parameters
+    ----------
+    killed_by: the test that noticed it, `BY_TIME` where the run came to no end, empty where it lived.
+    seed: what it was drawn by.
+    at_first: whether it was noticed before tests were added for it.
+    """
 
     room: str
     mutant: Mutant
     killed_by: str
+    seed: int
+    at_first: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for the results' file."""
-        return {"room": self.room, "killed_by": self.killed_by, **asdict(self.mutant)}
+        own = asdict(self)
+        return {**own.pop("mutant"), **own}
 
 
 def drawn(room: Room, count: int, seed: int) -> list[Mutant]:
@@ -77,6 +87,16 @@ def drawn(room: Room, count: int, seed: int) -> list[Mutant]:
         if len(found) == count:
             break
     return found
+
+
+def located(mutant: Mutant) -> Mutant | None:
+    """The same change of a file that may have been edited since; None where that line stands there no more."""
+    if not (ROOT / mutant.file).is_file():
+        return None
+    places = (place for place in _places(Path(mutant.file)) if place[1] == mutant.operator)
+    found = (_mutant(*place) for place in places)
+    same = [one for one in found if one and (one.before, one.after) == (mutant.before, mutant.after)]
+    return min(same, key=lambda one: abs(one.line - mutant.line), default=None)
 
 
 def _places(file: Path) -> Iterator[tuple[Path, str, int]]:
@@ -166,8 +186,8 @@ class Bench:
             raise RuntimeError(f"{room.name}: {failed} fails without a mutant")
         return _children_s() - before
 
-    def try_out(self, room: Room, mutant: Mutant, processor_s: float) -> Outcome:
-        """Run the room's tests with the mutant in place, up to the first that fails.
+    def try_out(self, room: Room, mutant: Mutant, processor_s: float) -> str:
+        """What notices the mutant: run the room's tests with it in place, up to the first that fails.
 
         Parameters
         ----------
@@ -179,12 +199,11 @@ class Bench:
         assert changed is not None
         path.write_text(changed, encoding="utf-8")
         try:
-            killed_by = self._first_failure(
+            return self._first_failure(
                 room.test_files(Path(mutant.file), self.folder), SLOWER * processor_s + STARTING_S
             )
         finally:
             path.write_text(source, encoding="utf-8")
-        return Outcome(room.name, mutant, killed_by)
 
     def _first_failure(self, tests: list[str], longest_s: float | None = None) -> str:
         waiting = f"--timeout={LONGEST_TEST_S}"

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from tests.mutation.mutants import BY_TIME, Mutant, Outcome
 from tests.mutation.rooms import ROOMS
 
 _EXPLAINED: Final = Path(__file__).parent / "explained.toml"
+_SIGMAS: Final = 1.96  # of the normal distribution: 95 % lie within
 _PAGE: Final = """# Mutation testing
 
 Single changes of the core (an operator, a bound, a number, a call left out), drawn by seed, and whether the tests *of
 the same room* notice. The changes are made by [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators in a copy of
 the checkout; `tests/mutation/rooms.py` says which code and which tests belong together. `python -m tests.mutation
---sample N --seed {seed} --log FILE` tries, with `--results FILE --out docs` it writes this page; at most {sample} of a
-room were tried here; `diagnosis` was drawn by the seeds 18 and 19. `make mutate` tries a small sample.
-Samples are small: a score of 8 in 10 may be 5 in 10 or 9.5 in 10.
+--room ROOM --sample N --seed SEED --log FILE` tries, `--again FILE --log FILE` tries unexplained survivors once more
+when tests were added, and `--results FILE --out docs` writes this page. `make mutate` tries a small sample.
+
+The score is what the tests notice now; "at first" is the share of the same mutants before tests were added for those
+that lived, which is what it says of mutants that were not drawn. Samples are small: the range holds the share of all
+mutants of the room that would be noticed at first with 95 % (Wilson 1927).
 
 Not drawn is what decides nothing (annotations, imports, `__all__`, the words of a refusal, arguments of `@dataclass`,
 the markers `*` and `/` of a signature), and what leaves no Python: any test would notice. A mutant that needs three
@@ -52,8 +58,8 @@ def explanation(mutant: Mutant) -> str:
 def summary(outcomes: Sequence[Outcome]) -> str:
     """A table: a row for each room."""
     rows = [
-        "| room | mutants | noticed | by time | survivors explained | not explained | score |",
-        "|---|---|---|---|---|---|---|",
+        "| room | seeds | mutants | noticed | by time | lived, explained | lived, not | score | at first | range |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     names = [room.name for room in ROOMS if any(outcome.room == room.name for outcome in outcomes)]
     rows += [_row(name, [outcome for outcome in outcomes if outcome.room == name]) for name in names]
@@ -61,12 +67,24 @@ def summary(outcomes: Sequence[Outcome]) -> str:
 
 
 def _row(name: str, outcomes: Sequence[Outcome]) -> str:
-    killed = sum(bool(outcome.killed_by) for outcome in outcomes)
+    count, killed = len(outcomes), sum(bool(outcome.killed_by) for outcome in outcomes)
     explained = sum(bool(not outcome.killed_by and explanation(outcome.mutant)) for outcome in outcomes)
-    left = len(outcomes) - killed - explained
     by_time = sum(outcome.killed_by == BY_TIME for outcome in outcomes)
-    score = 100 * killed / len(outcomes)
-    return f"| {name} | {len(outcomes)} | {killed} | {by_time} | {explained} | {left} | {score:.0f} % |"
+    at_first = sum(outcome.at_first for outcome in outcomes)
+    low, high = _range(at_first, count)
+    seeds = ", ".join(str(seed) for seed in sorted({outcome.seed for outcome in outcomes}))
+    numbers = f"{seeds} | {count} | {killed} | {by_time} | {explained} | {count - killed - explained}"
+    shares = f"{100 * killed / count:.0f} % | {100 * at_first / count:.0f} % | {100 * low:.0f} to {100 * high:.0f} %"
+    return f"| {name} | {numbers} | {shares} |"
+
+
+def _range(noticed: int, count: int) -> tuple[float, float]:
+    """The share of all mutants that is believed, 95 % (Wilson 1927)."""
+    share = noticed / count
+    middle = share + _SIGMAS**2 / (2 * count)
+    half = _SIGMAS * math.sqrt(share * (1.0 - share) / count + _SIGMAS**2 / (4 * count**2))
+    low, high = ((middle + sign * half) / (1.0 + _SIGMAS**2 / count) for sign in (-1.0, 1.0))
+    return low, high
 
 
 def _survivors(outcomes: Sequence[Outcome]) -> str:
@@ -79,19 +97,30 @@ def _survivors(outcomes: Sequence[Outcome]) -> str:
 
 
 def recorded(log: Path) -> list[Outcome]:
-    """The outcomes that ``--log`` has written, one JSON object a line."""
-    found = []
+    """The outcomes that ``--log`` has written, one JSON object a line; the last of a mutant that was tried again."""
+    found: list[Outcome] = []
     for line in log.read_text(encoding="utf-8").splitlines():
         content = json.loads(line)
-        room, killed_by = content.pop("room"), content.pop("killed_by")
-        found.append(Outcome(room, Mutant(**content), killed_by))
+        own = {name: content.pop(name) for name in ("room", "killed_by", "seed", "at_first")}
+        outcome = Outcome(mutant=Mutant(**content), **own)
+        index = next((index for index, one in enumerate(found) if _is_again(one, outcome)), None)
+        if index is None:
+            found.append(outcome)
+        else:
+            found[index] = replace(found[index], killed_by=outcome.killed_by)
     return found
 
 
-def write(outcomes: Sequence[Outcome], seed: int, docs: Path) -> None:
+def _is_again(earlier: Outcome, later: Outcome) -> bool:
+    """Whether it is the same mutant; one that lived may have moved since."""
+    one, other = earlier.mutant, later.mutant
+    same = (one.file, one.operator, one.before, one.after) == (other.file, other.operator, other.before, other.after)
+    return same and (one.occurrence == other.occurrence or not earlier.killed_by)
+
+
+def write(outcomes: Sequence[Outcome], docs: Path) -> None:
     """``mutation.md`` and ``results/mutation.json``."""
-    counts = [sum(outcome.room == room.name for outcome in outcomes) for room in ROOMS]
-    page = _PAGE.format(sample=max(counts), seed=seed, table=summary(outcomes), survivors=_survivors(outcomes))
+    page = _PAGE.format(table=summary(outcomes), survivors=_survivors(outcomes))
     (docs / "mutation.md").write_text(page, encoding="utf-8")
-    content: dict[str, Any] = {"seed": seed, "outcomes": [outcome.as_dict() for outcome in outcomes]}
+    content = {"outcomes": [outcome.as_dict() for outcome in outcomes]}
     (docs / "results/mutation.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
