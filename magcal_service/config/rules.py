@@ -205,6 +205,18 @@ def checkpoints_key(reading: Reading, name: str) -> Path | None:
     return None
 
 
+def checkpoints_counters(reading: Reading, name: str) -> Path | None:
+    """The folder that keeps old checkpoints from being played again: of no use without a key."""
+    content = reading.table.content
+    accepted = "a folder outside that of the checkpoints, together with their key,"
+    text = reading.table.text(name, "", accepted=accepted)
+    if not isinstance(content.get(name), str):
+        return None
+    if not text.strip() or "key" not in content:
+        reading.table.refuse(name, text, f"{accepted} is accepted; leave it out for none")
+    return Path(text)
+
+
 def metrics_address(reading: Reading, name: str) -> str | None:
     """A loopback address and port: what the text says about the craft is not for the network."""
     text = reading.table.text(name, "", accepted=_METRICS_ACCEPTED)

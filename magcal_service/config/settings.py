@@ -279,12 +279,15 @@ class StateConfig:
     period_s: time between two checkpoints of a craft [s]; its least value bounds the wear on flash.
     keep: checkpoints of a craft that are kept, so that a damaged one has another before it.
     key: file of the key that they are signed with; None: a checksum alone, which notices damage and no forgery.
+    counters: folder outside ``directory`` where the number of a craft's newest checkpoint but one is kept, so that an
+        older one is not taken up again; None: any signed one is.
     """
 
     directory: Path = special(rules.checkpoints_directory)
     period_s: float = number(60.0, 10.0, 86_400.0, unit="s")
     keep: int = whole(3, 2, 100, unit="files")
     key: Path | None = special(rules.checkpoints_key, None)
+    counters: Path | None = special(rules.checkpoints_counters, None)
 
 
 @dataclass(frozen=True, slots=True)

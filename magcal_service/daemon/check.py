@@ -56,6 +56,8 @@ def _check_state(config: Config) -> None:
     _check_folder("state.directory", config.state.directory)
     if config.state.key is not None:
         read_key(config.state.key)
+    if config.state.counters is not None:
+        _check_folder("state.counters", config.state.counters)
 
 
 def _check_record(config: Config) -> None:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from magcal_service.config.private_files import check_input, check_state_directory, check_way
-from magcal_service.config.settings import Config
+from magcal_service.config.settings import Config, StateConfig
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.command_limit import CommandLimit
@@ -46,15 +46,24 @@ def check_directories(config: Config) -> None:
     if config.record is not None and config.record.directory.exists():
         check_state_directory(config.record.directory)
     if config.state is not None:
+        _check_counters(config.state)
         crafts = [config.state.directory / craft.name for craft in config.crafts]
         beside = [folder for craft in crafts if craft.is_dir() for folder in sorted(craft.iterdir()) if folder.is_dir()]
-        for folder in (config.state.directory, *crafts, *beside):
+        counters = [] if config.state.counters is None else [config.state.counters]
+        for folder in (config.state.directory, *crafts, *beside, *counters):
             check_way(folder)
             if folder.exists():
                 check_state_directory(folder)
     for craft in config.crafts:
         if craft.physics is not None:
             check_input(craft.physics.path)
+
+
+def _check_counters(state: StateConfig) -> None:
+    """Reject a folder of counters that whoever may write the checkpoints can write as well."""
+    if state.counters is not None and state.counters.resolve().is_relative_to(state.directory.resolve()):
+        accepted = f"a folder outside {state.directory} is accepted: whoever can write that one could write it too"
+        raise ConfigError([Fault("state.counters", str(state.counters), accepted)])
 
 
 def check_history(config: Config, history: int) -> None:

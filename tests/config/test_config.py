@@ -119,6 +119,7 @@ directory = "state"
 period_s = 120.0
 keep = 5
 key = "state.key"
+counters = "counters"
 
 [health]
 metrics = "127.0.0.1:9464"
@@ -183,7 +184,7 @@ def test_every_key_of_a_full_file_arrives(tmp_path: Path) -> None:
         ),
         output=OutputConfig(Path("estimates.csv"), 5.0, ("ccsds:udp/127.0.0.1:10015",)),
         record=RecordConfig(Path("recordings"), 2.0, 10.0, 1.0, 500.0, 20.0, 30.0),
-        state=StateConfig(Path("state"), 120.0, 5, Path("state.key")),
+        state=StateConfig(Path("state"), 120.0, 5, Path("state.key"), Path("counters")),
         health=HealthConfig("127.0.0.1:9464", 60.0),
         commands=CommandsConfig(120.0, 30),
     )  # fmt: skip

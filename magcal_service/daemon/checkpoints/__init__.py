@@ -1,4 +1,5 @@
-"""What is kept on disk over a restart: verified files (``files``), and when they are written (``store``).
+"""What is kept on disk over a restart: verified files (``files``), none older than once (``floor``), and when they are
+written (``store``).
 
-Imports the pipeline of the daemon, config and the ground.
+Imports the pipeline of the daemon, config, the counter's file of the links and the ground.
 """

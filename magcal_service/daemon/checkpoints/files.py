@@ -32,6 +32,7 @@ import msgpack
 
 from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.daemon.checkpoints.floor import Floor
 from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
@@ -162,14 +163,16 @@ class StateStore:
     ----------
     writes, written_bytes: of this craft's checkpoints since the folder was new, as far as they are known.
 
-    Raises InputRefusedError where the folder cannot be made, ConfigError where the key is none or others can read it.
+    Raises InputRefusedError where a folder cannot be made, ConfigError where the key is none or others can read it.
     """
 
     def __init__(self, config: StateConfig, craft: str) -> None:
         self._key = None if config.key is None else read_key(config.key)
+        self._floor = None if config.counters is None else Floor(config.counters, craft)
         self.folder = config.directory / craft
         self._keep = config.keep
-        self.writes = self.written_bytes = 0
+        self.writes = 0 if self._floor is None else self._floor.number
+        self.written_bytes = 0
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with suppress(_HeldError), self._locked():  # another's half-written file is no leftover
@@ -232,6 +235,8 @@ class StateStore:
         self._replace(self.folder / f"{number:010d}.state", checkpoint)
         for old in self.numbered()[self._keep :]:
             _remove(old)
+        if self._floor is not None:
+            self._floor.written(checkpoint.writes)
 
     def set_aside(self, name: str) -> None:
         """Take a checkpoint that cannot be used out of the rotation, as ``NUMBER.dropped``: none is counted from it."""
@@ -268,7 +273,8 @@ class StateStore:
                 continue
             self.writes = max(self.writes, checkpoint.writes)
             self.written_bytes = max(self.written_bytes, checkpoint.written_bytes + path.stat().st_size)
-            yield path.name, checkpoint
+            refusal = "" if self._floor is None else self._floor.refusal(checkpoint.writes)
+            yield path.name, StateError(refusal) if refusal else checkpoint
 
     def _path_of(self, name: str) -> Path:
         if not NAME.fullmatch(name):
