@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, unwritable
+from magcal_service.views.colours import LIGHT
 
-BEFORE: Final = "#c2410c"
-AFTER: Final = "#1d4ed8"
-QUIET: Final = "#52525b"
+BEFORE: Final = LIGHT["before"]
+AFTER: Final = LIGHT["after"]
+QUIET: Final = LIGHT["soft"]
 COAST: Final = "#a1a1aa"
-LINES: Final = (AFTER, BEFORE, "#15803d", "#7e22ce", "#a16207", "#0e7490", "#be185d", "#52525b")
+LINES: Final = (AFTER, BEFORE, "#15803d", "#7e22ce", "#a16207", "#0e7490", "#be185d", QUIET)
 """Told apart by their lightness too, so that a figure printed without colour is read."""
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")

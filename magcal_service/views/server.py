@@ -56,6 +56,8 @@ _OPENMCT_POLICY: Final = (
 )
 """Open MCT compiles its own templates and sets styles as it runs; from elsewhere it gets nothing either."""
 
+_END: Final = b"\nretry: 1000\n\n"  # of an update; a reader that is cut off asks again after a second
+
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 _Update = Callable[[Views, float], dict[str, Any]]
 
@@ -121,7 +123,7 @@ class Page:
         try:
             await response.prepare(request)
             while True:
-                await response.write(b"data: " + json.dumps(self._told(update), allow_nan=False).encode() + b"\n\n")
+                await response.write(b"data: " + json.dumps(self._told(update), allow_nan=False).encode() + _END)
                 await asyncio.sleep(UPDATE_S)
         except ConnectionError:
             return response

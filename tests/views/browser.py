@@ -61,6 +61,12 @@ class Tab:
         result: dict[str, Any] = answer["result"]
         return result
 
+    async def anew(self) -> None:
+        """An empty page, and nothing remembered of the one before."""
+        await self.call("Page.navigate", url="about:blank")
+        self.requests.clear()
+        self.complaints.clear()
+
     async def value(self, expression: str) -> Any:
         """What an expression is in the page."""
         answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)

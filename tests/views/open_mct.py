@@ -143,9 +143,7 @@ async def check_history(page: Tab, recording: Any, estimates: list[Estimate]) ->
 async def of_a_link(folder: Path, page: Tab) -> str:
     """A live value that changes, and silence that is seen."""
     async with served("openmct", Offer(openmct=folder)) as (address, daemon, node):
-        await page.call("Page.navigate", url="about:blank")
-        for heard in (page.requests, page.complaints):
-            heard.clear()  # the end of the other server is a complaint of its page
+        await page.anew()  # the end of the other server is a complaint of its page
         fly(daemon, node, range(60))
         await page.call("Page.navigate", url=f"{address}openmct/")
         await page.until(f"({ROWS}).bx?.[0] === '3000.0'", 60.0)

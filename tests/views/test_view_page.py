@@ -1,11 +1,10 @@
-"""The page itself: who may read it, what it may fetch, and a browser that looks at it."""
+"""The page's server: who may read it and give commands, and what it makes of a recording."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import json
-import shutil
 import socket
 import time
 from collections.abc import AsyncIterator
@@ -29,14 +28,13 @@ from magcal_service.views.sources import Flight, LiveSource, ReplaySource, heard
 from magcal_service.wire.messages import CalibratedVector, Command, Message
 from tests.cli.cli_inputs import run
 from tests.diagnosis.diagnosis_runs import recorded
-from tests.views.browser import tab
-from tests.views.view_messages import estimate, second_of, status
+from tests.views.view_messages import estimate, second_of
 
 READS = Offer()
 
 
 @contextlib.asynccontextmanager
-async def served(name: str, offer: Offer = READS) -> AsyncIterator[tuple[str, Link, Link]]:
+async def served(name: str, offer: Offer = READS, port: int = 0) -> AsyncIterator[tuple[str, Link, Link]]:
     """A page of a live link: its address, and the ends of daemon and node."""
     with (
         open_link(f"loop:{name}", Role.VIEWER) as viewer,
@@ -45,7 +43,7 @@ async def served(name: str, offer: Offer = READS) -> AsyncIterator[tuple[str, Li
     ):
         told: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         stopped = asyncio.Event()
-        task = asyncio.create_task(serve(LiveSource(viewer), 0, offer, told.set_result, stopped))
+        task = asyncio.create_task(serve(LiveSource(viewer), port, offer, told.set_result, stopped))
         await asyncio.wait([told, task], return_when=asyncio.FIRST_COMPLETED)
         try:
             yield await told, daemon, node
@@ -156,62 +154,3 @@ def test_what_a_source_cannot_take_is_refused() -> None:
     for given, field in ((("log.toml", "--allow-commands"), "--allow-commands"), (("--source", "mag2"), "--source")):
         done = run("view", *given)
         assert (done.code, done.err.partition(":")[0]) == (2, field)
-
-
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
-def test_a_browser_shows_it_follows_it_and_asks_nobody_else(tmp_path: Path) -> None:
-    async def look() -> None:
-        async with served("browser", Offer(commands=True)) as (address, daemon, node), tab(tmp_path) as page:
-            fly(daemon, node, range(100))
-            fly(daemon, node, range(5), "other")
-            daemon.send(
-                status(100, "model doubtful: heat <b>; run: magcal diagnose RECORDING; last event: <i>reset</i>")
-            )
-            await page.size(360, 800)
-            await page.call("Page.navigate", url=address)
-            text = "(document.body?.innerText ?? '')"
-            await page.until(f"{text}.includes('magcal diagnose RECORDING')")
-            await page.until("document.getElementById('spectrum-says').textContent.includes('rpm')")
-            shown = await page.value(text)
-            for words in (
-                "TRUSTED",
-                "3000.0",
-                "120 nT unseen",
-                "heat <b>",
-                "<i>reset</i>",
-                "rms 40.0 nT after",
-                "at 6.00 rpm",
-                "LIVE",
-            ):
-                assert words in shown
-            assert await page.value("document.querySelectorAll('#field canvas, #residual canvas').length") == 2
-            assert await page.value("document.querySelectorAll('main i').length") == 0  # words of a link are no markup
-            assert await page.value("document.documentElement.scrollWidth") == 360
-            fly(daemon, node, range(110, 130))
-            await page.until("document.getElementById('field-says').textContent.includes('0:02:09')")
-            assert (
-                await page.value("[99, 100, 101].map(i => fieldPlot.data[2][i] === null).join()") == "false,true,false"
-            )
-            await page.value(
-                "(s => {s.value = 'other'; s.dispatchEvent(new Event('change'))})(document.getElementById('choice'))"
-            )
-            await page.until("document.getElementById('field-says').textContent.includes('0:00:04')")
-            told = "life(); document.getElementById('life').textContent + document.getElementById('stale').textContent"
-            assert await page.value(f"Object.assign(newest.list[1], {{age_s: 99, is_stale: true}}); {told}") == (
-                "staleNothing new of other for 99 s; what is shown is old."
-            )
-            assert await page.value("document.getElementById('verdict').textContent + document.title") == (
-                "was trustedwas trusted: other"
-            )
-            assert "page lostNo answer from magcal view for 9 s" in await page.value(
-                f"heardMs = Date.now() - 9000; {told}"
-            )
-            unnamed = (
-                "[...document.querySelectorAll('canvas[tabindex],select,[role=img]')].filter(e => !e.ariaLabel).length"
-            )
-            assert await page.value(unnamed) == 0
-            assert page.complaints == []
-            assert all(url.startswith((address, "about:", "data:")) for url in page.requests)
-            assert len(page.requests) > 8
-
-    asyncio.run(look())

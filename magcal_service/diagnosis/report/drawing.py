@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from magcal_service.errors import ExtraMissingError
+from magcal_service.views.colours import DARK, LIGHT
 
-BEFORE: Final = "#c2410c"
-AFTER: Final = "#1d4ed8"
-FLOOR: Final = "#52525b"
+BEFORE: Final = LIGHT["before"]
+AFTER: Final = LIGHT["after"]
+FLOOR: Final = LIGHT["soft"]
 COAST: Final = "#71717a"
 _INK: Final = "#27272a"
 _EDGE: Final = "#a1a1aa"
@@ -31,9 +32,9 @@ DIVERGING: Final = ("#2563eb", "#8b8b95", "#ea580c")
 """Colours of a signed quantity drawn as pixels, its middle a grey that is seen on both grounds."""
 
 _DARK: Final = {
-    BEFORE: "#fb923c",
-    AFTER: "#7ba6ff",
-    FLOOR: "#b4b4bd",
+    BEFORE: DARK["before"],
+    AFTER: DARK["after"],
+    FLOOR: DARK["soft"],
     COAST: "#9d9da8",
     _INK: "#e4e4e7",
     _EDGE: "#71717a",

@@ -60,7 +60,7 @@ class Sphere {
       if (c[3] != null) this.dot(ctx, at(c.slice(3)), colour("after"), false);
     }
     ctx.fillStyle = colour("ink"); ctx.font = "12px sans-serif"; ctx.globalAlpha = 1;
-    [["x", [1.1, 0, 0]], ["y", [0, 1.1, 0]], ["z", [0, 0, 1.1]]].forEach(([name, end]) => ctx.fillText(name, ...at(end)));
+    [["x", [1.1, 0, 0]], ["y", [0, 1.1, 0]], ["z", [0, 0, 1.1]]].forEach(([name, end]) => ctx.fillText(name, ...at(end).slice(0, 2)));
   }
 
   circles(ctx, at, bend, stroke) {
