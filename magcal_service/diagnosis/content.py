@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "left_share": round(diagnosis.left_share, 4),
         "rows": account_of(diagnosis.inspection, diagnosis.prepared).to_dict(),
         "spin": _spin(diagnosis),
+        "sun_seen": None if diagnosis.prepared.sun is None else asdict(diagnosis.prepared.sun),
         "seconds": round(diagnosis.seconds, 2),
         "converged": fit.converged,
         "trusted": diagnosis.trusted,

@@ -15,6 +15,7 @@ from magcal_service.diagnosis.aimed import guessed, in_body, weighted
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.sun_seen import SunSeen, sun_seen
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
 from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix, measure
@@ -70,6 +71,7 @@ class Prepared:
     left_out: rows that were left out for being too many, spikes or spoiled, as in ``Account``.
     findings: effects seen in the samples themselves, by name.
     form: of the residual.
+    sun: where telemetry shows the Sun, if not where the stated time has it.
     """
 
     recording: Recording
@@ -80,6 +82,7 @@ class Prepared:
     left_out: Mapping[str, int]
     findings: Mapping[str, Finding] = field(default_factory=dict)
     form: Form = Form.SCALAR
+    sun: SunSeen | None = None
 
 
 def prepare(
@@ -110,6 +113,9 @@ def prepare(
         level = noise_nt or _white(scene, x)
     attitude = recorded_attitude(usable)
     scene = cleaned(scene, x)
+    sun = sun_seen(scene, np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
+    if sun is not None:
+        scene = replace(scene, sun_ahead_deg=sun.ahead_deg)
     aimed = None if scene.in_orbit or Form.AIMED not in forms else in_body(usable, scene, attitude)
     room = None if aimed is not None or Form.ROOM not in forms else _room(scene, attitude)
     spin = None if attitude is not None else _spin(usable, scene)
@@ -144,7 +150,7 @@ def prepare(
         noise_nt,
         alone,
     )
-    return Prepared(usable, problem, baseline, spin, view, left_out, findings, form)
+    return Prepared(usable, problem, baseline, spin, view, left_out, findings, form, sun)
 
 
 def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float], reference: Array, x: Array) -> Fit:

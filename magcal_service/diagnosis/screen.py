@@ -18,6 +18,7 @@ from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
 from magcal_service.physics.effects.coloured_noise import whitened
 from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
+from magcal_service.physics.scene.scene import SUN_AHEAD
 
 ACCEPTED_NATS: Final = 12.0
 """Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
@@ -340,11 +341,20 @@ def search_cost(number: Nonlinear, problem: Problem) -> float:
     return math.log(max(len(number.grid), 1))
 
 
+def _under_sun(hypothesis: Hypothesis, ahead_deg: float) -> Hypothesis:
+    """A hypothesis that says under which Sun it was found, where its driver is inferred from that."""
+    if not hypothesis.driver.startswith("inferred"):
+        return hypothesis
+    return replace(hypothesis, constants={**hypothesis.constants, SUN_AHEAD: ahead_deg})
+
+
 def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesis]:
     """Every way every effect may act on a problem's scene, in a form that its residual can see."""
     scene = problem.scene
     possible = [effect for effect in effects if scene.in_orbit or not effect.in_orbit_only]
     found = [hypothesis for effect in possible for hypothesis in effect.hypotheses(scene)]
+    if scene.sun_ahead_deg:
+        found = [_under_sun(hypothesis, scene.sun_ahead_deg) for hypothesis in found]
     if not scene.in_orbit:  # what is inferred is inferred from an orbit: light, torquers that unload momentum
         found = [hypothesis for hypothesis in found if not hypothesis.driver.startswith("inferred")]
     if not problem.is_vector:

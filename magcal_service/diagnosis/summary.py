@@ -59,6 +59,8 @@ def summary(
             f"bias: a static calibration was off by {measured(*moved_bias(diagnosis))} nT unseen, at {_vector(before)} "
             f"instead of {_vector(after)} nT"
         )
+    if diagnosis.prepared.sun is not None:
+        lines += wrapped(f"Sun: {diagnosis.prepared.sun}", "")
     lines.append(f"left: {remaining(diagnosis)}")
     if diagnosis.modelled is not None:
         lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)

@@ -239,6 +239,8 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     if diagnosis.spin is not None:
         axis = ", ".join(f"{v:.3f}" for v in diagnosis.spin.axis_body.tolist())
         facts.append(("spin", f"{diagnosis.spin.rate_rpm:.4g} rpm about ({axis}) in the body"))
+    if diagnosis.prepared.sun is not None:
+        facts.append(("Sun", str(diagnosis.prepared.sun)))
     if scene.channels:
         facts.append(("telemetry", ", ".join(f"{c.name} ({c.quantity})" for c in scene.channels.values())))
     return facts

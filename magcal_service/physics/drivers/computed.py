@@ -34,13 +34,18 @@ class Computed:
     of_sensor: bool = False
 
 
+def _knows_sun(scene: Scene) -> bool:
+    """Whether the Sun is where the date has it: elsewhere a curve over it could not be used on another day."""
+    return scene.in_orbit and not scene.sun_ahead_deg
+
+
 def _light(scene: Scene) -> Array | None:
-    return scene.lit if scene.in_orbit else None
+    return scene.lit if _knows_sun(scene) else None
 
 
 def _sun_zenith(scene: Scene) -> Array | None:
     place, sun = scene.position_eci_km, scene.sun_eci
-    if place is None or sun is None or not scene.in_orbit:
+    if place is None or sun is None or not _knows_sun(scene):
         return None
     cosine = np.einsum("ni,ni->n", place, sun) / np.linalg.norm(place, axis=1)
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
@@ -59,7 +64,7 @@ def _product(*axes: int) -> Callable[[Scene], Array | None]:
 
 def _sun_along(axis: int) -> Callable[[Scene], Array | None]:
     def values(scene: Scene) -> Array | None:
-        if scene.sun_body is None or scene.lit is None or not scene.in_orbit:
+        if scene.sun_body is None or scene.lit is None or not _knows_sun(scene):
             return None
         return np.asarray(scene.sun_body[:, axis] * scene.lit)
 

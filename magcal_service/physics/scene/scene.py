@@ -6,6 +6,7 @@ need, each computed once and only when used; None where the recording does not h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,6 +37,9 @@ KEPT = (
     "has_model",
 )
 """Results of a scene that do not depend on the calibrated vectors."""
+
+SUN_AHEAD: Final = "sun_ahead_deg"
+"""Constant of a model that was found under a Sun other than the date's: see ``Scene.sun_ahead_deg``."""
 
 MOST_WARMED: Final = 96
 """Answers to light that are kept: more than the pairs of time constants on a grid, which are tried again and again."""
@@ -97,6 +101,8 @@ class Scene:
     memory: of the one effect that is applied to a stream scene by scene; None for a whole recording.
     in_orbit: whether the craft is in orbit: elsewhere sunlight, currents in space and torquers drive nothing.
     turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
+    sun_ahead_deg: how far along the ecliptic the Sun stands ahead of where it is at the stated time [deg]; other than 0
+        where telemetry shows its light and shadow elsewhere.
     """
 
     time_s: Array
@@ -114,6 +120,7 @@ class Scene:
     memory: Memory | None = None
     turning_rad_s: Array | None = None
     in_orbit: bool = True
+    sun_ahead_deg: float = 0.0
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
@@ -249,7 +256,8 @@ class Scene:
     @cached_property
     def sun_eci(self) -> Array | None:
         """(n, 3) direction of the Sun, ECI; None without UTC."""
-        return None if self._utc_s is None else sunlight.sun_eci(self._utc_s)
+        ahead = math.radians(self.constant(SUN_AHEAD, self.sun_ahead_deg))
+        return None if self._utc_s is None else sunlight.sun_eci(self._utc_s, ahead)
 
     @cached_property
     def lit(self) -> Array | None:

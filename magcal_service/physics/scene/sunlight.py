@@ -36,8 +36,11 @@ _MANY: Final = 64
 """Steps from which on sums over stretches are faster than one step after another."""
 
 
-def sun_eci(utc_s: Array) -> Array:
-    """Unit vectors (n, 3) from the Earth to the Sun, ECI of date, at UTC seconds since 1970 (n,)."""
+def sun_eci(utc_s: Array, ahead_rad: float = 0.0) -> Array:
+    """Unit vectors (n, 3) from the Earth to the Sun, ECI of date, at UTC seconds since 1970 (n,).
+
+    ``ahead_rad``: how far along the ecliptic it is taken ahead of where it is then.
+    """
     centuries = (utc_s - _J2000_S) / (36525.0 * _DAY_S)
     mean_longitude = np.radians(280.46646 + 36000.76983 * centuries)
     anomaly = np.radians(357.52911 + 35999.05029 * centuries)
@@ -46,7 +49,7 @@ def sun_eci(utc_s: Array) -> Array:
         + (0.019993 - 0.000101 * centuries) * np.sin(2.0 * anomaly)
         + 0.000289 * np.sin(3.0 * anomaly)
     )
-    longitude = mean_longitude + centre
+    longitude = mean_longitude + centre + ahead_rad
     obliquity = np.radians(23.439291 - 0.0130042 * centuries)
     y = np.sin(longitude)
     return np.stack([np.cos(longitude), y * np.cos(obliquity), y * np.sin(obliquity)], axis=-1)
