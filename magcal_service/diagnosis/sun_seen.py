@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.scene import sunlight
@@ -160,8 +161,8 @@ def _half_turn(angle: float) -> float:
 class _Bins:
     """Stretches of a recording over which channels are averaged: row of each sample's bin, middle rows, their times."""
 
-    of_row: Array
-    middle: Array
+    of_row: NDArray[np.intp]
+    middle: NDArray[np.intp]
     time_s: Array
     waves: Array
 
