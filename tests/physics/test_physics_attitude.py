@@ -107,6 +107,25 @@ def test_without_a_vector_there_is_no_spin() -> None:
     assert solve_spin(replace(scene(), reference_eci_nt=None), AXIS_BODY, RATE_RAD_S) is None
 
 
+@pytest.mark.parametrize("missed_deg", [-1.5, -0.7, 0.7, 1.5])
+def test_a_reference_on_the_wrong_side_of_the_axis_loses_no_turn(missed_deg: float) -> None:
+    """The field passes half a degree from the spin axis, the reference elsewhere: round the other side, or nearer."""
+    time_s, (east, north, axis) = scene().time_s, triad(AXIS_ECI)
+    along = 2.2e-3 * (time_s - 0.5 * time_s[-1])
+    beside = math.radians(0.5)
+
+    def passing(by: float) -> Array:
+        way = np.outer(np.cos(along), axis) + np.outer(np.sin(along), east) + math.sin(by) * north
+        return np.asarray(40_000.0 * way / np.linalg.norm(way, axis=1)[:, None])
+
+    body = np.einsum("nij,nj->ni", turning(AXIS_BODY, AXIS_ECI, PHASE), passing(beside))
+    body = body + np.random.default_rng(6).normal(0.0, NOISE_NT, body.shape)
+    shown = passing(beside + math.radians(missed_deg))
+    size = np.linalg.norm(shown, axis=1)
+    of = replace(scene(), calibrated_nt=body, reference_eci_nt=shown, magnitude_nt=size, body_from_eci=None)
+    assert spin(of).rate_rad_s == pytest.approx(RATE_RAD_S, abs=2e-5)
+
+
 def test_gap_does_not_lose_the_turns() -> None:
     """After twenty minutes without samples the phase goes on within 5 mrad of the motion's."""
     of, keep = turned(PHASE), (scene().time_s < 3000.0) | (scene().time_s > 4200.0)

@@ -28,6 +28,10 @@ _KNOT_TURNS: Final = 12.0
 
 _LEAST_ACROSS: Final = 0.1  # of |H|
 
+_SURE_ACROSS: Final = 0.2
+"""Part of the field across the axis, of its mean size, at which a sample moves the tracked turn half as much as usual:
+near the axis a degree of error in the reference, as of coefficients 15 years old, turns the direction round it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpinSolution:
@@ -196,11 +200,12 @@ def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Ar
     of the two sides, which is right while it drifts by less than half a turn.
     """
     raw = np.empty(len(scene))
+    sure = strength**2 / (strength**2 + (_SURE_ACROSS * float(np.mean(scene.magnitude_nt))) ** 2)
     ends = np.append(scene.pauses[1:], len(scene))
     last: tuple[float, float, float] | None = None
     for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
         time_s = scene.time_s[first:end] - scene.time_s[first]
-        local = _tracked(turn[first:end], time_s, rate)
+        local = _tracked(turn[first:end], time_s, rate, sure[first:end])
         if last is not None:
             expected = last[0] + last[1] * (scene.time_s[first] - last[2])
             local += 2.0 * np.pi * np.round((expected - local[0]) / (2.0 * np.pi))
@@ -213,19 +218,22 @@ def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Ar
     return raw, _smooth(scene, raw, strength, rate)
 
 
-def _tracked(turn: Array, time_s: Array, rate: float) -> Array:
-    """Unwrapped phase of one stretch: a running estimate of phase and rate, each sample within half a turn of it."""
+def _tracked(turn: Array, time_s: Array, rate: float, sure: Array) -> Array:
+    """Unwrapped phase of one stretch: a running estimate of phase and rate, each sample within half a turn of it.
+
+    ``sure`` (n,), 0 to 1, is how far a sample counts: what is near the axis must not carry the estimate off by a turn.
+    """
     angles = np.angle(turn).tolist()
-    times = time_s.tolist()
+    times, weights = time_s.tolist(), sure.tolist()
     phase, speed = angles[0], rate
     found = [phase]
     for index in range(1, len(times)):
         step = times[index] - times[index - 1]
         expected = phase + speed * step
         miss = (angles[index] - expected + np.pi) % (2.0 * np.pi) - np.pi
-        phase = expected + 0.25 * miss
+        phase = expected + 0.25 * weights[index] * miss
         if step > 0.0:
-            speed += 0.02 * miss / step
+            speed += 0.02 * weights[index] * miss / step
         found.append(expected + miss)
     return np.array(found)
 
