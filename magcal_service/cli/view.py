@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import re
 import signal
 from pathlib import Path
@@ -137,6 +136,8 @@ def replayed(options: argparse.Namespace) -> ReplaySource:
 
 
 def _served(source: Source, options: argparse.Namespace) -> int:
+    import asyncio
+
     from magcal_service.views.server import Offer, serve
 
     offer = Offer(options.allow_commands, options.openmct, tuple(options.allow_origin))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import logging
 import os
@@ -92,7 +91,6 @@ class EstimateCsv:
                 self._file.close()
                 raise
             self._size = os.fstat(self._file.fileno()).st_size
-        self._writer = csv.writer(self._file, lineterminator="\n")
         if not self._size:
             self._write(COLUMNS)
 
@@ -134,8 +132,11 @@ class EstimateCsv:
             raise unwritable(self.path, exc) from None
 
     def _write(self, row: Iterable[object]) -> None:
-        with self._refusing():
-            self._writer.writerow(row)
+        """Write a row; nothing in it is quoted: its numbers, names and codes hold neither comma nor quote."""
+        try:
+            self._file.write(",".join(["" if value is None else str(value) for value in row]) + "\n")
+        except OSError as exc:
+            raise unwritable(self.path, exc) from None
 
     def add(self, estimate: Estimate) -> None:
         """Write one row."""

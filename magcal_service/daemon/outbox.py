@@ -28,9 +28,7 @@ from magcal_service.wire.messages import (
 SOURCE: Final = RESERVED_SOURCE
 """Who sends: the source of every message of the daemon, but for the estimates and statuses of further magnetometers."""
 
-_UPPER: Final = np.triu_indices(STATE_SIZE)  # a covariance travels as its upper triangle, row by row
-_UPPER_3: Final = np.triu_indices(3)
-_IDENTITY_3: Final = np.eye(3)
+_UPPER: Final = np.flatnonzero(np.triu(np.ones((STATE_SIZE, STATE_SIZE))))  # a covariance travels as its upper triangle
 
 _LONGEST_READ_NT: Final = math.sqrt(3.0) * MAX_SAMPLE_FIELD_NT
 """Longest vector that is calibrated: one that compensation has corrected is held to the limit by its components."""
@@ -72,11 +70,12 @@ def calibrated_vector(
     """
     b1, b2, b3 = sample.field_body_nt
     jacobian = vector_jacobian(b1, b2, b3)
-    of_vector = jacobian @ covariance @ jacobian.T + state.noise_nt**2 * _IDENTITY_3
+    of_vector = jacobian @ covariance @ jacobian.T
+    of_vector.ravel()[::4] += state.noise_nt**2  # on the diagonal
     if unknown is not None:
         of_vector = of_vector + unknown
     dx, dy, dz = (jacobian @ state.x).tolist()  # w = B + J(B) x
-    xx, xy, xz, yy, yz, zz = of_vector[_UPPER_3].tolist()
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = of_vector.tolist()
     return CalibratedVector(
         craft=sample.craft,
         source=sample.source,
@@ -96,7 +95,7 @@ def unsendable(state: StateEstimate) -> str:
     bx, by, bz, d11, d22, d33, d12, d13, d23 = state.x.tolist()
     stretch = math.sqrt(d11 * d11 + d22 * d22 + d33 * d33 + 2.0 * (d12 * d12 + d13 * d13 + d23 * d23))
     longest_nt = (1.0 + stretch) * _LONGEST_READ_NT + math.sqrt(bx * bx + by * by + bz * bz)
-    largest = max(-float(state.covariance.min()), float(state.covariance.max()))  # not a number where one is none
+    largest = float(np.abs(state.covariance).max())  # not a number where one is none
     if not math.isfinite(longest_nt + largest):
         return "it is not finite"
     if longest_nt > MAX_RESULT_FIELD_NT:
@@ -124,9 +123,9 @@ def estimate_message(
         tick=tick,
         bias_nt=(bx, by, bz),
         D=(d11, d22, d33, d12, d13, d23),
-        covariance=tuple(covariance[_UPPER].tolist()),
+        covariance=tuple(covariance.take(_UPPER).tolist()),
         verdict=trust.verdict,
-        reasons=tuple(str(reason) for reason in trust.reasons),
+        reasons=tuple(map(str, trust.reasons)),
         remedy=trust.remedy,
         residual_rms_nt=min(residual_rms_nt, MAX_RESULT_FIELD_NT),
         noise_nt=state.noise_nt,

@@ -31,7 +31,7 @@ from magcal_service.daemon.status_round import StatusRound
 from magcal_service.errors import InputRefusedError
 from magcal_service.links import Link
 from magcal_service.wire.fields import fitting
-from magcal_service.wire.kinds import kind_of
+from magcal_service.wire.kinds import KINDS, kind_of
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status, Verdict
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ log.addHandler(logging.NullHandler())  # without a handler for logs, the command
 WAIT_S: Final = 0.5
 """Longest wait for a message: how late a status, the watchdog and a request to stop may be."""
 
+
+_TAKING: Final = {kind.record: f"taking a {kind.name} message" for kind in KINDS}
+"""What a craft does with a message, in words, by the message's class."""
 
 _WORTH_KEEPING: Final = ("restored", "started")
 """Events after which a checkpoint does not wait for its period; so it is where a craft has become trusted."""
@@ -280,7 +283,7 @@ class Service:
         if pipeline.leaves_out(message):
             self._tell_left_out(pipeline, message)
             return
-        with contained(pipeline, f"taking a {kind_of(message).name} message", message):
+        with contained(pipeline, _TAKING[type(message)], message):
             self._work_off(pipeline, message, replies)
         self._report(pipeline.take_events())
 

@@ -251,30 +251,32 @@ class Ukf(Stateful, UkfMemory):
         if self._walk is not None and self._time_s is not None:
             self._covariance = self._covariance + self._walk * (float(tick.times_s[-1]) - self._time_s)
 
-    def _window(self, tick: Tick, used: NDArray[np.bool_]) -> Window | None:
+    def _window(self, tick: Tick, used: list[bool]) -> Window | None:
         """The window that ends in this tick; a sample that the gate has stopped would spoil a whole one."""
         if self._windows is None:
             return None
-        if used.all():
+        if all(used):
             return self._windows.push(tick)
-        if not used.any():
+        if not any(used):
             if tick.after_gap:
                 self._windows.clear()
             return None
-        return self._windows.push(_only(tick, used))
+        return self._windows.push(_only(tick, np.array(used)))
 
-    def _scalar_update(self, tick: Tick) -> tuple[TickOutcome, NDArray[np.bool_]]:
+    def _scalar_update(self, tick: Tick) -> tuple[TickOutcome, list[bool]]:
         """Equation (3), sample by sample; a sample beyond the gate is counted and left out: which were used (n,)."""
         gate = self.config.filter.gate_sigma**2
-        residuals, squared, used = np.empty(len(tick.times_s)), 0.0, np.zeros(len(tick.times_s), dtype=bool)
-        for i, magnitude in enumerate(tick.reference_magnitude_nt.tolist()):
+        residuals: list[float] = []
+        used: list[bool] = []
+        squared = 0.0
+        for field, magnitude in zip(tick.field_body_nt, tick.reference_magnitude_nt.tolist(), strict=True):
             root = cholesky(self._covariance)
-            field = tick.field_body_nt[i]
             innovation = scalar_innovation(
                 self._x, root, self._weights, field, magnitude, self._noise_variance, self._white_variance
             )
-            residuals[i] = innovation.residual_nt
+            residuals.append(innovation.residual_nt)
             norm = innovation.squared_norm()
+            used.append(not norm > gate)
             self._rejected_share += (float(norm > gate) - self._rejected_share) / REJECTED_MEMORY
             if norm > gate:
                 continue
@@ -282,14 +284,13 @@ class Ukf(Stateful, UkfMemory):
             self._innovation_mean += (norm - self._innovation_mean) / self._innovation_count
             self._x, self._covariance = innovation.apply(self._x, self._covariance)
             squared += norm
-            used[i] = True
             if self._learning:
                 self._learn_noise(innovation.residual_nt)
-        count = int(np.count_nonzero(used))
-        rejected = len(residuals) - count
+        count = sum(used)
+        rejected = len(used) - count
         self._samples += count
         self._rejected += rejected
-        return TickOutcome(self._phase, residuals, count, rejected, squared, count), used
+        return TickOutcome(self._phase, np.array(residuals), count, rejected, squared, count), used
 
     def _learn_noise(self, residual_nt: float) -> None:
         """Follow an unknown noise level by the running mean square of the residual and of its second difference.

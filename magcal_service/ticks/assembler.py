@@ -178,7 +178,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
     @property
     def held_factor(self) -> float:
         """Samples to a reading of the sensor, where it holds each for several; else 1."""
-        return self._held.factor if self._repeats_are_held else 1.0
+        factor = self._held.factor
+        return factor if factor > 1.0 and self._repeats_are_held else 1.0
 
     def elapsed_s(self, sample: MagnetometerSample) -> float:
         """Time of a sample that was taken since the first one [s], as its tick has it."""
@@ -227,6 +228,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self._held.push(sample.field_body_nt)
         if self.repeats:
             self.counters["held"] += 1
+        elif not self._open or elapsed_ns >= self._open[-1][0]:
+            self._open.append((elapsed_ns, corrected))
         else:
             insort(self._open, (elapsed_ns, corrected), key=_elapsed)
         self._recent[sample.time_ns] = sample.field_body_nt
@@ -275,6 +278,8 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         return Rejection.AXIS_STUCK if self._axes.stands_still(elapsed_ns, sample.field_body_nt) else None
 
     def _is_crowded(self, elapsed_ns: int) -> bool:
+        if len(self._open) < _MOST_IN_TICK:
+            return False
         begin = bisect_left(self._open, _edge_after(elapsed_ns) - SECOND_NS, key=_elapsed)
         return len(self._open) - begin >= _MOST_IN_TICK
 
@@ -340,17 +345,18 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         members, self._open = self._open[:count], self._open[count:]
         self._closed_ns = edge_ns
         index = edge_ns // SECOND_NS
-        pairs = [
-            (elapsed_ns, sample, self.references.at(sample.time_ns, sample.clock)) for elapsed_ns, sample in members
+        paired = [
+            (elapsed_ns, sample, found)
+            for elapsed_ns, sample in members
+            if (found := self.references.at(sample.time_ns, sample.clock)) is not None
         ]
-        paired = [(elapsed_ns, sample, found) for elapsed_ns, sample, found in pairs if found is not None]
         self.references.discard_before(members[-1][1].time_ns)
         if self._last_ns is not None and members[0][0] - self._last_ns > self._gap_ns:
             self._broken = True
         elif self._last_ns is not None:
             self.counters["ticks_empty"] += index - _edge_after(self._last_ns) // SECOND_NS - 1
         self._last_ns = members[-1][0]
-        self.counters["no_reference"] += len(pairs) - len(paired)
+        self.counters["no_reference"] += count - len(paired)
         self.counters["ticks" if paired else "ticks_skipped"] += 1
         vectors = [found.field_eci_nt for _, _, found in paired if found.field_eci_nt is not None]
         rates = [self.rates.at(sample.time_ns, sample.clock) for _, sample, _ in paired]
@@ -358,7 +364,7 @@ class TickAssembler(Stateful, TickAssemblerMemory):
         self._done.append(
             Tick(
                 index=index,
-                times_s=np.array([elapsed_ns for elapsed_ns, _, _ in paired]) * 1e-9,
+                times_s=np.array([elapsed_ns * 1e-9 for elapsed_ns, _, _ in paired]),
                 field_body_nt=np.array([sample.field_body_nt for _, sample, _ in paired]).reshape(-1, 3),
                 reference_magnitude_nt=np.array([found.magnitude_nt for _, _, found in paired]),
                 reference_eci_nt=np.array(vectors) if paired and len(vectors) == len(paired) else None,

@@ -63,14 +63,14 @@ class AxisWatch(Stateful, AxisWatchMemory):
 
     def stands_still(self, elapsed_ns: int, field_nt: Vector) -> bool:
         """Take one vector [nT] with its elapsed time [ns], in order; whether an axis has been constant for too long."""
-        least_nt = _MOVED * max(map(abs, field_nt))
-        still = [self._stands_still(axis, elapsed_ns, field_nt, least_nt) for axis in range(3)]
+        still = [self._stands_still(axis, elapsed_ns, field_nt) for axis in range(3)]
         return any(still)
 
-    def _stands_still(self, axis: int, elapsed_ns: int, field_nt: Vector, least_nt: float) -> bool:
+    def _stands_still(self, axis: int, elapsed_ns: int, field_nt: Vector) -> bool:
         low, high = self._low[axis], self._high[axis]
         if field_nt[axis] != self._last[axis] or not self._count[axis]:
-            self._learn_resolution(axis, field_nt[axis])
+            if not self._fine[axis]:
+                self._learn_resolution(axis, field_nt[axis])
             self._last[axis], self._count[axis], self._since_ns[axis] = field_nt[axis], 1, elapsed_ns
             low[:], high[:] = field_nt, field_nt
             return False
@@ -80,10 +80,13 @@ class AxisWatch(Stateful, AxisWatchMemory):
         for other, value in enumerate(field_nt):
             low[other], high[other] = min(low[other], value), max(high[other], value)
         long = self._count[axis] >= _FEWEST and elapsed_ns - self._since_ns[axis] >= self._longest_ns
-        return long and max(top - bottom for top, bottom in zip(high, low, strict=True)) >= least_nt
+        if not long:
+            return False
+        least_nt = _MOVED * max(map(abs, field_nt))
+        return max(top - bottom for top, bottom in zip(high, low, strict=True)) >= least_nt
 
     def _learn_resolution(self, axis: int, value: float) -> None:
-        if self._fine[axis] or not self._noise_nt:
+        if not self._noise_nt:
             return
         seen = self._seen[axis]
         self._fine[axis] = any(0.0 < abs(value - other) < _FINE * self._noise_nt for other in seen)

@@ -65,8 +65,10 @@ class RateTrack(Stateful, RateTrackMemory):
 
     def at(self, time_ns: int, clock: Clock) -> Vector | None:
         """The rate [rad/s] at a time, or None."""
+        if clock is not self._clock:
+            return None
         times, at = self._times, bisect_left(self._times, time_ns)
-        if clock is not self._clock or at == len(times):
+        if at == len(times):
             return None
         if times[at] == time_ns:
             return self._rates[at]

@@ -160,12 +160,23 @@ class AxesWatch(Stateful, AxesWatchMemory):
             self._usual = _USUAL * sorted(self._misses)[len(self._misses) // 2]
         weight = 1.0 if self._seen <= 10 or miss <= 4.0 * self._usual else 4.0 * self._usual / miss
         keep = 1.0 - weight / min(self._seen + 1, _MEMORY)
-        d0, d1, d2 = d
-        products = (_dot(d1, d1), _dot(d1, d0), _dot(d0, d0), _dot(d2, d1), _dot(d2, d0))
-        self._sums = [keep * old + weight * new for old, new in zip(self._sums, products, strict=True)]
-        x, y, z = _cross(d1, d2)
-        turn = (x, y, z, math.sqrt(x * x + y * y + z * z))
-        self._turn = [keep * old + weight * new for old, new in zip(self._turn, turn, strict=True)]
+        (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = d
+        d11, d10, d00, d21, d20 = self._sums
+        self._sums = [
+            keep * d11 + weight * (x1 * x1 + y1 * y1 + z1 * z1),
+            keep * d10 + weight * (x1 * x0 + y1 * y0 + z1 * z0),
+            keep * d00 + weight * (x0 * x0 + y0 * y0 + z0 * z0),
+            keep * d21 + weight * (x2 * x1 + y2 * y1 + z2 * z1),
+            keep * d20 + weight * (x2 * x0 + y2 * y0 + z2 * z0),
+        ]
+        x, y, z = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2  # d1 x d2
+        turn_x, turn_y, turn_z, length = self._turn
+        self._turn = [
+            keep * turn_x + weight * x,
+            keep * turn_y + weight * y,
+            keep * turn_z + weight * z,
+            keep * length + weight * math.sqrt(x * x + y * y + z * z),
+        ]
 
     # A suspected jump
 
@@ -226,17 +237,5 @@ def _missed(fields: Array, factors: Array) -> Array:
 
 
 def _differences(fields: list[Vector]) -> tuple[Vector, Vector, Vector]:
-    a, b, c, d = fields
-    return _less(b, a), _less(c, b), _less(d, c)
-
-
-def _less(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = fields
+    return (bx - ax, by - ay, bz - az), (cx - bx, cy - by, cz - bz), (dx - cx, dy - cy, dz - cz)

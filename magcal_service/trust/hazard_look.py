@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.config.settings import TrustConfig
-from magcal_service.model import STATE_SIZE, Array, field_jacobian
+from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, Array, field_jacobian
 from magcal_service.trust import hazard_sums as sums
 from magcal_service.trust import hazards
 from magcal_service.trust.hazards import Hazard
@@ -162,20 +162,23 @@ def _groups(data: Accumulated, rest: Array, own_nt: float) -> Iterator[_Group]:
 
 
 def _steps(data: Accumulated, own_nt: float, relative_nt: float) -> Iterator[_Group]:
-    """Steps of the bias, and of one axis' gain, at the beginning of each block but the first."""
+    """Steps of the bias, and of each axis' gain by itself, at the beginning of each block but the first."""
     seen, products = sums.steps_seen(np.array(data.blocks))
     response = np.array(data.steps[1:])
     ages = np.cumsum(data.sizes[::-1])[::-1][1:] * CHUNK
     old = ages >= hazards.STEP_SEEN_TICKS
     largest_nt = np.where(old, hazards.STEP_NT, own_nt)
     largest_gain_nt = np.where(old, hazards.GAIN_STEP * sums.FAR_NT, relative_nt)
-    kinds = (
-        (Hazard.BIAS_STEP, slice(0, 3), largest_nt),
-        *((Hazard.GAIN_STEP, slice(axis, axis + 1), largest_gain_nt) for axis in (3, 4, 5)),
+    biases = response[:, :, BIAS] - np.eye(STATE_SIZE)[:, BIAS]
+    gains = response[:, :, D_SCALE] - np.eye(STATE_SIZE)[:, D_SCALE]
+    yield _Group(Hazard.BIAS_STEP, seen[:, BIAS, BIAS], products[:, BIAS], largest_nt, biases[:, None])
+    yield _Group(
+        Hazard.GAIN_STEP,
+        np.diagonal(seen, axis1=1, axis2=2)[:, D_SCALE].reshape(-1, 1, 1),
+        products[:, D_SCALE].reshape(-1, 1),
+        np.repeat(largest_gain_nt, 3),
+        gains.swapaxes(1, 2).reshape(-1, 1, STATE_SIZE, 1),
     )
-    for hazard, part, largest in kinds:
-        errors = response[:, :, part] - np.eye(STATE_SIZE)[:, part]
-        yield _Group(hazard, seen[:, part, part], products[:, part], largest, errors[:, None])
 
 
 def _raised(data: Accumulated) -> float:

@@ -254,7 +254,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         gate_nt = self.config.filter.gate_sigma * max(estimate.noise_nt, 1e-9)
         # a single outlier is no structure
         residual_nt = [min(max(value, -gate_nt), gate_nt) for value in outcome.residual_nt.tolist()]
-        self._square += memory * (math.fsum(value * value for value in residual_nt) / total - self._square)
+        self._square += memory * (math.fsum([value * value for value in residual_nt]) / total - self._square)
         self._observe_residual(residual_nt, tick, estimate)
 
     def _observe_sampling(self, tick: Tick) -> None:
@@ -333,7 +333,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         reasons = tuple(self._doubts(estimate))
         waiting = tuple(self._unfinished(estimate))
         everything = (reasons + waiting)[:MAX_REASONS]
-        if set(reasons) - self._information():
+        if reasons and set(reasons) - self._information():
             verdict = Verdict.DOUBTFUL
         elif waiting:
             verdict = Verdict.CONVERGING
@@ -374,7 +374,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return [reason for reason in DOUBTS if reason in self.senses.said]
 
     def _told(self) -> list[Reason]:
-        return [reason for reason in (Reason.HELD_READINGS, Reason.NOISE_MISSTATED) if reason in self.seen]
+        held = [Reason.HELD_READINGS] if self._held_factor > _Levels.held_factor else []
+        return [*held, Reason.NOISE_MISSTATED] if self._misstated_noise_nt() else held
 
     def _remedy(self, reason: Reason) -> str:
         """What to do about a reason, with what was seen where that is more than the reason says."""
@@ -418,7 +419,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
 
     def _unfinished(self, estimate: StateEstimate) -> list[Reason]:
         settings = self.config.trust
-        variances = np.diagonal(estimate.covariance).tolist()
+        variances = estimate.covariance.diagonal().tolist()
         unfinished = []
         if estimate.phase is Phase.STARTING:
             unfinished.append(Reason.COLLECTING)

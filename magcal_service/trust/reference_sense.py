@@ -128,13 +128,15 @@ class ReferenceSense(Stateful, ReferenceSenseMemory):
     def _step(self) -> float:
         if len(self._holds) < _HOLDS:
             return 0.0
-        counts = sorted(count for count, _, _ in self._holds)
+        short = 0
+        for count, _, _ in self._holds:
+            short += count < _STEP_TICKS
+            if short > _HOLDS // 4:  # it is new at most ticks: nothing is held
+                return 0.0
         steps = sorted(step for _, _, step in self._holds)
         usual = steps[_HOLDS // 2]
         apart = _apart(steps)
-        if counts[_HOLDS // 4] < _STEP_TICKS or not apart or min(apart) > _FINE * usual:
-            return 0.0
-        return usual
+        return usual if apart and min(apart) <= _FINE * usual else 0.0
 
 
 def _apart(steps: list[float]) -> list[float]:

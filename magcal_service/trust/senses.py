@@ -65,12 +65,13 @@ class Senses(Stateful, SensesMemory):
         if tick.after_gap:
             self._interrupt()
         changes = self.axes.changes
-        for time_s, (x, y, z) in zip(tick.times_s.tolist(), tick.field_body_nt.tolist(), strict=True):
-            self.axes.push(time_s, (x, y, z))
+        times_s = tick.times_s.tolist()
+        for time_s, field_nt in zip(times_s, map(tuple, tick.field_body_nt.tolist()), strict=True):
+            self.axes.push(time_s, field_nt)
             if self.spin is not None:
-                self.spin.push(time_s, (x, y, z))
+                self.spin.push(time_s, field_nt)
         self._observe_rate(tick, estimate)
-        self.reference.push(float(tick.times_s[-1]), float(tick.reference_magnitude_nt[-1]))
+        self.reference.push(times_s[-1], float(tick.reference_magnitude_nt[-1]))
         if self.axes.changes != changes:
             self._say_axes(tick)
         self._say(Reason.RATE_DISAGREES, self.rate.said)

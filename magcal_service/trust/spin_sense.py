@@ -83,6 +83,7 @@ class SpinSense(Stateful, SpinSenseMemory):
     def __init__(self, spin: SpinConfig) -> None:
         self._spin = spin
         self._wanted_s = _STEP_TURN * 60.0 / abs(spin.rate_rpm)
+        self._axis_length = math.sqrt(sum(a * a for a in spin.axis))
         self.said = ""
         self._times, self._fields = [], []
         self._sums = [0.0] * 6  # means of d1 x d2 (3), |d1 x d2|, d1.d2 over |d1| |d2|, length of a step [s]
@@ -132,8 +133,9 @@ class SpinSense(Stateful, SpinSenseMemory):
             expected, sense = math.tau - expected, -sense
         if not _UNSEEN < expected < math.pi - _UNSEEN:
             return ""
-        along = -sense * sum(a * b for a, b in zip(self._spin.axis, (x, y, z), strict=True)) / sine
-        length = math.sqrt(sum(a * a for a in self._spin.axis))
+        axis_x, axis_y, axis_z = self._spin.axis
+        along = -sense * (axis_x * x + axis_y * y + axis_z * z) / sine
+        length = self._axis_length
         if abs(along) < _ASIDE * length:
             axis = ", ".join(f"{-sense * one / sine:.2f}" for one in (x, y, z))
             return f"the field shows a spin about ({axis}), which is {_degrees(abs(along) / length)} degrees aside"

@@ -104,7 +104,9 @@ def of_columns(rest: Array, columns: list[int], samples: int) -> float:
     return gain(rest[np.ix_(chosen, chosen)], samples)
 
 
-def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Array | None = None) -> float:
+def of_course(
+    blocks: Array, part: slice, basis: Array, samples: int, total: Array | None = None, root: Array | None = None
+) -> float:
     """Gain of letting some of the nine errors follow a course over the blocks [nats].
 
     Parameters
@@ -113,9 +115,10 @@ def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Arra
     part: which of the nine errors.
     basis: values of the course's functions in each block (m, q).
     samples: how many in all.
-    root: ``inverse_root`` of the nine errors' part of the sum of the blocks, where it is known.
+    total, root: sum of the blocks, and ``inverse_root`` of the nine errors' part of it, where they are known.
     """
-    total, count, functions = blocks.sum(axis=0), len(blocks), basis.shape[1]
+    count, functions = len(blocks), basis.shape[1]
+    total = blocks.sum(axis=0) if total is None else total
     root = inverse_root(total[:STATE_SIZE, :STATE_SIZE]) if root is None else root
     size = functions * (part.stop - part.start)
     cross = (basis.T @ blocks[:, part, :].reshape(count, -1)).reshape(size, STATE_SIZE + 1)
@@ -124,7 +127,9 @@ def of_course(blocks: Array, part: slice, basis: Array, samples: int, root: Arra
     sums = np.empty((size + 1, size + 1))
     sums[:size, :size], sums[:size, size] = own, cross[:, STATE_SIZE]
     sums[size] = [*cross[:, STATE_SIZE].tolist(), float(total[STATE_SIZE, STATE_SIZE])]
-    half = root.T @ np.column_stack([cross[:, :STATE_SIZE].T, total[:STATE_SIZE, STATE_SIZE]])
+    with_nine = np.empty((STATE_SIZE, size + 1))
+    with_nine[:, :size], with_nine[:, size] = cross[:, :STATE_SIZE].T, total[:STATE_SIZE, STATE_SIZE]
+    half = root.T @ with_nine
     return gain(_seen(sums - half.T @ half, np.diagonal(sums)), samples)
 
 
@@ -135,23 +140,28 @@ def courses(blocks: Array, times: Array, samples: int) -> list[Explanation]:
     """
     count, number = len(blocks), np.arange(len(blocks))
     phase = (times - times.mean()) / max(float(np.ptp(times)), 1e-9)
-    root = inverse_root(blocks.sum(axis=0)[:STATE_SIZE, :STATE_SIZE])
+    total = blocks.sum(axis=0)
+    root = inverse_root(total[:STATE_SIZE, :STATE_SIZE])
+
+    def following(part: slice, basis: Array) -> float:
+        return of_course(blocks, part, basis, samples, total, root)
+
     found = []
     for part, course, step in (
         (BIAS, Watched.BIAS_COURSE, Watched.BIAS_STEP),
         (D_SCALE, Watched.SCALE_COURSE, Watched.SCALE_STEP),
     ):
-        line = of_course(blocks, part, phase[:, None], samples, root)
+        line = following(part, phase[:, None])
         found.append(Explanation(watched_as(course), "", line, 3))
         if count >= 8:
-            curve = of_course(blocks, part, np.stack([phase, phase**2, phase**3], axis=1), samples, root)
+            curve = following(part, np.stack([phase, phase**2, phase**3], axis=1))
             found.append(Explanation(watched_as(course), "", curve, 9))
-        steps = [of_course(blocks, part, (number >= k)[:, None] * 1.0, samples, root) for k in range(1, count)]
+        steps = [following(part, (number >= k)[:, None] * 1.0) for k in range(1, count)]
         found.append(Explanation(watched_as(step), "", max(steps), 3, count - 1))
         # within a block, which then has a separate value
-        steps = [of_course(blocks, part, _apart(number, k), samples, root) for k in range(1, count - 1)]
+        steps = [following(part, _apart(number, k)) for k in range(1, count - 1)]
         found.append(Explanation(watched_as(step), "", max(steps), 6, count - 2))
-    free = of_course(blocks, BIAS, np.eye(count)[:, 1:], samples, root)
+    free = following(BIAS, np.eye(count)[:, 1:])
     found.append(Explanation((UNKNOWN,), "slow", free, 3 * (count - 1)))
     return found
 
@@ -185,7 +195,7 @@ def spectral(power: Array, share: Array) -> tuple[list[Explanation], float]:
     memory = [likelihood(1.0 / (1.0 - 2.0 * r * np.cos(angle) + r * r)) for r in _CORRELATIONS.tolist()]
     best = int(np.argmax(memory))
     found = [Explanation(watched_as(Watched.MEMORY), "", memory[best] - white, 1, len(memory))]
-    lines = [_line(weight, level, at) - white for at in range(1, count - 1) if weight[at] > 0.0]
+    lines = [_line(weight, weight * level, at) - white for at in range(1, count - 1) if weight[at] > 0.0]
     found.append(Explanation(watched_as(Watched.LINE), "", max(lines, default=0.0), 3, max(len(lines), 1)))
     filled = np.where(weight > 0.0, np.maximum(level, 1e-30), 1.0)
     free = -float((weight * (np.log(filled) + 1.0)).sum()) - white
@@ -194,18 +204,15 @@ def spectral(power: Array, share: Array) -> tuple[list[Explanation], float]:
     return found, max(1.0, (1.0 + correlation) / (1.0 - correlation))
 
 
-def _line(weight: Array, level: Array, at: int) -> float:
+def _line(weight: Array, power: Array, at: int) -> float:
     """Likelihood with three bins' powers free, and one for all others."""
-    near = np.zeros(len(weight), dtype=bool)
-    near[at - 1 : at + 2] = True
-    total = 0.0
-    for group in (near & (np.arange(len(weight)) == k) for k in range(at - 1, at + 2)):
-        total += _group(weight, level, group)
-    return total + _group(weight, level, ~near)
+    near = slice(at - 1, at + 2)
+    total = sum(map(_alone, weight[near].tolist(), power[near].tolist()))
+    others = np.ones(len(weight), dtype=bool)
+    others[near] = False
+    return total + _alone(float(weight[others].sum()), float(power[others].sum()))
 
 
-def _group(weight: Array, level: Array, group: Array) -> float:
-    share = float(weight[group].sum())
-    if share <= 0.0:
-        return 0.0
-    return -share * (math.log(max(float((weight * level)[group].sum()) / share, 1e-30)) + 1.0)
+def _alone(share: float, power: float) -> float:
+    """Likelihood of bins that have one power to themselves; 0 where white noise has no share in them."""
+    return 0.0 if share <= 0.0 else -share * (math.log(max(power / share, 1e-30)) + 1.0)

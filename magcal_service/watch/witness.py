@@ -8,15 +8,17 @@ attitude nor common axes; a disturbance across the field is seen only as the cra
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import truediv
 from typing import Final
 
 import numpy as np
 
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.model import STATE_SIZE, Array, field_jacobian, scalar_residual
+from magcal_service.model import STATE_SIZE, Array, scalar_residual, vector_jacobian
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.wire.messages import Clock
@@ -104,10 +106,10 @@ class Witness(Stateful, WitnessMemory):
         else:
             return
         field_nt = tick.field_body_nt[-1]
-        along = field_nt @ field_jacobian(field_nt) / max(float(np.linalg.norm(field_nt)), 1.0)
+        along = field_nt @ vector_jacobian(*field_nt.tolist()) / max(math.sqrt(float(field_nt @ field_nt)), 1.0)
         noise_nt2 = max(self._noise_nt, 1e-9) ** 2 / len(tick.times_s)
         self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ self._covariance @ along)))
-        self._squares_nt2.append(float(np.mean(residual_nt)) ** 2)
+        self._squares_nt2.append((float(np.add.reduce(residual_nt)) / len(residual_nt)) ** 2)
         self._time_ns, self._clock = tick.time_ns, tick.clock
         self._times_ns.append(tick.time_ns)
         if self.is_quiet:
@@ -123,8 +125,8 @@ class Witness(Stateful, WitnessMemory):
     @property
     def _level(self) -> float:
         """Mean square of the residual in units of its variance."""
-        pairs = zip(self._squares_nt2, self._variances_nt2, strict=True)
-        return sum(min(square / variance, _MOST) for square, variance in pairs) / WINDOW
+        ratios = map(truediv, self._squares_nt2, self._variances_nt2)
+        return sum([_MOST if one > _MOST else one for one in ratios]) / WINDOW
 
     @property
     def is_quiet(self) -> bool:

@@ -83,8 +83,13 @@ def _design(times_s: Array, rate_rad_s: float) -> Array:
     t = times_s - times_s.mean()
     phase = rate_rad_s * t
     cos, sin = np.cos(phase), np.sin(phase)
-    design: Array = np.stack([np.ones_like(t), cos, sin, t * cos, t * sin], axis=1)
-    design /= np.linalg.norm(design, axis=0)
+    return _normalised([np.ones_like(t), cos, sin, t * cos, t * sin])
+
+
+def _normalised(columns: list[Array]) -> Array:
+    """Columns (k,) as one matrix (k, n), each of length 1."""
+    design: Array = np.array(columns).T.copy()  # row by row in memory: sums over rows depend on it in the last bit
+    design /= np.sqrt(np.add.reduce(design * design))
     return design
 
 
@@ -118,9 +123,7 @@ def _smooth_design(times_s: Array, rate_rad_s: float) -> Array:
     t = times_s - times_s.mean()
     phase, t = rate_rad_s * t, t / max(float(np.abs(t).max()), 1e-9)
     slow = [np.ones_like(t), t, t * t - 1.0 / 3.0] if len(t) > _FEWEST_FOR_SQUARE else [np.ones_like(t), t]
-    design: Array = np.stack([term * turn for turn in (1.0, np.cos(phase), np.sin(phase)) for term in slow], axis=1)
-    design /= np.linalg.norm(design, axis=0)
-    return design
+    return _normalised([term * turn for turn in (1.0, np.cos(phase), np.sin(phase)) for term in slow])
 
 
 def sound_samples(times_s: Array, field_nt: Array, rate_rad_s: float, noise_nt: float | None) -> NDArray[np.bool_]:
@@ -224,7 +227,9 @@ class SpinWindows(Stateful, SpinWindowsMemory):
         if first.reference_eci_nt is None or last.reference_eci_nt is None or span_s <= 0.0:
             return LEO_FIELD_RATE_RAD_S
         a, b = first.reference_eci_nt[0], last.reference_eci_nt[-1]
-        return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)) / span_s
+        (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+        across = np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+        return math.atan2(math.sqrt(float(across @ across)), float(a @ b)) / span_s
 
     def _harmonic(self) -> Window | None:
         times, fields, magnitudes = self._joined()

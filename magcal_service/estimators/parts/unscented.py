@@ -99,7 +99,7 @@ class ScalarInnovation:
     def apply(self, x: Array, covariance: Array) -> tuple[Array, Array]:
         """The updated state (9,) and covariance (9, 9), symmetric to the last bit."""
         cross = self.cross
-        return x + cross * (self.value / self.variance), covariance - np.outer(cross, cross) / self.variance
+        return x + cross * (self.value / self.variance), covariance - cross[:, None] * cross / self.variance
 
 
 def scalar_innovation(
@@ -135,8 +135,10 @@ def scalar_innovation(
     B1, B2, B3 = B1 - p1 / determinant, B2 - p2 / determinant, B3 - p3 / determinant
     moved = (vector_jacobian(B1, B2, B3) @ root) * weights.spread  # U (3, 9)
     linear = np.array((2.0 * (w1 - r1), 2.0 * (w2 - r2), 2.0 * (w3 - r3))) @ moved  # a (9,)
-    quadratic = (moved * moved).sum(axis=0)  # q (9,)
-    shift = 2.0 * weights.pair * float(quadratic.sum())  # mean of |w|^2 over the points, less its value at the centre
+    quadratic = np.add.reduce(moved * moved)  # q (9,); ``ndarray.sum`` costs as much again for so few numbers
+    shift = (
+        2.0 * weights.pair * float(np.add.reduce(quadratic))
+    )  # mean of |w|^2 over the points, less its value at the centre
     quadratic -= shift
     spread = 2.0 * weights.pair * float(linear @ linear + quadratic @ quadratic) + weights.covariance_0 * shift * shift
     value = scalar_innovation_value(residual, length, magnitude_nt, white_variance) - shift
