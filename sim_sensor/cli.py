@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from magcal_service.cli.common import Parser, described
+from magcal_service.cli.completion import Names, add_completion
 from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
 from magcal_service.links.silence import why_silent
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
+from magcal_service.progress import Work, duration, is_wanted, showing
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
@@ -59,9 +61,10 @@ class Attended(Protocol):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, print; returns the exit code: 0 done, 2 refused, 3 done and never answered, 130 interrupted."""
     options = _parser().parse_args(arguments)
-    command: Callable[[argparse.Namespace], None] = options.command
+    command: Callable[[argparse.Namespace], object] = options.command
     try:
-        command(options)
+        with showing(options.quiet):
+            command(options)
     except MagcalError as error:
         print(error, file=sys.stderr)
         return error.exit_code
@@ -84,19 +87,28 @@ def _parser() -> Parser:
     run.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max (default 1)")
     run.add_argument("--record", type=Path, metavar="DIR", help="write what was sent as a recording, with its truth")
     run.add_argument("--wait", type=_wait, default=5.0, metavar="S", help="wait at most S for the daemon (default 5)")
-    run.add_argument("--quiet", action="store_true", help="no progress line and no summary")
+    run.add_argument("--quiet", action="store_true", help="no line of how far it is, and no summary")
     run.examples = ("sim-sensor run --scenario paper --craft demo --speed 100",)
     run.set_defaults(command=_run)
     record = commands.add_parser("record", help="write a scenario as a recording")
     _common(record)
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the recording and its truth")
     record.examples = ("sim-sensor record --scenario paper --out output/paper --duration 3600",)
+    record.add_argument("--quiet", action="store_true", help="do not show how far it is, on stderr")
     record.set_defaults(command=_record)
     listing = commands.add_parser("list", help="name and describe the shipped scenarios")
     listing.examples = ("sim-sensor list",)
-    listing.set_defaults(command=_list)
+    listing.set_defaults(command=_list, quiet=True)
+    completion = commands.add_parser("completion", help="what completes these commands in a shell")
+    add_completion(completion, parser, _names)
+    completion.set_defaults(quiet=True)
     described(parser)
     return parser
+
+
+def _names() -> Names:
+    """What completes an argument beside files."""
+    return dict.fromkeys([("run", "scenario"), ("record", "scenario")], tuple(shipped_scenarios()))
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
@@ -263,6 +275,10 @@ class Progress:
     received: Counter[str] = field(default_factory=Counter)
     newest: Estimate | None = None
     _shown: float = 0.0
+    _work: Work = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._work = Work("sending", self.duration_s, "s")
 
     def result(self, message: Message) -> None:
         """Take a message from the daemon in."""
@@ -272,16 +288,18 @@ class Progress:
 
     def sent(self, report: NodeReport) -> None:
         """Rewrite the line, five times a second at most."""
-        if self.quiet or not sys.stderr.isatty() or time.monotonic() < self._shown + _PROGRESS_S:
+        if self.quiet or not is_wanted() or time.monotonic() < self._shown + _PROGRESS_S:
             return
-        self._shown = time.monotonic()
-        print(f"\r\x1b[K{self._line(report)}", end="", file=sys.stderr, flush=True)
+        self._shown, self._work.done = time.monotonic(), report.elapsed_s
+        left_s = self._work.left_s(self._shown - self._work.began_s)
+        end = "" if left_s is None else f", {duration(left_s)} left"
+        print(f"\r\x1b[K{self._line(report)}{end}", end="", file=sys.stderr, flush=True)
 
     def summary(self, report: NodeReport, link: Link) -> None:
         """The last line, kept."""
         if self.quiet:
             return
-        start = "\r\x1b[K" if sys.stderr.isatty() else ""
+        start = "\r\x1b[K" if is_wanted() else ""
         dropped = link.counters["dropped"]
         print(f"{start}{self._line(report)}, {dropped} dropped by the link", file=sys.stderr)
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import ConfigError, Fault
+from magcal_service.progress import Work, counted
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Channel as RecordedChannel
 from magcal_service.recordings.recording import Position
@@ -109,16 +110,18 @@ def _refuse_unrecordable(simulation: Simulation) -> None:
 def _collect(simulation: Simulation) -> tuple[Series, Series, Series, dict[Channel, Series]]:
     samples, reference, position = Series(), Series(), Series()
     channels = {channel: Series() for channel in simulation.truth.telemetry.channels}
-    for message in simulation.messages():
-        if isinstance(message, MagnetometerSample) and message.source == OWN_SOURCE:
-            samples.add(message.time_ns, message.field_body_nt)
-        elif isinstance(message, ReferenceSample):
-            magnitude = (message.magnitude_nt or 0.0,)
-            reference.add(message.time_ns, magnitude if message.field_nt is None else message.field_nt)
-        elif isinstance(message, PositionSample):
-            position.add(message.time_ns, message.position_km)
-        elif isinstance(message, TelemetrySample):
-            channels[Channel(message.channel)].add(message.time_ns, message.values)
+    with counted(Work("simulating", simulation.duration_s, "s")) as work:
+        for message in simulation.messages():
+            work.done = (message.time_ns - simulation.truth.start_ns) * 1e-9
+            if isinstance(message, MagnetometerSample) and message.source == OWN_SOURCE:
+                samples.add(message.time_ns, message.field_body_nt)
+            elif isinstance(message, ReferenceSample):
+                magnitude = (message.magnitude_nt or 0.0,)
+                reference.add(message.time_ns, magnitude if message.field_nt is None else message.field_nt)
+            elif isinstance(message, PositionSample):
+                position.add(message.time_ns, message.position_km)
+            elif isinstance(message, TelemetrySample):
+                channels[Channel(message.channel)].add(message.time_ns, message.values)
     for name, series in (("magnetometer", samples), ("reference", reference)):
         if not series.times_ns:
             accepted = "a longer duration_s, or milder faults: nothing of it was sent"

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 from magcal_service.cli.apply import add_apply
 from magcal_service.cli.calibrate import add_calibrate
-from magcal_service.cli.common import DONE, Parser, described
-from magcal_service.cli.completion import add_completion
+from magcal_service.cli.common import DONE, Parser, add_quiet, described, subparsers
+from magcal_service.cli.completion import add_completion, magcal_names
 from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.export import add_export
@@ -30,6 +30,7 @@ from magcal_service.cli.view import add_view
 from magcal_service.cli.watch import add_watch
 from magcal_service.cli.xtce import add_xtce
 from magcal_service.errors import MagcalError
+from magcal_service.progress import showing
 from magcal_service.version import __version__
 
 # Matrices of nine rows gain nothing from threads, and waiting for them costs a quarter of a replay's time.
@@ -40,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     options = whole_parser().parse_args(arguments)
     try:
-        code: int = options.command(options)
+        with showing(getattr(options, "quiet", True)):
+            code: int = options.command(options)
         sys.stdout.flush()
     except MagcalError as error:
         print(error, file=sys.stderr)
@@ -82,7 +84,8 @@ def whole_parser() -> Parser:
     add_record(commands.add_parser("record", help="recorded sessions: info, check, export, recover, join, describe"))
     add_xtce(commands.add_parser("xtce", help="the telemetry of a ccsds: output link, described for mission control"))
     completion = commands.add_parser("completion", help="what completes these commands in a shell")
-    add_completion(completion, parser)
+    add_completion(completion, parser, magcal_names)
+    add_quiet(subparsers(parser))
     described(parser)
     return parser
 

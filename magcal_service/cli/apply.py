@@ -42,6 +42,7 @@ def _apply(options: argparse.Namespace) -> int:
     from magcal_service.offline.apply import apply
     from magcal_service.offline.given import read_given
     from magcal_service.offline.vector_file import refuse_suffix, write_vectors
+    from magcal_service.progress import Work, counted
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless
@@ -55,9 +56,10 @@ def _apply(options: argparse.Namespace) -> int:
         raise InputRefusedError([Fault(f"{options.given}: source", given.source, accepted)])
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
-    applied = apply(given, inspection)
     about = {"recording": recording.name, "result": given.name, "result_sha256": given.sha256}
-    write_vectors(options.out, applied.vectors, about)
+    with counted(Work("applying")):
+        applied = apply(given, inspection)
+        write_vectors(options.out, applied.vectors, about)
     print("\n".join([*source_lines(recording), *recording.report.lines(), *inspection.lines()]))
     print(f"rows: {inspection.account}")
     print("\n".join(_said(given, inspection, applied, options.out)))

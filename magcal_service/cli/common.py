@@ -53,6 +53,17 @@ def subparsers(parser: argparse.ArgumentParser) -> dict[str, Parser]:
     return found
 
 
+_SHOWING: Final = ("apply", "calibrate", "describe", "diagnose", "inspect", "plot", "record", "replay", "study")
+"""Commands that may take more than two seconds, and say how far they are."""
+
+
+def add_quiet(commands: dict[str, Parser]) -> None:
+    """``--quiet`` of the commands that show how far they are, sub-commands included."""
+    for command in (commands[name] for name in _SHOWING):
+        for one in subparsers(command).values() or (command,):
+            one.add_argument("--quiet", action="store_true", help="do not show how far it is, on stderr")
+
+
 def described(parser: argparse.ArgumentParser) -> None:
     """Let the help of every command begin with the line that stands for it in the list of commands."""
     for action in parser._actions:

@@ -37,12 +37,14 @@ def _keys_text() -> str:
 
 
 def _describe(options: argparse.Namespace) -> int:
+    from magcal_service.progress import Work, counted
     from magcal_service.recordings.describe.describe import describe
 
     refuse_unwritable(options.out, options.log)
     answers = _answers(options.answer)
     beside = None if options.out is None else options.out.parent
-    described = describe(options.log, answers, beside)
+    with counted(Work(f"reading {options.log.name}")):
+        described = describe(options.log, answers, beside)
     while described.needed and _asks():
         print("\n".join(described.lines()))
         given = _ask(described)

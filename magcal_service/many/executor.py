@@ -17,8 +17,9 @@ from magcal_service.many.cluster import Cluster
 from magcal_service.many.identity import code_of, content_of, key_of
 from magcal_service.many.pieces import Done, Failed, Outcome, Piece, Refused, Task
 from magcal_service.many.pool import Pool
-from magcal_service.many.progress import Count, shown
+from magcal_service.many.progress import shown
 from magcal_service.many.store import Store
+from magcal_service.progress import Work
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -78,7 +79,7 @@ class Executor:
         """
         ended: dict[int, Outcome] = {}
         following = 0
-        count = Count(what, sum(piece.size for piece in pieces))
+        count = Work(what, sum(piece.size for piece in pieces))
         with shown(count) as show:
             for number, outcome, kept in self._ended(pieces):
                 ended[number] = outcome

@@ -34,6 +34,7 @@ from magcal_service.offline.given import Given
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import go_on
 from magcal_service.offline.published import ObservedPipeline, Published
+from magcal_service.progress import Work, counted
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
@@ -195,10 +196,13 @@ def replay(
     craft = craft_of(inspection.to_replay) if config is None else config
     recording = as_played(inspection, craft)
     estimates = Counter[str]()
+    first_ns, last_ns = (int(end) for end in (recording.time_ns.min(), recording.time_ns.max()))
+    work = Work("replaying", (last_ns - first_ns) * 1e-9, "s")
 
     def count(message: Message) -> None:
         if isinstance(message, Estimate):
             estimates[label_of(message)] += 1
+            work.done = (message.time_ns - first_ns) * 1e-9
         if sink is not None:
             sink(message)
 
@@ -210,7 +214,8 @@ def replay(
         remark = _begin_as_recorded(service, recording, craft) if as_recorded else ""
         if prior is not None:
             go_on(service.magnetometers[craft.name].heard(recording.source).estimator, prior, craft)
-        service.run(threading.Event())
+        with counted(work):
+            service.run(threading.Event())
     if service.csv_error is not None:
         raise service.csv_error
     pipeline = service.magnetometers[craft.name].heard(recording.source)

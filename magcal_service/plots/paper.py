@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, unwritable
+from magcal_service.progress import Work, counted
 from magcal_service.views.colours import LIGHT
 
 BEFORE: Final = LIGHT["before"]
@@ -81,11 +82,12 @@ def save(sheet: Sheet, path: Path) -> None:
     }
     with rc_context(_STYLE):
         figure = Figure(figsize=(sheet.width_in, sheet.height_in), layout="constrained")
-        sheet.draw(figure)
-        try:
-            figure.savefig(path, dpi=300, metadata=undated[path.suffix.lower()])
-        except OSError as exc:
-            raise unwritable(path, exc) from None
+        with counted(Work("drawing")):
+            sheet.draw(figure)
+            try:
+                figure.savefig(path, dpi=300, metadata=undated[path.suffix.lower()])
+            except OSError as exc:
+                raise unwritable(path, exc) from None
 
 
 def thinned(count: int) -> NDArray[np.intp]:

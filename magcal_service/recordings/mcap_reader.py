@@ -7,9 +7,11 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from magcal_service.errors import ExtraMissingError, Fault, RecordingError
+from magcal_service.progress import Work, counted
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
 from magcal_service.recordings.mcap_limits import McapLimits
 
@@ -148,8 +150,13 @@ class McapReader:
                 yield message
 
     def _top_records(self) -> Iterator[tuple[int, bytes]]:
+        with counted(Work(f"reading {Path(self.name).name}", 1e-6 * self.size, "MB")) as work:
+            yield from self._shown_records(work)
+
+    def _shown_records(self, work: Work) -> Iterator[tuple[int, bytes]]:
         at: int | None = len(MAGIC)
         while at is not None and not (self._finished and at == self.size):
+            work.done = 1e-6 * at
             if self._at(at, len(MAGIC)) == MAGIC:
                 at = self._another_file(at)
                 continue

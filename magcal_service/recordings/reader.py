@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.errors import Fault, RecordingError
+from magcal_service.progress import Work, counted
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.join import join_files
 from magcal_service.recordings.recording import Recording
@@ -52,12 +53,14 @@ def read_recording(
     """
     path = Path(path)
     if path.suffix.lower() == SESSION_SUFFIX:
-        return _read_session(path, None, craft, prefer, source)
+        with counted(Work(f"reading {path.name}")):
+            return _read_session(path, None, craft, prefer, source)
     _refuse_undescribed(path)
     descriptor = load_descriptor(path)
     source = source or descriptor.magnetometer.source or None
     if descriptor.session:
-        return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer, source)
+        with counted(Work(f"reading {descriptor.samples.name}")):
+            return _read_session(descriptor.samples, descriptor, craft or descriptor.craft, prefer, source)
     if craft is not None and craft != descriptor.craft:
         accepted = "only a recorded session (.mcap) has craft to choose from; leave it out"
         if descriptor.craft is not None:
@@ -66,7 +69,8 @@ def read_recording(
     if source is not None and source not in descriptor.sources:
         accepted = f"{nearest(source, descriptor.sources)}" if descriptor.sources else "the log has one; leave it out"
         raise RecordingError([Fault(f"{path}: source", source, accepted)])
-    return read_described(descriptor if source is None else descriptor.of_source(source))
+    with counted(Work(f"reading {path.name}")):
+        return read_described(descriptor if source is None else descriptor.of_source(source))
 
 
 def is_session(path: Path) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import Fault, RecordingError
+from magcal_service.progress import Work, counted
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
 from magcal_service.recordings.row_limits import RowLimits
@@ -114,8 +115,10 @@ def read_table(path: Path, form: RowForm = PLAIN_ROWS, limits: RowLimits | None 
     limits.check_rows(path, rows)
     limits.check_cells(path, len(header), rows)
     splitter = _Splitter(_splitting(form.delimiter), len(header), form.comment, form.decimal)
-    for number, line in enumerate(islice(lines, first, None), start=first + 1):
-        splitter.add(number, line, at_end=number == len(lines))
+    with counted(Work(f"reading {path.name}", rows, "rows")) as work:
+        for number, line in enumerate(islice(lines, first, None), start=first + 1):
+            splitter.add(number, line, at_end=number == len(lines))
+            work.done = number - first
     if truncated:
         splitter.seen += 1
         splitter.note(RowFault.TRUNCATED_FILE, len(lines) + 1)

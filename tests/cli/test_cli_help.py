@@ -7,6 +7,7 @@ import io
 import json
 import logging
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from magcal_service.cli.__main__ import whole_parser
 from magcal_service.cli.common import Parser, subparsers
 from magcal_service.studies import studies
 from sim_sensor.cli import _parser as sim_sensor_parser
+from sim_sensor.cli import main as sim_sensor
 from tests.cli.cli_inputs import CONFIG, DESCRIPTOR, log_rows, run
 
 
@@ -67,6 +69,30 @@ def test_completion_knows_the_commands_and_the_methods(shell: str) -> None:
     done = run("completion", shell)
     assert (done.code, done.err) == (0, "")
     assert all(word in done.out for word in ("calibrate", "--method", "sliding-batch", "spin-rates"))
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_of_the_simulator_knows_its_scenarios(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab", reason="shtab is not installed: pip install '.[completion]'")
+    assert sim_sensor(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(word in script for word in ("record", "--duration", "paper"))
+
+
+def test_bash_completes_a_scenario_by_name_and_by_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab", reason="shtab is not installed: pip install '.[completion]'")
+    sim_sensor(["completion", "bash"])
+    (tmp_path / "own.toml").touch()
+    script = (
+        capsys.readouterr().out
+        + """
+COMP_WORDS=(sim-sensor record --scenario "$1"); COMP_CWORD=3; _shtab_sim_sensor sim-sensor "$1" --scenario
+echo "${COMPREPLY[@]}"
+"""
+    )
+    for typed, whole in (("pap", "paper"), ("ow", "own.toml")):
+        done = subprocess.run(["bash", "-c", script, "x", typed], cwd=tmp_path, capture_output=True, text=True)
+        assert done.stdout.split() == [whole], done.stderr
 
 
 def test_completion_without_its_extra_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

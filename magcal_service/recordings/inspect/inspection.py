@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.errors import printable
+from magcal_service.progress import each
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
@@ -166,7 +167,7 @@ def inspect(recording: Recording) -> Inspection:
     spoiled = {part: np.zeros(count, dtype=np.bool_) for part in Spoils}
     good = np.ones(count, dtype=np.bool_)
     findings: list[Finding] = []
-    for check in CHECKS:
+    for check in each(CHECKS, "inspecting", "checks"):
         log = Log(recording, np.flatnonzero(good))
         for seen in check(log) if len(log) else ():
             if not seen.certain and any(one.code is seen.code and not one.certain for one in findings):
