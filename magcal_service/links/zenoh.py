@@ -350,12 +350,13 @@ class ZenohLink(Link):
     def _subscriptions(self, session: zenoh.Session, name: str) -> list[object]:
         arrived = _direct(self._arrived)
         if self.role is Role.SERVICE:
-            history = _history(self._settings.history)
+            # At least the newest: to one that knows no number a publisher's heartbeat would bring all that it keeps.
+            history = _history(max(1, self._settings.history))
             samples = ext.declare_advanced_subscriber(
                 session, f"{name}/sample/**", arrived, recovery=_RECOVERY, history=history
             )
             held: list[object] = [samples, session.declare_subscriber(f"{name}/command", arrived)]
-            if history is not None:
+            if self._settings.history:
                 held.append(samples.detect_publishers(_direct(self._publisher_seen), history=True))
             return held
         results = ext.declare_advanced_subscriber(
@@ -392,8 +393,8 @@ def _cached(kind: Kind) -> bool:
     return group_of(kind) == "sample" or kind.name in _KEPT_RESULTS
 
 
-def _history(depth: int) -> ext.HistoryConfig | None:
-    return ext.HistoryConfig(detect_late_publishers=True, max_samples=depth) if depth else None
+def _history(depth: int) -> ext.HistoryConfig:
+    return ext.HistoryConfig(detect_late_publishers=True, max_samples=depth)
 
 
 def _direct(callback: Callable[[Any], None]) -> Any:

@@ -70,7 +70,7 @@ def test_a_daemon_over_zenoh_is_shown_when_it_is_known_whole() -> None:
     with open_link(link, Role.SERVICE, crafts=["alpha"]) as service:
         for message in RESULTS_NOW:
             service.send(message)
-        done = run("watch", "--link", link, "--once", "--timeout", "20")
+        done = run("watch", "--link", link, "--once", "--timeout", "60")
     assert (done.code, done.err) == (0, "")
     assert "verdict   TRUSTED, ukf, tick 2" in done.out
     assert "received 7, refused.too_large 1" in done.out
@@ -81,7 +81,7 @@ def test_a_daemon_at_a_serial_line_is_shown_by_its_results_alone() -> None:
         stop = threading.Event()
         sending = threading.Thread(target=repeat, args=(service.send, stop))
         sending.start()
-        done = run("watch", "--link", f"serial:{pair.paths[1]}", "--craft", "alpha", "--once", "--timeout", "20")
+        done = run("watch", "--link", f"serial:{pair.paths[1]}", "--craft", "alpha", "--once", "--timeout", "60")
         stop.set()
         sending.join()
     assert (done.code, done.err) == (0, "")

@@ -26,7 +26,7 @@ from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0  # a daemon takes 30 s to start where 20 processes want one core
 CRAFT = """
 [[craft]]
 name = "{name}"

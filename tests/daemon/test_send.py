@@ -56,7 +56,7 @@ def test_commands_over_zenoh_are_answered_with_what_has_changed(tmp_path: Path) 
         assert sent("process_noise", "D=5") == (2, "paper: process_noise REFUSED: D is 5.0; 0 to 0.01 is accepted\n")
         asked = json.loads(sent("status", "--json")[1])
         assert (asked["accepted"], asked["command"], asked["text"]) == (True, "status", asked["before"])
-        wrong = run("send", "papre", "freeze", "--link", link, "--timeout", "9")
+        wrong = run("send", "papre", "freeze", "--link", link, "--timeout", "60")
         assert (wrong.code, wrong.out) == (2, "")
         assert "no daemon there serves craft papre; served: paper" in wrong.err
         assert sent("shutdown")[0] == 0
@@ -78,9 +78,9 @@ def test_a_sealed_line_takes_what_is_sealed_alone(tmp_path: Path) -> None:
         config = tmp_path / "magcal.toml"
         config.write_text(CRAFT.format(link=json.dumps(ends[0])))
         with daemon(config):
-            refused = run("send", "paper", "reset", "--link", f"serial:{pair.paths[1]}", "--timeout", "5")
+            refused = run("send", "paper", "reset", "--link", f"serial:{pair.paths[1]}", "--timeout", "60")
             assert (refused.code, refused.out.startswith("paper: reset REFUSED: unsealed")) == (2, True), refused
-            done = run("send", "paper", "reset", "--link", ends[1], "--timeout", "5")
+            done = run("send", "paper", "reset", "--link", ends[1], "--timeout", "60")
             assert (done.code, done.out.startswith("paper: reset accepted: reset; not_started")) == (0, True), done
     needs = run("send", "paper", "reset", "--config", config)
     assert needs.code == 2

@@ -106,7 +106,7 @@ def test_a_second_daemon_on_the_same_folder_ends_and_touches_nothing(tmp_path: P
     rows.write_text("torn")
     with daemon(config):
         command = [sys.executable, "-m", "magcal_service.cli", "run", "--config", str(second)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 2
     assert f"state.directory: '{tmp_path / 'state' / 'paper'}' is refused; a folder in which no other" in done.stderr
     assert rows.read_text() == "torn"

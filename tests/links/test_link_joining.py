@@ -22,7 +22,7 @@ from magcal_service.links.joining import (
     in_order_of_time,
 )
 from magcal_service.wire.messages import MagnetometerSample, Message, ReferenceSample
-from tests.links.link_messages import START_NS, free_port, gather, sample, settle
+from tests.links.link_messages import START_NS, WAIT_S, free_port, gather, sample, settle
 
 SECOND_NS = 1_000_000_000
 
@@ -265,17 +265,20 @@ def test_no_sample_is_lost_to_a_live_one_that_overtakes_it_at_a_restart() -> Non
         try:
             for _ in range(4):
                 with open_link(f"{address}?mode=client&history=10000", Role.SERVICE, crafts=["alpha"]) as service:
-                    arrived = gather(service, 10_000, 0.6)
-                numbers = [one.sequence for one in arrived if isinstance(one, MagnetometerSample)]
+                    numbers: list[int] = []
+                    begun_s = time.monotonic()
+                    while len(numbers) <= 50 or time.monotonic() - begun_s < 0.6:
+                        assert time.monotonic() - begun_s < WAIT_S
+                        arrived = service.receive(0.1)
+                        numbers += [one.sequence for one in arrived if isinstance(one, MagnetometerSample)]
                 assert numbers == list(range(len(numbers)))
-                assert len(numbers) > 50
         finally:
             over.set()
             feeder.join()
 
 
 def test_an_empty_node_that_joins_and_leaves_keeps_nothing_waiting() -> None:
-    """Ten times within a second; the service has each sample of the other node 20 ms after it was sent, mostly 1 ms."""
+    """Ten times; the service has each sample of the other node at once: a wait for the empty one would be 400 ms."""
     address = f"zenoh:tcp/127.0.0.1:{free_port()}"
     late_s = []
     with open_link(address, Role.SERVICE, crafts=["alpha"]) as service, open_link(address, Role.NODE) as node:
@@ -289,4 +292,4 @@ def test_an_empty_node_that_joins_and_leaves_keeps_nothing_waiting() -> None:
                 node.send(sample(number))
                 assert gather(service, 1) == [sample(number)]
                 late_s.append(time.monotonic() - begun_s)
-    assert sorted(late_s)[-2] < 0.02
+    assert sorted(late_s)[5] < 0.2
