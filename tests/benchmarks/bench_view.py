@@ -1,4 +1,4 @@
-"""What a live page costs: memory over two days of messages; first paint, a long session drawn, and 10 Hz, in Chromium.
+"""What a live page costs: server memory over two days, browser memory over one, first paint, a long session, 10 Hz.
 
 python -m tests.benchmarks.bench_view
 """
@@ -8,16 +8,19 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.links import Link
+from magcal_service.views import server
 from magcal_service.views.feed import Feed
 from magcal_service.views.state import Views
 from tests.views.browser import Tab, tab
 from tests.views.test_view_page import fly, served
 from tests.views.view_messages import estimate, second_of
 
-DAY_S = 86_400
+DAY_S, HOUR_S = 86_400, 3600
+FED_S, WAITED_S = 40, 400  # samples that are sent at once, and after how many the page has to have shown them
 SESSION_S = 18_000
 WATCHED_S = 15.0
 
@@ -76,13 +79,64 @@ async def in_a_browser() -> tuple[float, float, float]:
     return paint_ms * 1e-3, drawn_s, busy
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a page holds after garbage was collected: the heap of its script [MB], elements, and listeners."""
+
+    heap_mb: float
+    elements: int
+    listeners: int
+
+    def __str__(self) -> str:
+        return f"{self.heap_mb:.1f} MB, {self.elements} elements, {self.listeners} listeners"
+
+
+async def held(page: Tab) -> Held:
+    """What a page holds now."""
+    await page.call("HeapProfiler.collectGarbage")
+    told = {one["name"]: one["value"] for one in (await page.call("Performance.getMetrics"))["metrics"]}
+    return Held(told["JSHeapUsedSize"] / 1e6, int(told["Nodes"]), int(told["JSEventListeners"]))
+
+
+async def a_day_in_a_browser() -> tuple[Held, Held, int]:
+    """What a page holds after an hour and after a day at 1 Hz, fed as fast as it draws, and in how many updates."""
+    server.UPDATE_S = 0.01  # an update as soon as the one before is drawn; each brings what has come by then
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        async with served("day") as (address, daemon, node), tab(Path(folder)) as page:
+            await page.call("Page.navigate", url=address)
+            await page.call("Performance.enable")
+            await page.until("typeof source !== 'undefined'")
+            await page.value("window.updates = 0, source.addEventListener('message', () => updates++), 0")
+            seen = []
+            for start in range(0, DAY_S, FED_S):
+                fly(daemon, node, range(start, start + FED_S))
+                await asyncio.sleep(0.02)
+                done = start + FED_S
+                if done % WAITED_S == 0:
+                    shown = f"document.getElementById('field-says').textContent.includes('to {clock(done - 1)}')"
+                    await page.until(shown, 60.0)
+                if done in (HOUR_S, DAY_S):
+                    seen.append(await held(page))
+            assert await page.value("rows.whole.length * newest.every") >= DAY_S - 100, "samples were lost on the way"
+            updates = await page.value("updates")
+    return seen[0], seen[1], updates
+
+
+def clock(second: int) -> str:
+    """A time as the page writes it."""
+    return f"{second // 3600}:{second // 60 % 60:02}:{second % 60:02}"
+
+
 def main() -> None:
     """Print the figures."""
     hour_mb, days_mb = two_days()
     paint_s, drawn_s, busy = asyncio.run(in_a_browser())
-    print(f"memory after an hour {hour_mb:.1f} MB, after two days {days_mb:.1f} MB")
+    print(f"the server's memory after an hour {hour_mb:.1f} MB, after two days {days_mb:.1f} MB")
     print(f"first paint {paint_s:.2f} s, {SESSION_S} ticks drawn after {drawn_s:.2f} s")
-    print(f"at 10 Hz {100 * busy:.1f} % of a core in the browser")
+    print(f"at 10 Hz {100 * busy:.1f} % of a core in the browser", flush=True)
+    begun = time.monotonic()
+    hour, day, updates = asyncio.run(a_day_in_a_browser())
+    print(f"the page after an hour {hour}; after a day {day} ({updates} updates in {time.monotonic() - begun:.0f} s)")
 
 
 if __name__ == "__main__":
