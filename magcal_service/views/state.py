@@ -23,7 +23,7 @@ from magcal_service.wire.messages import (
 )
 
 _MOST_CRAFT: Final = 64  # choice: what a list on a page holds
-_MOST_SOURCES: Final = 8  # magnetometers of one craft; each takes about 1 MB
+_MOST_SOURCES: Final = 8  # magnetometers of one craft; each takes about 1.5 MB
 _BACK_S: Final = 60.0  # vectors that lie so far before the newest one are a new beginning, such as a restarted node
 
 
