@@ -188,6 +188,8 @@ def diagnose(
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = _unexplained(prepared, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
+    if verdict is Verdict.UNKNOWN:
+        findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
     against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest)
     simulated = _simulation(prepared, simulation_x)

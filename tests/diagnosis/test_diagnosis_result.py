@@ -222,7 +222,9 @@ def made() -> Any:
         search=search,
         explained=explained,
         fit=explained.fit,
-        prepared=SimpleNamespace(baseline=fit, problem=search.problem, left_out={"spikes": 3}, form=Form.SCALAR),
+        prepared=SimpleNamespace(
+            baseline=fit, problem=search.problem, left_out={"spikes": 3}, form=Form.SCALAR, sun=None
+        ),
         refused=(),
         modelled=None,
         findings={},
@@ -362,7 +364,7 @@ def unknown() -> Any:
             "left": tuple(left),
             "unexplained": 0.81234,
             "verdict": Verdict.UNKNOWN,
-            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR),
+            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR, sun=None),
             "effects": tuple(search.effects),
         }
     )

@@ -68,6 +68,7 @@ def diagnosis(
         refused=(),
         modelled=None,
         prepared=SimpleNamespace(
+            sun=None,
             problem=SimpleNamespace(noise_nt=100.04, field_error=None),
             baseline=SimpleNamespace(x=before),
             left_out={"spikes": 2},
