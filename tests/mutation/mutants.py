@@ -181,13 +181,16 @@ class Bench:
     def processor_time(self, room: Room) -> float:
         """[s] of processor that the room's tests take without a mutant; RuntimeError where one of them fails."""
         before = _children_s()
-        failed = self._first_failure(room.test_files(room.files()[0], self.folder))
+        near, others = room.test_files(room.files()[0], self.folder)
+        failed = self._first_failure([*near, *others])
         if failed:
             raise RuntimeError(f"{room.name}: {failed} fails without a mutant")
         return _children_s() - before
 
     def try_out(self, room: Room, mutant: Mutant, processor_s: float) -> str:
         """What notices the mutant: run the room's tests with it in place, up to the first that fails.
+
+        Files that do not name the mutant's module are only collected where those that do let it live.
 
         Parameters
         ----------
@@ -199,9 +202,9 @@ class Bench:
         assert changed is not None
         path.write_text(changed, encoding="utf-8")
         try:
-            return self._first_failure(
-                room.test_files(Path(mutant.file), self.folder), SLOWER * processor_s + STARTING_S
-            )
+            parts = [part for part in room.test_files(Path(mutant.file), self.folder) if part]
+            failures = (self._first_failure(part, SLOWER * processor_s + STARTING_S) for part in parts)
+            return next(filter(None, failures), "")
         finally:
             path.write_text(source, encoding="utf-8")
 

@@ -32,14 +32,14 @@ class Room:
         left_out = {path for part in self.without for path in _python(ROOT / part)}
         return sorted(path.relative_to(ROOT) for path in set(found) - left_out)
 
-    def test_files(self, mutated: Path, root: Path = ROOT) -> list[str]:
-        """The room's test files under a root, those that name the mutated module first: most mutants die there."""
+    def test_files(self, mutated: Path, root: Path = ROOT) -> tuple[list[str], list[str]]:
+        """The room's test files under a root: those that name the mutated module, where most mutants die; the rest."""
         module = mutated.with_suffix("").as_posix().replace("/", ".")
         files = sorted({path for test in self.tests for path in _python(root / test) if path.name.startswith("test_")})
-        return [
-            path.relative_to(root).as_posix()
-            for path in sorted(files, key=lambda path: module not in path.read_text(encoding="utf-8"))
-        ]
+        found: tuple[list[str], list[str]] = ([], [])
+        for path in files:
+            found[module not in path.read_text(encoding="utf-8")].append(path.relative_to(root).as_posix())
+        return found
 
 
 def _python(path: Path) -> list[Path]:
