@@ -39,6 +39,13 @@ def test_no_page_holds_a_placeholder(page: Path) -> None:
     assert not PLACEHOLDER.findall(page.read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_every_picture_of_a_page_is_there_and_small(page: Path) -> None:
+    shown = re.findall(r"\]\((?!https?:)([^)\s]+\.(?:webp|png|svg))\)", page.read_text(encoding="utf-8"))
+    sizes = {name: (page.parent / name).stat().st_size for name in shown}
+    assert {name: size for name, size in sizes.items() if name.endswith(".webp") and size > 100_000} == {}
+
+
 def test_a_study_s_table_is_written_as_its_json_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     columns = ["recording", "held out [nT]", "false name", "processor [s]"]
     rows = [["one", 1234.5, "no", 2.5], ["two", None, "torquer", None]]

@@ -91,6 +91,7 @@ async def of_a_recording(folder: Path, page: Tab, picture: Path | None) -> str:
             await page.call("Page.navigate", url=f"{address}openmct/")
             await page.until(f"({ROWS})['Ticks used']?.[0] === '{estimates[-1].tick}'", 60.0)
             loaded_s = time.monotonic() - begun
+            await page.until("magcal.stream.origin.has_ended")
             shown = await rows(page)
             if picture is not None:
                 await asyncio.sleep(2.0)  # plots are drawn a moment later
@@ -141,8 +142,9 @@ async def check_history(page: Tab, recording: Any, estimates: list[Estimate]) ->
 
 
 async def of_a_link(folder: Path, page: Tab) -> str:
-    """A live value that changes, and silence that is seen."""
-    async with served("openmct", Offer(openmct=folder)) as (address, daemon, node):
+    """A live value that changes, silence that is seen, and a server that comes back."""
+    offer = Offer(openmct=folder)
+    async with served("openmct", offer) as (address, daemon, node):
         await page.anew()  # the end of the other server is a complaint of its page
         fly(daemon, node, range(60))
         await page.call("Page.navigate", url=f"{address}openmct/")
@@ -154,7 +156,17 @@ async def of_a_link(folder: Path, page: Tab) -> str:
         assert "is-stale" not in (await rows(page))["bx"][1]
         await page.until(f"({ROWS}).bx[1].includes('is-stale')", 20.0)
         check_console(page, address)
-    return f"live: a new value is on the screen after {follows_s:.1f} s, and called stale when no other comes"
+    port = int(address.rstrip("/").rpartition(":")[2])
+    async with served("openmct again", offer, port) as (_, daemon, node):
+        begun = time.monotonic()
+        fly(daemon, node, range(100, 110))
+        daemon.send(changed(estimate(110), bias_nt=(77.0, 0.0, 0.0)))
+        await page.until(f"({ROWS}).bx[0] === '77.0' && !({ROWS}).bx[1].includes('is-stale')", 20.0)
+        back_s = time.monotonic() - begun
+    return (
+        f"live: a new value is on the screen after {follows_s:.1f} s, and called stale when no other comes; "
+        f"{back_s:.1f} s after a restart of `magcal view` the next one is there"
+    )
 
 
 async def main() -> None:
