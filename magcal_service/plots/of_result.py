@@ -1,17 +1,24 @@
-"""Figures of results in JSON: the nine errors of a calibration, what a diagnosis gained, the curves of a study."""
+"""Figures of results in JSON: the nine errors of a calibration, and what a diagnosis gained."""
 
 from __future__ import annotations
 
 import math
 from typing import Any, Final
 
-from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import STATE_NAMES
 from magcal_service.offline.given import Given
-from magcal_service.plots.paper import AFTER, LINES, QUIET, Sheet
+from magcal_service.plots.paper import AFTER, BEFORE, LINES, QUIET, Sheet
 
-_COLUMNS: Final = 3
-"""Panels side by side: the width of a page."""
+_LEVELS: Final = {
+    "simulation": QUIET,
+    "recalibrated": BEFORE,
+    "with_effects": AFTER,
+    "predicted_from_others": LINES[2],
+}
+"""Held-out residuals of one of several recordings, as they are drawn beside each other."""
+
+_WIDTH: Final = 0.8
+"""Of a recording's place, what its bars fill; choice."""
 
 
 def of_calibration(content: dict[str, Any], given: Given) -> Sheet:
@@ -39,8 +46,6 @@ def of_diagnosis(content: dict[str, Any]) -> Sheet:
     """Held-out residual without and with the effects, and the share of the mismatch that each explains."""
     fit, effects = content["fit"], content["effects"]
     levels = {name: value for name, value in fit["held_out_rms_nt"].items() if isinstance(value, int | float)}
-    names = [f"{one['effect']} ({100.0 * one['probability']:.0f} %)" for one in effects if "probability" in one]
-    shares = [100.0 * one["where"]["share_of_mismatch"] for one in effects if "probability" in one]
 
     def draw(figure: Any) -> None:
         held, share = figure.subplots(1, 2)
@@ -49,33 +54,42 @@ def of_diagnosis(content: dict[str, Any]) -> Sheet:
         held.axhline(fit["noise_floor_nt"], color=QUIET, ls="--", label="noise floor")
         held.set(title="held-out residual rms [nT]")
         held.legend()
-        share.barh(names[::-1], shares[::-1], color=AFTER)
-        share.set(title="share of the mismatch [%], by effect (probability)", xlim=(0, 100))
+        _draw_shares(share, effects)
 
     return Sheet(draw, height_in=2.8)
 
 
-def of_study(content: dict[str, Any]) -> Sheet:
-    """The curves of a study with their bounds, a panel each.  Raises ``InputRefusedError`` where it has none."""
-    panels = content["curves"]
-    if not panels:
-        accepted = "a study with curves is accepted; this one has tables alone"
-        raise InputRefusedError([Fault("study", content["study"], accepted)])
-    columns = min(_COLUMNS, len(panels))
-    rows = math.ceil(len(panels) / columns)
+def of_joint_diagnosis(content: dict[str, Any]) -> Sheet:
+    """Each recording's held-out residual, without and with what they have in common, and predicted from the others."""
+    recordings, effects = content["recordings"], content["effects"]
+    levels = [
+        {**one["held_out_rms_nt"], "predicted_from_others": one.get("predicted_from_others_rms_nt")}
+        for one in recordings
+    ]
+    shown = [name for name in _LEVELS if any(isinstance(one.get(name), int | float) for one in levels)]
+    floors, bar = [one["noise_floor_nt"] for one in recordings], _WIDTH / max(len(shown), 1)
 
     def draw(figure: Any) -> None:
-        grid = list(figure.subplots(rows, columns, squeeze=False).flat)
-        for axes, panel in zip(grid, panels, strict=False):
-            for number, line in enumerate(panel["lines"]):
-                is_limit = line.get("limit", line["label"].startswith("bound"))
-                colour, style = (QUIET, "--") if is_limit else (LINES[number % len(LINES)], "-")
-                values = [math.nan if value is None else value for value in line["y"]]
-                axes.plot(line["x"], values, color=colour, ls=style, label=line["label"])
-            axes.set(title=panel["title"], xlabel=panel["x"], ylabel=panel["y"])
-            axes.set(xscale="log" if panel.get("log_x") else "linear", yscale="log" if panel.get("log_y") else "linear")
-            axes.legend()
-        for axes in grid[len(panels) :]:
-            axes.set_visible(False)
+        each, share = figure.subplots(1, 2, width_ratios=(2, 1))
+        for place, name in enumerate(shown):
+            x = [n + (place + 0.5) * bar - 0.5 * _WIDTH for n in range(len(levels))]
+            heights = [math.nan if one.get(name) is None else one[name] for one in levels]
+            bars = each.bar(x, heights, bar, color=_LEVELS[name], label=name.replace("_", " "))
+            each.bar_label(bars, ["" if math.isnan(value) else f"{value:.0f}" for value in heights], fontsize=7)
+        for n, floor in enumerate(floors):
+            ends = (n - 0.5 * _WIDTH, n + 0.5 * _WIDTH)
+            each.plot(ends, (floor, floor), color=QUIET, ls="--", label=None if n else "noise floor")
+        each.set_xticks(range(len(levels)), [one["name"] for one in recordings])
+        each.set_title("held-out residual rms [nT]")
+        each.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.1))
+        _draw_shares(share, effects)
 
-    return Sheet(draw, height_in=2.6 * rows)
+    return Sheet(draw, height_in=3.2)
+
+
+def _draw_shares(axes: Any, effects: list[dict[str, Any]]) -> None:
+    """Share of the mismatch by effect; one that is unknown has no probability and is not drawn."""
+    named = [one for one in reversed(effects) if "probability" in one]
+    names = [f"{one['effect']} ({100.0 * one['probability']:.0f} %)" for one in named]
+    axes.barh(names, [100.0 * one["where"]["share_of_mismatch"] for one in named], color=AFTER)
+    axes.set(title="share of the mismatch [%]\nby effect (probability)", xlim=(0, 100))

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import FIGURES, shown
-from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_study
+from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
+from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet
 from magcal_service.recordings.reader import read_recording
 
-_ACCEPTED: Final = (
-    "a RECORDING.toml, a session .mcap, or the JSON of calibrate, diagnose (of one recording) or study is accepted"
-)
+_ACCEPTED: Final = "a RECORDING.toml, a session .mcap, or the JSON of calibrate, diagnose or study is accepted"
+
+_OTHERS: Final = {
+    frozenset({"usable", "findings"}): "findings of magcal inspect, which are no curve",
+    frozenset({"question", "recordings"}): "the summary of many recordings; give the file in the folder of one of them",
+    frozenset({"estimates", "counters"}): "a replay's last estimate; give its recording",
+    frozenset({"bias_nt", "D", "seed"}): "the truth of a simulation; give the RECORDING.toml beside it",
+}
+"""What else is written as JSON, by the keys that it has, and what to give in its place."""
 
 
 def sheet_of(
@@ -53,13 +63,34 @@ def _of_json(path: Path) -> Sheet:
     except (ValueError, RecursionError):
         raise InputRefusedError([Fault(str(path), "no JSON", _ACCEPTED)]) from None
     kind = content if isinstance(content, dict) else {}
+    with _whole(path):
+        sheet = _sheet_of(kind, path)
+
+    def draw(figure: Any) -> None:
+        with _whole(path):
+            sheet.draw(figure)
+
+    return replace(sheet, draw=draw)
+
+
+def _sheet_of(content: dict[str, Any], path: Path) -> Sheet:
+    """The figure of a JSON by what is in it."""
+    if "study" in content:
+        return of_study(content)
+    if "effects" in content and "fit" in content:
+        return of_joint_diagnosis(content) if "recordings" in content else of_diagnosis(content)
+    if "residual_rms_nt" in content:
+        return of_calibration(content, read_given(path))
+    found = next((words for keys, words in _OTHERS.items() if keys <= content.keys()), "another JSON")
+    raise InputRefusedError([Fault(str(path), found, _ACCEPTED)])
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Refuse a file that lacks what its figure shows, or holds something else in its place."""
     try:
-        if "study" in kind:
-            return of_study(kind)
-        if "effects" in kind and "fit" in kind:
-            return of_diagnosis(kind)
-        if "residual_rms_nt" in kind:
-            return of_calibration(kind, read_given(path))
-    except (KeyError, TypeError, AttributeError) as error:
+        yield
+    except KeyError as error:
         raise InputRefusedError([Fault(str(path), f"without {error}", _ACCEPTED)]) from None
-    raise InputRefusedError([Fault(str(path), "another JSON", _ACCEPTED)])
+    except (TypeError, AttributeError, ValueError, IndexError) as error:
+        raise InputRefusedError([Fault(str(path), f"a value that is none ({error})", _ACCEPTED)]) from None

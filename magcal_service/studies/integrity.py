@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_service.many.pieces import Done, Piece
 from magcal_service.model import Array
-from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
+from magcal_service.studies.report import Cell, Findings, Grid, Line, Panel, Table
 from magcal_service.studies.study import Request, Study
 from magcal_service.studies.unseen.motion import Motion
 from magcal_service.studies.unseen.scenarios import SCENARIOS, Group
@@ -80,6 +80,7 @@ def run(request: Request) -> Findings:
         },
         notes=_NOTES,
         panels=_panels(flights),
+        grids=_grids(flights),
     )
 
 
@@ -292,8 +293,30 @@ def _panels(flights: Sequence[Flight]) -> tuple[Panel, ...]:
     )
 
 
+def _grids(flights: Sequence[Flight]) -> tuple[Grid, ...]:
+    """Trusted time by error and protection, for each motion."""
+    return tuple(
+        Grid(f"{motion}, all noises", "error [nT]", "protection [nT]", _cells(_seconds(fared)))
+        for motion in MOTIONS
+        if (fared := [one for asked, one in observable(flights) if asked.motion == str(motion)])
+    )
+
+
+def _cells(seconds: Array) -> tuple[tuple[float, float, float, float, float], ...]:
+    edges = [float(edge) for edge in EDGES_NT]
+    return tuple(
+        (edges[row], edges[row + 1], edges[column], edges[column + 1], float(seconds[row, column]))
+        for row, column in np.argwhere(seconds > 0.0)
+    )
+
+
+def _seconds(fared: Sequence[Fared]) -> Array:
+    """Trusted time by class of error (rows) and of protection (columns) [s]."""
+    return np.asarray(np.sum([one.diagram for one in fared], axis=0) if fared else np.zeros((len(EDGES_NT) - 1,) * 2))
+
+
 def _diagram(motion: Motion, fared: Sequence[Fared]) -> Panel:
-    seconds = np.sum([one.diagram for one in fared], axis=0) if fared else np.zeros((len(EDGES_NT) - 1,) * 2)
+    seconds = _seconds(fared)
     middle = np.sqrt(np.maximum(EDGES_NT[:-1], 0.5) * EDGES_NT[1:])
     lines = [
         _quantile(f"{share:.1%} of the trusted time below", share, seconds, middle) for share in (0.5, 0.95, 0.999)

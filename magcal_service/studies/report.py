@@ -62,12 +62,30 @@ class Panel:
 
 
 @dataclass(frozen=True, slots=True)
+class Grid:
+    """Time by the classes of two quantities; only classes with time in them.
+
+    Parameters
+    ----------
+    title: one line.
+    x_label, y_label: what the classes are of, with units.
+    cells: x from and to, y from and to, and the time in it [s], of each class.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    cells: tuple[tuple[float, float, float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Findings:
     """What the study itself hands back.
 
     Parameters
     ----------
     tables, panels: for people; all their numbers are in the JSON, too.
+    grids: for `magcal plot`, in the JSON alone.
     figures: the few numbers that the study is for, by name.
     settings: what it was run with, beside runs and seed.
     notes: what a reader has to know to read the tables rightly.
@@ -78,6 +96,7 @@ class Findings:
     settings: dict[str, Cell]
     notes: tuple[str, ...] = ()
     panels: tuple[Panel, ...] = ()
+    grids: tuple[Grid, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +121,7 @@ class Report:
     def as_json(self) -> str:
         """The report as JSON; nan and infinities become null."""
         findings = self.findings
-        content = {
+        content: dict[str, Any] = {
             "study": self.study,
             "version": __version__,
             "command": self.command,
@@ -129,6 +148,11 @@ class Report:
             ],
             "notes": findings.notes,
         }
+        if findings.grids:
+            content["grids"] = [
+                {"title": grid.title, "x": grid.x_label, "y": grid.y_label, "cells": grid.cells}
+                for grid in findings.grids
+            ]
         return json.dumps(_plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
     def markdown(self, picture: str = "") -> str:

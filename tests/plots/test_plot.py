@@ -9,10 +9,13 @@ import pytest
 import magcal_service as magcal
 from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import before_after, errors, shown, spectrum
-from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_study
+from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
+from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet, save
 from tests.cli.cli_inputs import DESCRIPTOR, log_rows, run
 from tests.offline.hand_turned import TRUTH, hand_turned
+
+ROOT = Path(__file__).resolve().parents[2]
 
 figure = pytest.importorskip("matplotlib.figure")
 
@@ -63,6 +66,43 @@ def test_a_diagnosis_and_a_study_are_shown() -> None:
     assert axes.get_yscale() == "log"
 
 
+def test_a_diagnosis_of_several_recordings_shows_each_beside_its_floor() -> None:
+    levels = {"recalibrated": 2462.0, "with_effects": 322.0}
+    each = [
+        {"name": name, "noise_floor_nt": 300.0, "held_out_rms_nt": levels, "predicted_from_others_rms_nt": predicted}
+        for name, predicted in (("day 1", 640.0), ("day 2", None))
+    ]
+    effect = {"effect": "thermal_scale", "probability": 0.97, "where": {"share_of_mismatch": 0.7}}
+    days, share = drawn(of_joint_diagnosis({"fit": {}, "recordings": each, "effects": [effect]}))
+    heights = [[bar.get_height() for bar in bars] for bars in days.containers]
+    assert (heights[:2], heights[2][0]) == ([[2462.0, 2462.0], [322.0, 322.0]], 640.0)
+    assert [text.get_text() for text in days.get_xticklabels()] == ["day 1", "day 2"]
+    assert share.patches[0].get_width() == pytest.approx(70.0)
+
+
+def test_an_integrity_study_is_a_stanford_diagram() -> None:
+    grid = {"title": "spin", "cells": [[10.0, 20.0, 100.0, 200.0, 60.0], [300.0, 400.0, 100.0, 200.0, 2.0]]}
+    figures = {"trusted with a protection level [s]": 7200.0, "share of that time that misled": 0.01}
+    made = figure.Figure()
+    of_study({"study": "integrity", "grids": [grid], "curves": [], "figures": figures}).draw(made)
+    cells = [patch.get_bbox().extents.tolist() for patch in made.axes[0].patches]
+    assert cells == [[10.0, 100.0, 20.0, 200.0], [300.0, 100.0, 400.0, 200.0]]
+    assert made.get_suptitle() == "beyond protection and 4 sigma: 1 % of 2 h of trusted time"
+    quantiles = json.loads((ROOT / "docs/results/integrity.json").read_text())
+    spin, *_ = drawn(of_study({**quantiles, "grids": []}))
+    assert all(line.get_ydata()[0] > line.get_xdata()[0] for line in spin.lines[:1])  # half the time below protection
+    assert spin.get_xlim() == spin.get_ylim()
+
+
+def test_concealed_cases_are_a_reliability_diagram() -> None:
+    rows = [["all", "0.9 to 0.99", 9, 0.9, 0.8, 0.5, 0.95], ["all", "0.99 to 1", 0, None, None, None, None]]
+    (axes,) = drawn(of_study({"study": "concealed", "tables": [{"title": "Reliability: x", "rows": rows}]}))
+    points = axes.containers[0].lines[0]
+    assert (points.get_xdata().tolist(), points.get_ydata().tolist()) == ([pytest.approx(np.log(9.0))], [0.8])
+    ticks = dict(zip((text.get_text() for text in axes.get_xticklabels()), axes.get_xticks(), strict=True))
+    assert ticks["0.9"] == pytest.approx(np.log(9.0))
+
+
 @pytest.mark.parametrize("suffix", [".svg", ".png"])
 def test_the_same_figure_has_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     sheet = Sheet(lambda made: made.subplots().plot([1, 2]), 1.0, 1.0)
@@ -77,6 +117,9 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("[1]")
     (tmp_path / "study.json").write_text('{"study": "reality", "curves": []}')
     (tmp_path / "half.json").write_text('{"study": "reality"}')
+    (tmp_path / "bare.json").write_text('{"effects": [], "fit": {"held_out_rms_nt": {}}}')
+    (tmp_path / "summary.json").write_text('{"question": "diagnose", "recordings": []}')
+    (tmp_path / "physics.toml").write_text("version = 1\n[errors]\n")
     log, out = tmp_path / "log.toml", tmp_path / "out.png"
     for arguments, said in (
         ((log, "--out", "x.gif"), ".svg, .pdf, .png is accepted"),
@@ -85,6 +128,9 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
         ((tmp_path / "other.json", "--out", out), "a RECORDING.toml, a session .mcap"),
         ((tmp_path / "study.json", "--out", out), "this one has tables alone"),
         ((tmp_path / "half.json", "--out", out), "without 'curves'"),
+        ((tmp_path / "bare.json", "--out", out), "without 'noise_floor_nt'"),
+        ((tmp_path / "summary.json", "--out", out), "give the file in the folder of one of them"),
+        ((tmp_path / "physics.toml", "--out", out), "'a model of physics' is refused"),
         ((tmp_path / "study.json", "--out", out, "--figure", "track"), "it goes with a recording"),
     ):
         refused = run("plot", *arguments)

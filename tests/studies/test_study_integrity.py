@@ -162,3 +162,9 @@ def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPa
         "clean": 2, "what protection promises to hold": 2, "all that can be seen": 2, "what nothing can show": 2,
     }  # fmt: skip
     assert {scenarios.SCENARIOS[name].group for name in few} == {Group.CLEAN, Group.REFERENCE}
+
+
+def test_the_cells_of_the_diagram_are_the_classes_with_time_in_them() -> None:
+    seconds = np.zeros((len(EDGES_NT) - 1,) * 2)
+    seconds[3, 7] = 60.0
+    assert integrity._cells(seconds) == ((*EDGES_NT[3:5], *EDGES_NT[7:9], 60.0),)
