@@ -13,6 +13,7 @@ class Code(StrEnum):
     WRAPPED = "wrapped"
     HELD_READINGS = "held_readings"
     SHARED_TIMES = "shared_times"
+    BURSTS = "bursts"
     TIME_UNIT = "time_unit"
     TIME_EPOCH = "time_epoch"
     TIME_ORDER = "time_order"

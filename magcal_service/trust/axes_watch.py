@@ -9,7 +9,9 @@ A change P of the axes at one sample makes three predictions in a row wrong, tho
 none afterwards.  So a jump is suspected at one wrong prediction, and found when ``_CONFIRMED`` samples later it has
 stayed and a P out of 48 makes the three predictions right again, and the sense in which the field turns as well.  An
 outlier comes back, a step of the bias and a fast turn are undone by no P (but by rare chance: the page on trust has how
-rare).
+rare).  Where predictions have failed again and again lately, or jumps stayed that no P undoes, chance has many
+tries and nothing is named: the samples do not follow each other at the steps of time that they claim, as rows do that
+were logged in bursts with times made evenly.
 
 Where it is blind: a P that hardly moves the vector at that moment; a change within a pause, or at uneven steps of time;
 a craft whose tumbling the two factors do not predict to a quarter of the field.
@@ -59,6 +61,21 @@ _LEAST_JUMP: Final = 0.25
 _CONFIRMED: Final = 15
 """Samples after a jump that have to agree with it."""
 
+_FAR: Final = 4.0
+"""Times the usual square, what is far beyond: one Gaussian miss in 50 000 is."""
+
+_FAR_ONES: Final = 3
+"""Of the predictions in memory as many may lie far beyond where a P is named: one outlier's.
+
+Of rows in bursts, turned by hand, twice as many do wherever the turn is fast; of even rows none in ten logs.
+"""
+
+_UNEXPLAINED: Final = 1.5
+"""Jumps that stayed and no P undid, the newest counting most, from which on none is named; one may be a bias step."""
+
+_UNEXPLAINED_MEMORY: Final = 256
+"""Samples after which such a jump counts 1/e: two memories of the usual miss."""
+
 _QUIET: Final = 0.8
 """Share of the later predictions that have to be as good as usual."""
 
@@ -79,6 +96,7 @@ class AxesWatchMemory:
     _turn: list[float]
     _misses: deque[float]
     _usual: float
+    _unexplained: float
     _seen: int
 
 
@@ -100,6 +118,7 @@ class AxesWatch(Stateful, AxesWatchMemory):
         self._turn = [0.0] * 4  # sums of d1 x d2 and of its length
         self._misses = deque(maxlen=_MEMORY)
         self._usual = 0.0  # square of a usual miss [nT^2]
+        self._unexplained = 0.0  # jumps that stayed and that no change of axes undoes
         self._seen = 0
 
     def interrupt(self) -> None:
@@ -156,9 +175,10 @@ class AxesWatch(Stateful, AxesWatchMemory):
         """Take one prediction into factors and usual miss; one beyond the usual counts by how far it is."""
         self._seen += 1
         self._misses.append(miss)
+        self._unexplained *= 1.0 - 1.0 / _UNEXPLAINED_MEMORY
         if self._seen <= _FEWEST or self._seen % 8 == 0:
             self._usual = _USUAL * sorted(self._misses)[len(self._misses) // 2]
-        weight = 1.0 if self._seen <= 10 or miss <= 4.0 * self._usual else 4.0 * self._usual / miss
+        weight = 1.0 if self._seen <= 10 or miss <= _FAR * self._usual else _FAR * self._usual / miss
         keep = 1.0 - weight / min(self._seen + 1, _MEMORY)
         (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = d
         d11, d10, d00, d21, d20 = self._sums
@@ -183,8 +203,11 @@ class AxesWatch(Stateful, AxesWatchMemory):
     def _decide(self) -> None:
         """Enough samples have followed a suspected jump: what it was, and go on after it."""
         fields = np.array(self._fields)
-        found = self._changes(fields)
-        if found:
+        stays = self._stays(fields)
+        found = self._changes(fields) if stays else []
+        if stays and not found:
+            self._unexplained += 1.0
+        if found and self._is_continuous():
             before = self.changes or [SAME]
             self.changes = sorted({product_of(old, new) for old in before for new in found})
             self.since_s = self._times[3]
@@ -203,12 +226,19 @@ class AxesWatch(Stateful, AxesWatchMemory):
         for time_s, field in waiting[1:]:
             self.push(time_s, field)
 
+    def _is_continuous(self) -> bool:
+        """Whether the vector has gone on evenly of late, so that a jump is an event and not the rule."""
+        far = sum(miss > _FAR * self._usual for miss in self._misses)
+        return far <= _FAR_ONES and self._unexplained < _UNEXPLAINED
+
+    def _stays(self, fields: Array) -> bool:
+        """Whether all is as usual again from sample 3 of ``fields`` (n, 3) on."""
+        later = _missed(fields[3:], np.array(self._factors()))
+        return bool(np.mean(later <= _FAR * self._usual) >= _QUIET)
+
     def _changes(self, fields: Array) -> list[int]:
-        """Changes of the axes (numbers) at sample 3 of ``fields`` (n, 3) after which all is as usual."""
+        """Changes of the axes (numbers) that undo a jump at sample 3 of ``fields`` (n, 3)."""
         factors = np.array(self._factors())
-        later = _missed(fields[3:], factors)
-        if np.mean(later <= 4.0 * self._usual) < _QUIET:
-            return []
         undone = np.einsum("pij,ni->pnj", SIGNED_AXES, fields[3:6])  # P' B
         straddling = np.concatenate([np.broadcast_to(fields[:3], (len(undone), 3, 3)), undone], axis=1)
         missed = np.array([_missed(one, factors).sum() for one in straddling])

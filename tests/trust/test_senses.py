@@ -59,6 +59,30 @@ def test_what_is_no_change_of_axes_is_not_named_as_one(spoil: Callable[[np.ndarr
     assert axes_of(fields).changes == []
 
 
+def turned_by_hand(per_burst: int) -> np.ndarray:
+    """Measured vectors (n, 3) [nT] of a board turned unevenly: rows of 0.08 s, 0.4 s between bursts."""
+    rng, step_s = np.random.default_rng(7), 0.08
+    rows = np.arange(900) + 4 * (np.arange(900) // per_burst)
+    phases = rng.uniform(0.0, math.tau, (3, 4))
+    rates = rng.uniform(1.0, 4.0, (3, 4))
+    fields, out = np.array([20_000.0, -15_000.0, 42_000.0]), []
+    for at in range(int(rows[-1]) + 1):
+        turn = np.sin(rates * at * step_s + phases).sum(axis=1) * step_s
+        fields = np.linalg.norm(fields) * (moved := fields - np.cross(turn, fields)) / np.linalg.norm(moved)
+        out.append(fields)
+    return np.array(out)[rows] + rng.normal(size=(900, 3)) * 300.0
+
+
+def test_rows_in_bursts_are_no_change_of_axes_and_even_rows_still_show_one() -> None:
+    """Stamped evenly as they are, by the rate that all rows have in the mean."""
+    assert axes_of(turned_by_hand(per_burst=5)).changes == []
+    fields = turned_by_hand(per_burst=10**6)
+    fields[AT:] = fields[AT:] @ SIGNED_AXES[17].T
+    watch = axes_of(fields)
+    assert 17 in watch.changes
+    assert watch.since_s == float(AT)
+
+
 def test_axes_that_change_back_are_as_they_were() -> None:
     fields = spinning(7.5)
     fields[200:AT] = fields[200:AT] @ SIGNED_AXES[17].T

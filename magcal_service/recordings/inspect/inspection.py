@@ -14,6 +14,7 @@ from magcal_service.errors import printable
 from magcal_service.progress import each
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
+from magcal_service.recordings.inspect.bursts import bursts
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.orbits import heights_and_times, longitude_sign
@@ -44,6 +45,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     shifted_columns,
     field_scale,
     held_readings,
+    bursts,
     reference_repeats,
     saturated,
     stuck_axis,

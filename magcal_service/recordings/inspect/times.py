@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.recordings.inspect.bursts import burst, is_even
 from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.timestamps import ns_to_iso8601
@@ -60,7 +61,10 @@ def shared_times(log: Log) -> Iterator[Seen]:
     rate_hz = len(log) / span_s if span_s > 0.0 else 1.0
     says = f"{len(at)} of {len(log)} rows have the time of another row; the stamps are {log.step_s:g} s apart"
     remedy = "only the first row of each time is used: log times with their fractions of a second"
-    if len(at) >= len(log) // 2:
+    length, _ = burst(log)
+    if length:
+        says += f", and rows come in bursts of {length}, so that no rate_hz makes their times"
+    elif len(at) >= len(log) // 2 and is_even(log.time_ns):
         even = f"write rate_hz = {rate_hz:.4g} and start in place of column and format under [time]"
         remedy += f", or, if rows come evenly, {even}"
     yield Seen(Code.SHARED_TIMES, log.step_s <= _COARSE_S, log.rows[at], says, remedy)

@@ -9,7 +9,7 @@ from magcal_service.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.timestamps import ns_to_iso8601
-from tests.recordings.inspect.clean_logs import START_NS, Kind, clean_log
+from tests.recordings.inspect.clean_logs import START_NS, CleanLog, Kind, clean_log
 
 SECOND = 1_000_000_000
 
@@ -98,3 +98,30 @@ def test_times_since_1970_in_another_unit_are_refused_by_that(name: str, unit: i
     path = log.at(log.time_ns, [str(value * unit // SECOND) for value in log.time_ns.tolist()]).write(tmp_path)
     with pytest.raises(RecordingError, match=f'"unix_{name}"'):
         read_recording(path)
+
+
+def in_bursts(pause_s: float) -> CleanLog:
+    """Twelve rows at 10 Hz, then a pause, 150 times."""
+    log = clean_log(Kind(step_s=0.1, rows=int(150 * (12 + pause_s / 0.1))))
+    return log.take(np.flatnonzero(np.arange(len(log.time_ns)) % int(12 + pause_s / 0.1) < 12))
+
+
+def test_rows_in_bursts_have_no_rate(tmp_path: Path) -> None:
+    by_rate = in_bursts(0.5).described(time="[time]\nrate_hz = 7.0588")
+    assert by_rate.found(tmp_path)[Code.BURSTS].says.startswith("rows come in bursts of 12")
+    assert by_rate.described(time="[time]\nrate_hz = 10").take(np.arange(12)).found(tmp_path).keys() == set()
+    log = in_bursts(0.5)
+    found = log.at(log.time_ns // SECOND * SECOND).found(tmp_path)
+    assert set(found) == {Code.SHARED_TIMES}
+    assert "in bursts of 12" in found[Code.SHARED_TIMES].says
+    assert "write rate_hz" not in found[Code.SHARED_TIMES].remedy
+    even = clean_log(Kind(step_s=0.1)).described(time="[time]\nrate_hz = 10.0")
+    assert even.inspected(tmp_path).findings == ()
+
+
+def test_no_rate_is_advised_where_stamps_have_unequal_numbers_of_rows(tmp_path: Path) -> None:
+    log = clean_log(Kind(step_s=0.1))
+    drawn = np.random.default_rng(3).random(len(log.time_ns)) < 0.6
+    log = log.take(np.flatnonzero(drawn))
+    finding = log.at(log.time_ns // SECOND * SECOND).found(tmp_path)[Code.SHARED_TIMES]
+    assert "write rate_hz" not in finding.remedy
