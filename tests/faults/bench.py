@@ -24,7 +24,7 @@ from sim_sensor.demo.pty_pair import PtyPair
 from tests.daemon.service_processes import PATIENCE_S, Node, wait_for
 
 RECORD_FLUSH_S = 0.2
-QUIET_S = 15.0  # what has not come by then is lost
+QUIET_S = 60.0  # what has not come by then is lost
 
 
 class Witness(Node):

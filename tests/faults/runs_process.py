@@ -74,6 +74,7 @@ def kill_daemon(folder: Path, quick: bool) -> Outcome:
                 daemons.kill()
                 daemons.start()
                 feeder.fresh_status()
+                feeder.until(lambda: node.marked_s is None, "no vector came after a kill")
                 restored += node.counters().get("state.restored", 0)
             feeder.settle()
             daemons.kill()
@@ -191,7 +192,7 @@ def stop_node(folder: Path, quick: bool) -> Outcome:
                 witness.listen(pause_s)
                 before = witness.counters()["accepted"]
                 witness.mark()
-            witness.until("the node does not go on", lambda: witness.counters()["accepted"] > before)
+            witness.until("the node does not go on", lambda: witness.counters()["accepted"] > min(before, seconds - 1))
             witness.until("the node has not ended", lambda: node.poll() is not None)
         witness.until_heard()
         outcome.fed, outcome.accepted, outcome.refused = seconds, witness.counters()["accepted"], witness.refused
