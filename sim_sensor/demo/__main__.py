@@ -16,7 +16,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +31,7 @@ from sim_sensor.demo.config import daemon_config, zenoh_settings
 from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.flow import WindowedLink
 from sim_sensor.demo.next_steps import AND_THEN, next_steps, shown
+from sim_sensor.demo.page import FlightSource, live_page
 from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.demo.report import DemoError, Outcome, Plan, Session, Wire, objections, write_results
 from sim_sensor.node import Simulation, run_node
@@ -61,10 +62,11 @@ def run_demo(plan: Plan, console: Console) -> int:
     what = f"scenario {plan.scenario}, seed {simulation.seed}, {simulation.duration_s:.0f} s"
     console.print(f"{what}; starting the daemon on a {plan.wire.value} link", markup=False, highlight=False)
     with contextlib.ExitStack() as stack:
-        watcher = stack.enter_context(_page(plan, f"{what}, over {plan.wire.value}", console))
-        session, stop = Session(simulation, watcher), threading.Event()
+        page = stack.enter_context(_page(plan, f"{what}, over {plan.wire.value}", console))
+        session, stop = Session(simulation, page.take), threading.Event()
         with _stop_on_signals(stop):
             outcome = _exchange(plan, session, stop, console)
+        page.note = "The flight is over."
         code = _report(plan, session, outcome, console)
         if plan.stay and not outcome.interrupted:
             console.print("the page stays until Ctrl-C", style="bold")
@@ -74,17 +76,15 @@ def run_demo(plan: Plan, console: Console) -> int:
 
 
 @contextlib.contextmanager
-def _page(plan: Plan, what: str, console: Console) -> Iterator[Callable[[Message], None]]:
-    """The live page where one is wanted, with its address on the console; gives what takes its messages."""
-    if plan.port is None:
-        yield lambda _: None
-        return
-    from sim_sensor.demo.page import FlightSource, live_page
-
+def _page(plan: Plan, what: str, console: Console) -> Iterator[FlightSource]:
+    """The live page, with its address on the console; nobody sees what it is fed where none is wanted."""
     source = FlightSource(what)
+    if plan.port is None:
+        yield source
+        return
     with live_page(source, plan.port) as address:
         console.print("live page, for a browser on this machine: ", address, sep="", style="bold", soft_wrap=True)
-        yield source.take
+        yield source
 
 
 def _exchange(plan: Plan, session: Session, stop: threading.Event, console: Console) -> Outcome:

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
 
-from magcal_service.views.server import Offer, serve
 from magcal_service.views.sources import Origin, Source
 from magcal_service.views.state import Views
 from sim_sensor.demo.report import DemoError
@@ -51,8 +50,11 @@ def live_page(source: Source, port: int) -> Iterator[str]:
     ----------
     port: 0 for one that is free.
 
-    Raises ``InputRefusedError`` for a port that is taken, ``DemoError`` where the page is not there in time.
+    Raises ``InputRefusedError`` for a port that is taken, ``DemoError`` where the page is not there in time,
+    ``ExtraMissingError`` without aiohttp.
     """
+    from magcal_service.views.server import Offer, serve
+
     address: Future[str] = Future()
     handles: Future[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = Future()
 
