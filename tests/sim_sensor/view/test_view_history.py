@@ -13,7 +13,7 @@ import pytest
 from magcal_service.views.nine import sigmas
 from magcal_service.wire.messages import Verdict
 from sim_sensor.view.history import History, covariance_matrix, inside
-from sim_sensor.view.summary import summarise
+from sim_sensor.view.summary import ONE_FLIGHT_NEES, summarise
 from tests.sim_sensor.view.view_estimates import FINAL_SIGMA, START_NS, TRUTH, converging, estimate
 
 
@@ -117,6 +117,15 @@ def test_summary_text_fits_a_terminal_and_names_the_result() -> None:
     text = summarise(converging(2000)).text()
     assert max(map(len, text.splitlines())) <= 80
     assert "9 of 9 final errors inside 3 sigma" in text
+
+
+def test_one_flight_is_one_draw_of_chi_square() -> None:
+    special = pytest.importorskip("scipy.special")
+    assert special.chdtri(9, [0.975, 0.025]) == pytest.approx(ONE_FLIGHT_NEES, abs=0.05)
+    summary = summarise(converging(2000))
+    low, high = (replace(summary, nees=nees).text() for nees in (2.6, 18.9))
+    assert "NEES 2.6: one flight is one draw; 95 % lie from 2.7 to 19.0, not this one; mean 9" in low
+    assert "NEES 18.9: one flight is one draw; 95 % lie from 2.7 to 19.0; mean 9" in high
 
 
 def test_csv_holds_every_estimate_with_named_units(tmp_path: Path) -> None:
