@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
-from magcal_service.config.settings import CommandsConfig
+from magcal_service.config.daemon_settings import CommandsConfig
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.wire.messages import Command
 

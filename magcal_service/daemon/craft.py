@@ -24,8 +24,9 @@ from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.ticks.rejection import Rejection
 from magcal_service.trust.hazards import Hazard
-from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor
+from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.reasons import Reason
+from magcal_service.trust.verdict import NOT_STARTED
 from magcal_service.watch.residual_watch import ModelWatch
 from magcal_service.watch.witness import Witness
 from magcal_service.wire.messages import Clock, Estimate, MagnetometerSample, Message, Verdict

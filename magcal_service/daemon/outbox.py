@@ -12,7 +12,7 @@ import numpy as np
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, vector_jacobian
-from magcal_service.trust.monitor import Trust
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.fields import fitting, shown
 from magcal_service.wire.kinds import MAX_COUNTERS, MAX_RESULT_FIELD_NT, MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
@@ -70,11 +70,11 @@ def calibrated_vector(
     """
     b1, b2, b3 = sample.field_body_nt
     jacobian = vector_jacobian(b1, b2, b3)
-    of_vector = jacobian @ covariance @ jacobian.T
+    of_vector = jacobian.dot(covariance).dot(jacobian.T)
     of_vector.ravel()[::4] += state.noise_nt**2  # on the diagonal
     if unknown is not None:
         of_vector = of_vector + unknown
-    dx, dy, dz = (jacobian @ state.x).tolist()  # w = B + J(B) x
+    dx, dy, dz = jacobian.dot(state.x).tolist()  # w = B + J(B) x
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = of_vector.tolist()
     return CalibratedVector(
         craft=sample.craft,
@@ -95,7 +95,9 @@ def unsendable(state: StateEstimate) -> str:
     bx, by, bz, d11, d22, d33, d12, d13, d23 = state.x.tolist()
     stretch = math.sqrt(d11 * d11 + d22 * d22 + d33 * d33 + 2.0 * (d12 * d12 + d13 * d13 + d23 * d23))
     longest_nt = (1.0 + stretch) * _LONGEST_READ_NT + math.sqrt(bx * bx + by * by + bz * bz)
-    largest = float(np.abs(state.covariance).max())  # not a number where one is none
+    largest = math.sqrt(float(np.vdot(state.covariance, state.covariance)))  # at least the largest element's size
+    if not largest <= 0.5 * _LARGEST_COVARIANCE:
+        largest = float(np.abs(state.covariance).max())  # not a number where one is none
     if not math.isfinite(longest_nt + largest):
         return "it is not finite"
     if longest_nt > MAX_RESULT_FIELD_NT:

@@ -7,8 +7,9 @@ import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import check_input, check_state_directory, check_way
-from magcal_service.config.settings import Config, StateConfig
+from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.command_limit import CommandLimit

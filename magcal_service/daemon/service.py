@@ -7,8 +7,8 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Final
 
@@ -27,8 +27,9 @@ from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.rows import Rows
 from magcal_service.daemon.status_round import StatusRound
-from magcal_service.errors import InputRefusedError
+from magcal_service.daemon.timer import Timer
 from magcal_service.links import Link
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import KINDS, kind_of
@@ -57,22 +58,6 @@ OVERLOAD_S: Final = 1.0
 """How often it is looked whether the link's queue has shed messages."""
 
 
-class Timer:
-    """Something that is due every ``period_s`` [s] of the monotonic clock."""
-
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._next_s = time.monotonic() + period_s
-
-    def due(self) -> bool:
-        """Whether it is due; missed periods are skipped."""
-        now_s = time.monotonic()
-        if now_s < self._next_s:
-            return False
-        self._next_s = now_s + self._period_s
-        return True
-
-
 class Service:
     """One link, any number of crafts.
 
@@ -80,7 +65,7 @@ class Service:
     ----------
     config: the daemon's configuration.
     link: an open link in the role of the service.
-    csv: where estimates are written as well; ``csv_error`` says why that ended early, if it did.
+    csv: where estimates are written as well.
     recorder: takes everything that comes in and goes out.
     checkpoints: where the state is kept and, at the start, taken from.
     metrics: serves the figures as Prometheus text.
@@ -90,6 +75,7 @@ class Service:
     Attributes
     ----------
     limit: of the commands; None, as it is at first, where all are taken.
+    rows: what is written of ``csv``, and why that ended early, if it did.
     pipelines: by ``config.magnetometers.label``: the craft's name is that of its own magnetometer.
     """
 
@@ -106,10 +92,9 @@ class Service:
     ) -> None:
         self.config = config
         self.link = link
-        self.csv = csv
+        self.rows = Rows(csv)
         self.recorder = recorder
         self.checkpoints, self.metrics, self.outputs = checkpoints, metrics, outputs
-        self.csv_error: InputRefusedError | None = None
         self.pipelines: dict[str, Pipeline] = {}
         self.magnetometers = {craft.name: Magnetometers(craft, self.pipelines, build) for craft in config.crafts}
         self.counters: Counter[str] = Counter()
@@ -322,10 +307,8 @@ class Service:
 
     def _note(self, estimate: Estimate) -> None:
         """Write the row and log a changed verdict."""
-        if self.csv_error is not None:
+        if not self.rows.add(estimate):
             self.counters["csv_lost"] += 1
-        elif self.csv is not None:
-            self._to_disk(lambda csv: csv.add(estimate))
         state = " ".join((estimate.verdict, *estimate.reasons))
         name = label_of(estimate)
         if self._verdicts.get(name) != state:
@@ -344,7 +327,7 @@ class Service:
         """Renew what is told once for all craft."""
         self._tell_alone()
         self._publish_metrics()
-        self._to_disk(EstimateCsv.flush)
+        self.rows.flush()
 
     def _tell_alone(self) -> None:
         """Log once that nobody is at the other end of the link, and that somebody is again."""
@@ -399,18 +382,6 @@ class Service:
         ]
         status = pipeline.status(self.health.uptime_s, counters)
         return replace(status, text=fitting("; ".join((status.text, *remarks))))
-
-    def _to_disk(self, work: Callable[[EstimateCsv], None]) -> None:
-        """A full disk ends the file, not the service: the error is kept, and rows from then on are counted."""
-        if self.csv is None or self.csv_error is not None:
-            return
-        try:
-            work(self.csv)
-        except InputRefusedError as error:
-            self.csv_error = error
-            with suppress(InputRefusedError):
-                self.csv.close()
-            log.error("no more rows are written: %s", error)
 
     def feed_watchdog(self) -> None:
         """Notify the watchdog: ticks were closed of the samples accepted, or no sample came.

@@ -23,8 +23,8 @@ from magcal_service.recordings.inspect.inspection import Inspection
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
-from magcal_service.trust.monitor import Trust
 from magcal_service.trust.vector_gate import strays
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.messages import (
     CalibratedVector,
     Clock,

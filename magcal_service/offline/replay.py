@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.magnetometers import label_of
 from magcal_service.config.settings import (
     Config,
@@ -20,7 +21,6 @@ from magcal_service.config.settings import (
     MagnetometerConfig,
     SensorConfig,
     SpinConfig,
-    StateConfig,
     TickConfig,
 )
 from magcal_service.daemon.checkpoints.store import MISFITS, Checkpoints
@@ -216,8 +216,8 @@ def replay(
             go_on(service.magnetometers[craft.name].heard(recording.source).estimator, prior, craft)
         with counted(work):
             service.run(threading.Event())
-    if service.csv_error is not None:
-        raise service.csv_error
+    if service.rows.error is not None:
+        raise service.rows.error
     pipeline = service.magnetometers[craft.name].heard(recording.source)
     state = pipeline.estimator.estimate()
     return Replay(pipeline, inspection, estimates[pipeline.label], state.x, state.covariance, remark)

@@ -8,35 +8,32 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final, NamedTuple
 
 from magcal_service.errors import ExtraMissingError, Fault, RecordingError
 from magcal_service.progress import Work, counted
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
 from magcal_service.recordings.mcap_limits import McapLimits
+from magcal_service.recordings.mcap_records import (
+    CHUNK_HEAD,
+    INDEX_HEAD,
+    LARGEST_RECORD,
+    SPOILT,
+    checked,
+    chunk_of,
+    strict,
+    unpack,
+)
 
 try:
-    import zstandard
     from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import EndOfFile, McapError
     from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, Footer, Header, Metadata, Schema, Statistics
+    from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 except ImportError as error:
     raise ExtraMissingError("mcap", "record", "a recording in MCAP") from error
 
-_LARGEST_RECORD: Final = 1 << 26
-"""What a reader takes for a record at most, packed and unpacked: 64 times what the writer makes."""
-
-_SPOILT: Final = (McapError, zstandard.ZstdError, struct.error, ValueError, OverflowError, KeyError)
-"""What the package raises for a record that is none."""
-
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQII4sQ")
-"""A chunk of the writer up to its packed records: times, size, checksum, kind of packing, their length."""
-
-_ZSTD: Final = b"zstd"
-_INDEX = struct.Struct("<HI")
 _FOOTER_BYTES: Final = 20  # two places of 8 bytes and a checksum
 _CHECKSUM_BYTES: Final = 4  # at the footer's end, not part of what it covers
 
@@ -191,21 +188,21 @@ class McapReader:
         self._refuse_length(place, length)
         body, end = self._file.read(length), place + _HEAD.size + length
         try:
-            return _Record(opcode, _checked(opcode, body), end)
-        except _SPOILT:
+            return _Record(opcode, checked(opcode, body), end)
+        except SPOILT:
             raise _SpoiltError("a record is spoilt", end) from None
 
     def _chunk(self, place: int, length: int) -> _Record:
         """The chunk at a place, whose length stands in it twice: the one that goes with its checksum is its length."""
-        head = self._at(place + _HEAD.size, _CHUNK.size)
-        own = _CHUNK.size + _CHUNK.unpack(head)[-1] if len(head) == _CHUNK.size else length
+        head = self._at(place + _HEAD.size, CHUNK_HEAD.size)
+        own = CHUNK_HEAD.size + CHUNK_HEAD.unpack(head)[-1] if len(head) == CHUNK_HEAD.size else length
         for one in dict.fromkeys((length, own)):
             if one > self._most(place):
                 continue
             body = self._at(place + _HEAD.size, one)
             try:
-                records = _unpack(_chunk_of(body))
-            except _SPOILT:
+                records = unpack(chunk_of(body))
+            except SPOILT:
                 continue
             if own != length:
                 self._damaged("the length of a chunk is spoilt")
@@ -215,13 +212,11 @@ class McapReader:
 
     def _refuse_length(self, place: int, length: int) -> None:
         if length > self._most(place):
-            raise _SpoiltError(
-                "it ends within a record" if length <= _LARGEST_RECORD else "a record has no sane length"
-            )
+            raise _SpoiltError("it ends within a record" if length <= LARGEST_RECORD else "a record has no sane length")
 
     def _most(self, place: int) -> int:
         """The longest that a record at a place can be."""
-        return min(self.size - place - _HEAD.size, _LARGEST_RECORD)
+        return min(self.size - place - _HEAD.size, LARGEST_RECORD)
 
     def _ended(self, at: int, footer: bytes) -> int:
         """The place behind the closing mark, which is the end of a sound file."""
@@ -235,7 +230,7 @@ class McapReader:
         if not sound:
             self._damaged("its summary is spoilt")
         if sound and self._summary is not None:
-            self._stated += Statistics.read(_strict(self._summary)).message_count
+            self._stated += Statistics.read(strict(self._summary)).message_count
         else:
             self._all_stated = False
         self._summary = None
@@ -243,11 +238,11 @@ class McapReader:
 
     def _summary_is_sound(self, at: int, footer: bytes) -> bool:
         """Whether the summary that ends at ``at`` has the checksum that its footer says; 0 says none."""
-        content = Footer.read(_strict(footer))
+        content = Footer.read(strict(footer))
         if not content.summary_crc:
             return True
         begin = content.summary_start or at - len(footer) - _HEAD.size
-        if not len(MAGIC) <= begin <= at or at - begin > _LARGEST_RECORD:
+        if not len(MAGIC) <= begin <= at or at - begin > LARGEST_RECORD:
             return False
         wanted: int = content.summary_crc
         return zlib.crc32(self._at(begin, at - begin - _CHECKSUM_BYTES)) == wanted
@@ -329,12 +324,12 @@ class McapReader:
                 number, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(body)
                 yield RawMessage(self.topics[number], sequence, log_time_ns, publish_time_ns, body[_MESSAGE.size :])
             elif opcode == Opcode.MESSAGE_INDEX:
-                self._indexed += (len(body) - _INDEX.size) // INDEX_ENTRY_BYTES
+                self._indexed += (len(body) - INDEX_HEAD.size) // INDEX_ENTRY_BYTES
             elif opcode == Opcode.STATISTICS:
                 self._summary = body
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.HEADER):
                 self._remember(opcode, ReadDataStream(io.BytesIO(body)))
-        except _SPOILT:
+        except SPOILT:
             self.bad_records += 1
 
     def _remember(self, opcode: int, stream: ReadDataStream) -> None:
@@ -354,82 +349,3 @@ class McapReader:
         else:
             metadata = Metadata.read(stream)
             self.metadata.append((metadata.name, metadata.metadata))
-
-
-def _strict(body: bytes) -> _StrictStream:
-    return _StrictStream(io.BytesIO(body))
-
-
-class _StrictStream(ReadDataStream):
-    """Raises ``EndOfFile`` where a record is shorter than it says, which the package's own lets pass."""
-
-    def read(self, length: int) -> bytes:
-        """So many bytes."""
-        data: bytes = super().read(length)
-        if len(data) != length:
-            raise EndOfFile
-        return data
-
-
-_FILLED: Final = {
-    Opcode.HEADER: Header,
-    Opcode.FOOTER: Footer,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.STATISTICS: Statistics,
-}
-"""Records that have to fill the length that they say: a damaged length shows."""
-
-_OTHERS: Final = frozenset(Opcode) - _FILLED.keys() - {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
-
-
-def _checked(opcode: int, body: bytes) -> bytes:
-    """The bytes of a record that is no chunk; raises one of ``_SPOILT`` where the format shows that they are spoilt."""
-    if opcode == Opcode.MESSAGE_INDEX:
-        length = _INDEX.unpack_from(body)[1]
-        if length != len(body) - _INDEX.size or length % INDEX_ENTRY_BYTES:
-            raise ValueError("an index of another length")
-    elif opcode in _FILLED:
-        _filling(_FILLED[Opcode(opcode)], body)
-    elif opcode not in _OTHERS:
-        raise ValueError("a kind of record that there is not")
-    return body
-
-
-def _filling(kind: Any, body: bytes) -> Any:
-    """A record of a class of the package; ``ValueError`` where it is shorter than its bytes."""
-    stream = _strict(body)
-    record = kind.read(stream)
-    if stream.count != len(body):
-        raise ValueError("longer than what it holds")
-    return record
-
-
-def _chunk_of(body: bytes) -> Chunk:
-    """A chunk, whose packed records are all that follows its head, whatever length it says for them."""
-    if len(body) < _CHUNK.size or _CHUNK.unpack_from(body)[-3:-1] != (len(_ZSTD), _ZSTD):
-        chunk: Chunk = _filling(Chunk, body)
-        return chunk
-    first_ns, last_ns, size, checksum, *_ = _CHUNK.unpack_from(body)
-    return Chunk(_ZSTD.decode(), body[_CHUNK.size :], last_ns, first_ns, checksum, size)
-
-
-def _unpack(chunk: Chunk) -> bytes:
-    """A chunk's records; ``ValueError`` where size or checksum is wrong."""
-    if chunk.uncompressed_size > _LARGEST_RECORD:
-        raise ValueError("larger than any chunk")
-    if chunk.compression == "zstd":
-        if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
-            raise ValueError("unpacks to more than it says")
-        unpacked = zstandard.ZstdDecompressor()
-        records: bytes = unpacked.decompress(
-            chunk.data, max_output_size=chunk.uncompressed_size, allow_extra_data=False
-        )
-    elif chunk.compression == "":
-        records = chunk.data
-    else:
-        raise ValueError("an unknown packing")
-    if len(records) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(records)):
-        raise ValueError("a wrong checksum")
-    return records

@@ -19,7 +19,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
-from magcal_service.config.settings import CraftConfig, RecordConfig
+from magcal_service.config.daemon_settings import RecordConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import digest
 from magcal_service.errors import DecodeError, Fault, InputRefusedError
 from magcal_service.recordings.session_file import SessionFile

@@ -274,7 +274,7 @@ def parse_numbers(cells: list[str]) -> tuple[FloatArray, Codes]:
     """Cells as numbers (n,), NaN where faulty, and the fault codes (n,)."""
     codes = np.zeros(len(cells), dtype=np.uint8)
     try:
-        values = np.array([float(cell) for cell in cells], dtype=np.float64)
+        values = np.array(list(map(float, cells)), dtype=np.float64)
         plain = "_" not in "".join(cells)
     except ValueError:
         plain = False

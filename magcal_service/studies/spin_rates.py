@@ -14,7 +14,8 @@ from magcal_service.studies.montecarlo import seeds_of
 from magcal_service.studies.report import Cell, Findings, Line, Panel, Table
 from magcal_service.studies.study import Request, Study
 from magcal_service.studies.variants import COLUMNS, Measured, Variant, measure_all
-from magcal_service.trust.monitor import Trust, TrustMonitor
+from magcal_service.trust.monitor import TrustMonitor
+from magcal_service.trust.verdict import Trust
 
 RATES_RPM: Final = (0.5, 1.0, 2.0, 4.0, 7.5, 12.0, 15.0, 20.0, 25.0, 28.0, 29.0, 29.7, 30.0)
 """At one sample a second 30 rpm is half a turn a sample: two directions across the axis, seen again and again."""

@@ -16,32 +16,19 @@ from typing import Final
 import numpy as np
 
 from magcal_service.config.settings import CraftConfig
-from magcal_service.estimators.interface import Phase, StartGate, StateEstimate, TickOutcome
+from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.hazards import REMEDY
 from magcal_service.trust.protector import Protector
-from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.reasons import REMEDIES, Reason, reason_of
 from magcal_service.trust.senses import DOUBTS, Senses
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
-
-_REASON_OF_GATE: Final = {
-    StartGate.POOR_COVERAGE: Reason.POOR_COVERAGE,
-    StartGate.NOT_POSITIVE: Reason.NO_SOLUTION,
-    StartGate.COLLAPSED: Reason.NO_SOLUTION,
-    StartGate.NO_CONVERGENCE: Reason.NO_SOLUTION,
-    StartGate.BAD_FIT: Reason.INCONSISTENT,
-}
-"""What each start gate (``estimators.parts.start_gates``) means for the verdict."""
-
-
-def reason_of(gate: StartGate) -> Reason:
-    """The verdict's reason for a start that was stopped by this gate."""
-    return _REASON_OF_GATE[gate]
 
 
 class _Levels:
@@ -68,31 +55,8 @@ class _Levels:
     coverage_ticks: Final = 12_000  # two orbits: by then every direction has occurred that will
 
 
-@dataclass(frozen=True, slots=True)
-class Trust:
-    """A verdict with the reasons against it and the first one's remedy, and the protection level.
-
-    ``protection_nt`` [nT] and what sets it, ``protection_by``, are None while unknown.
-    """
-
-    verdict: Verdict
-    reasons: tuple[Reason, ...]
-    remedy: str
-    protection_nt: float | None = None
-    protection_by: str | None = None
-
-    @property
-    def protection(self) -> str:
-        """The level in words, empty while unknown."""
-        return (
-            "" if self.protection_nt is None else f", protected to {self.protection_nt:.0f} nT ({self.protection_by})"
-        )
-
-
 _MANY_SPIKES: Final = 0.02
 """Share of the samples stopped by the gate from which on the residual's width says nothing of the noise."""
-
-NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])
 
 
 def _is_collapsed(x: Array) -> bool:

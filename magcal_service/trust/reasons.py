@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Final
 
+from magcal_service.estimators.interface import StartGate
+
 
 class Reason(StrEnum):
     """Why an estimate is not (yet) trusted; the code travels in messages, ``REMEDIES`` says what to do."""
@@ -94,3 +96,17 @@ REMEDIES: Final = {
     Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, or beyond the range of its "
     "curve, so it is not compensated: bring channel, position or reference back, or take the effect out of the file",
 }
+
+_REASON_OF_GATE: Final = {
+    StartGate.POOR_COVERAGE: Reason.POOR_COVERAGE,
+    StartGate.NOT_POSITIVE: Reason.NO_SOLUTION,
+    StartGate.COLLAPSED: Reason.NO_SOLUTION,
+    StartGate.NO_CONVERGENCE: Reason.NO_SOLUTION,
+    StartGate.BAD_FIT: Reason.INCONSISTENT,
+}
+"""What each start gate (``estimators.parts.start_gates``) means for the verdict."""
+
+
+def reason_of(gate: StartGate) -> Reason:
+    """The verdict's reason for a start that was stopped by this gate."""
+    return _REASON_OF_GATE[gate]

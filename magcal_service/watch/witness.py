@@ -106,9 +106,9 @@ class Witness(Stateful, WitnessMemory):
         else:
             return
         field_nt = tick.field_body_nt[-1]
-        along = field_nt @ vector_jacobian(*field_nt.tolist()) / max(math.sqrt(float(field_nt @ field_nt)), 1.0)
+        along = field_nt.dot(vector_jacobian(*field_nt.tolist())) / max(math.sqrt(float(field_nt.dot(field_nt))), 1.0)
         noise_nt2 = max(self._noise_nt, 1e-9) ** 2 / len(tick.times_s)
-        self._variances_nt2.append(noise_nt2 + max(0.0, float(along @ self._covariance @ along)))
+        self._variances_nt2.append(noise_nt2 + max(0.0, float(along.dot(self._covariance).dot(along))))
         self._squares_nt2.append((float(np.add.reduce(residual_nt)) / len(residual_nt)) ** 2)
         self._time_ns, self._clock = tick.time_ns, tick.clock
         self._times_ns.append(tick.time_ns)

@@ -14,7 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from magcal_service.config.settings import CraftConfig, RecordConfig, SensorConfig, SpinConfig
+from magcal_service.config.daemon_settings import RecordConfig
+from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.recordings.recorder import Recorder
 from magcal_service.recordings.session_file import SessionFile

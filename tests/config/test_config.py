@@ -13,23 +13,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from magcal_service.config.daemon_settings import CommandsConfig, HealthConfig, OutputConfig, RecordConfig, StateConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
     DEFAULT_LINK,
-    CommandsConfig,
     Config,
     CraftConfig,
     FilterConfig,
-    HealthConfig,
     MagnetometerConfig,
-    OutputConfig,
-    RecordConfig,
     ReferenceConfig,
     ReferenceModel,
     SensorConfig,
     SpinConfig,
     SpinWindow,
-    StateConfig,
     TickConfig,
     TrustConfig,
     default_craft,

@@ -10,19 +10,15 @@ from typing import Any
 
 import pytest
 
+from magcal_service.config.daemon_settings import CommandsConfig, HealthConfig, OutputConfig, RecordConfig, StateConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
-    CommandsConfig,
     Config,
     FilterConfig,
-    HealthConfig,
     MagnetometerConfig,
-    OutputConfig,
-    RecordConfig,
     ReferenceConfig,
     SensorConfig,
     SpinConfig,
-    StateConfig,
     TickConfig,
     TrustConfig,
 )

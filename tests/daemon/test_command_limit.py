@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from magcal_service.config.settings import CommandsConfig, Config, CraftConfig
+from magcal_service.config.daemon_settings import CommandsConfig
+from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon import run as run_module
 from magcal_service.daemon.command_limit import CommandLimit
 from magcal_service.daemon.run import run_daemon

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from magcal_service.config.settings import Config, StateConfig
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import Config
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.containment import contained
 from magcal_service.daemon.pipeline import Pipeline

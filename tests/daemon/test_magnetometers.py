@@ -13,14 +13,8 @@ import numpy as np
 import pytest
 
 from magcal_service.cli.status import _complete, as_text
-from magcal_service.config.settings import (
-    Config,
-    CraftConfig,
-    FilterConfig,
-    MagnetometerConfig,
-    SpinConfig,
-    StateConfig,
-)
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import Config, CraftConfig, FilterConfig, MagnetometerConfig, SpinConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.config.settings import CraftConfig, FilterConfig, StateConfig
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.snapshot import SnapshotError

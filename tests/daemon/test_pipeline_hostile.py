@@ -19,7 +19,7 @@ from magcal_service.estimators.ekf import Ekf
 from magcal_service.estimators.interface import TickOutcome
 from magcal_service.ticks.assembler import Tick
 from magcal_service.ticks.time_window import EARLIEST_NS, LATEST_NS
-from magcal_service.trust.monitor import Trust
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.messages import (
     Frame,

@@ -170,7 +170,7 @@ def test_a_full_disk_stops_the_rows_and_not_the_service() -> None:
         EstimateCsv(FULL) as out,
     ):
         service, heard = serve(link, node, out)
-    assert service.csv_error is not None
+    assert service.rows.error is not None
     assert sum(isinstance(message, CalibratedVector) for message in heard) == 300
     last = [message for message in heard if isinstance(message, Status)][-1]
     assert last.counters["csv_lost"] > 100

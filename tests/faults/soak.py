@@ -19,7 +19,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from magcal_service.config.settings import Config, CraftConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import Config, CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link

@@ -8,8 +8,9 @@ from dataclasses import replace
 from functools import cache
 
 from magcal_service.config.address import parse_address
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import read_key
-from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.counter_file import CounterFile

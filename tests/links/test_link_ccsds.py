@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.config.daemon_settings import OutputConfig
 from magcal_service.config.reader import load_config
-from magcal_service.config.settings import Config, CraftConfig, OutputConfig
+from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.service import Service
 from magcal_service.errors import ConfigError, LinkAddressError, LinkError

@@ -73,7 +73,7 @@ ROOMS: Final = (
         "recorder",
         tuple(
             f"{S}/recordings/{name}.py"
-            for name in ("recorder", "session_file", "session_files", "mcap_writer", "mcap_reader")
+            for name in ("recorder", "session_file", "session_files", "mcap_writer", "mcap_reader", "mcap_records")
         ),
         ("tests/recordings",),
     ),

@@ -11,7 +11,8 @@ from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
-from magcal_service.config.settings import Config, CraftConfig, RecordConfig, SensorConfig, SpinConfig, StateConfig
+from magcal_service.config.daemon_settings import RecordConfig, StateConfig
+from magcal_service.config.settings import Config, CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.service import Service

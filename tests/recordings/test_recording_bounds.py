@@ -17,7 +17,7 @@ import zstandard
 from magcal_service.cli.__main__ import main
 from magcal_service.errors import InputRefusedError, RecordingError
 from magcal_service.offline.given import read_given
-from magcal_service.recordings import mcap_limits, mcap_reader, row_limits
+from magcal_service.recordings import mcap_limits, mcap_records, row_limits
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
@@ -106,7 +106,7 @@ def test_a_recording_that_unpacks_to_far_more_than_it_is_is_refused(
 
 def test_a_chunk_that_says_too_much_or_has_more_than_it_says_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
     content = bytes(1 << 20)
-    monkeypatch.setattr(mcap_reader, "_LARGEST_RECORD", 1 << 19)
+    monkeypatch.setattr(mcap_records, "LARGEST_RECORD", 1 << 19)
     monkeypatch.setattr(zstandard, "ZstdDecompressor", lambda: pytest.fail("unpacked"))
     whole = packed(content, 1)
     for size in (1 << 20, 1 << 18):

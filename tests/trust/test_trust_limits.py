@@ -16,8 +16,9 @@ from magcal_service.residuals import white_floor
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import modes
 from magcal_service.trust.modes import MODES, markdown
-from magcal_service.trust.monitor import NOT_STARTED, TrustMonitor, reason_of
+from magcal_service.trust.monitor import TrustMonitor, reason_of
 from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.verdict import NOT_STARTED
 from magcal_service.wire.messages import Verdict
 
 NOISE_NT = 300.0

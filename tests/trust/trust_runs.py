@@ -13,8 +13,9 @@ from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.ticks.assembler import Tick
-from magcal_service.trust.monitor import Trust, TrustMonitor
+from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.reasons import Reason
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario import Scenario
 from sim_sensor.scenario_reader import load_scenario

@@ -30,8 +30,9 @@ from typing import Any, Final
 
 import msgpack
 
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import read_key
-from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.floor import Floor
 from magcal_service.disk import write_whole
 from magcal_service.errors import Fault, InputRefusedError, MagcalError

@@ -11,8 +11,9 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.magnetometers import label
-from magcal_service.config.settings import CraftConfig, StateConfig
+from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
 from magcal_service.daemon.containment import contained, told
 from magcal_service.daemon.events import Event

@@ -9,6 +9,8 @@ Source: Cetin, Soken, Tekinalp 2020, equation (6); the projection is original to
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from magcal_service.estimators.parts.spin_window import Window
@@ -19,6 +21,9 @@ from magcal_service.estimators.parts.unscented import (
     transformed_innovation,
 )
 from magcal_service.model import BIAS, Array, d_matrix, field_jacobian
+
+_IDENTITY_2: Final = np.eye(2)
+_IDENTITY_3: Final = np.eye(3)
 
 
 def spin_innovation(
@@ -33,7 +38,7 @@ def spin_innovation(
     field_nt: measured vectors B of the window's samples (..., k, 3) [nT].
     noise_variance: s^2 of the isotropic noise [nT^2].
     """
-    matrix = np.eye(3) + d_matrix(x)
+    matrix = _IDENTITY_3 + d_matrix(x)
     magnitude, across, bias = window.reference_magnitude_nt, window.across, x[..., None, BIAS]
     projected = _to_magnitude(field_nt @ matrix - bias, magnitude)
     mean = (across @ (window.weights @ projected)[..., None])[..., 0]
@@ -58,6 +63,6 @@ def _to_magnitude(vectors: Array, magnitude_nt: Array) -> Array:
 def _noise_of_mean(window: Window, unit: Array, noise_variance: float) -> Array:
     """Covariance (..., 2, 2) [nT^2] of a mean: tangential noise of unit vectors (..., k, 2), and the window's leak."""
     square = window.weights**2
-    tangential = np.eye(2) * square.sum() - np.einsum("k,...ki,...kj->...ij", square, unit, unit)
-    noise: Array = noise_variance * window.share * tangential + window.leak_nt**2 * np.eye(2)
+    tangential = _IDENTITY_2 * square.sum() - np.einsum("k,...ki,...kj->...ij", square, unit, unit)
+    noise: Array = noise_variance * window.share * tangential + window.leak_nt**2 * _IDENTITY_2
     return noise

@@ -133,16 +133,19 @@ def scalar_innovation(
     r1, r2, r3 = share * w1, share * w2, share * w3
     (p1, p2, p3), determinant = adjugate_product(matrix, (r1, r2, r3))
     B1, B2, B3 = B1 - p1 / determinant, B2 - p2 / determinant, B3 - p3 / determinant
-    moved = (vector_jacobian(B1, B2, B3) @ root) * weights.spread  # U (3, 9)
-    linear = np.array((2.0 * (w1 - r1), 2.0 * (w2 - r2), 2.0 * (w3 - r3))) @ moved  # a (9,)
+    # ``dot`` costs half of ``@`` for so few numbers
+    moved = vector_jacobian(B1, B2, B3).dot(root) * weights.spread  # U (3, 9)
+    linear = np.array((2.0 * (w1 - r1), 2.0 * (w2 - r2), 2.0 * (w3 - r3))).dot(moved)  # a (9,)
     quadratic = np.add.reduce(moved * moved)  # q (9,); ``ndarray.sum`` costs as much again for so few numbers
     shift = (
         2.0 * weights.pair * float(np.add.reduce(quadratic))
     )  # mean of |w|^2 over the points, less its value at the centre
     quadratic -= shift
-    spread = 2.0 * weights.pair * float(linear @ linear + quadratic @ quadratic) + weights.covariance_0 * shift * shift
+    spread = (
+        2.0 * weights.pair * float(linear.dot(linear) + quadratic.dot(quadratic)) + weights.covariance_0 * shift * shift
+    )
     value = scalar_innovation_value(residual, length, magnitude_nt, white_variance) - shift
-    cross = (root @ linear) * (2.0 * weights.pair * weights.spread)
+    cross = root.dot(linear) * (2.0 * weights.pair * weights.spread)
     return ScalarInnovation(residual, value, spread + variance_of_v(magnitude_nt, noise_variance), cross)
 
 

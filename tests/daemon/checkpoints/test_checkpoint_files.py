@@ -9,7 +9,8 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from magcal_service.config.settings import StateConfig, default_craft
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import default_craft
 from magcal_service.daemon.checkpoints.files import (
     MAGIC,
     SCHEMA,

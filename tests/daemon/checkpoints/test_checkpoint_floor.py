@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.reader import load_config
-from magcal_service.config.settings import Config, CraftConfig, StateConfig
+from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateStore
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline

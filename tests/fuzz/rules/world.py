@@ -17,7 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.config.settings import Config, CraftConfig, OutputConfig, RecordConfig, StateConfig
+from magcal_service.config.daemon_settings import OutputConfig, RecordConfig, StateConfig
+from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.pipeline import Pipeline

@@ -1,0 +1,34 @@
+"""How far an estimate is to be trusted, as it goes out with each result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.wire.messages import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """A verdict with the reasons against it and the first one's remedy, and the protection level.
+
+    ``protection_nt`` [nT] and what sets it, ``protection_by``, are None while unknown.
+    """
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    remedy: str
+    protection_nt: float | None = None
+    protection_by: str | None = None
+
+    @property
+    def protection(self) -> str:
+        """The level in words, empty while unknown."""
+        return (
+            "" if self.protection_nt is None else f", protected to {self.protection_nt:.0f} nT ({self.protection_by})"
+        )
+
+
+NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])
+"""Of an estimate that there is not yet."""
