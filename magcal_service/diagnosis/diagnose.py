@@ -179,9 +179,55 @@ def diagnose(
     began = time.monotonic()
     inspection = inspect(recording) if inspection is None else inspection
     effects = () if inspection.open else catalogue() if effects is None else effects
+    rows = inspection.to_diagnose
     progress("simulating the recording with nine errors")
+    first = _on_rows(rows, inspection, effects, simulation_x, progress)
+    comes_and_goes = _comes_and_goes(first)
+    if not comes_and_goes:
+        return replace(first, seconds=time.monotonic() - began)
+    progress("once more between the pulses")
+    between = np.ones(len(rows), dtype=bool)
+    for one in comes_and_goes.values():
+        if one.spoiled is not None:
+            between &= ~np.isin(rows.time_ns, first.prepared.recording.time_ns[one.spoiled])
+    again = _on_rows(rows.select(between), inspection, effects, simulation_x, progress)
+    if again.verdict is Verdict.UNKNOWN:
+        return replace(first, seconds=time.monotonic() - began)
+    left_out = {**again.prepared.left_out, "in_pulses": len(rows) - int(between.sum())}
+    return replace(
+        again,
+        prepared=replace(again.prepared, left_out=left_out),
+        findings={**again.findings, **comes_and_goes},
+        verdict=Verdict.NAMED,
+        seconds=time.monotonic() - began,
+    )
+
+
+def _comes_and_goes(diagnosis: Diagnosis) -> dict[str, Finding]:
+    """Effects of the field that show by when they act, where something has no name and the recording is in no doubt."""
+    prepared, fit = diagnosis.prepared, diagnosis.fit
+    if diagnosis.verdict is not Verdict.UNKNOWN or diagnosis.inspection.open or prepared.problem.is_vector:
+        return {}
+    view = replace(prepared.view, scene=fit.problem.scene, residual_nt=fit.residual)
+    found = {}
+    for effect in diagnosis.effects:
+        finding = effect.find(view) if effect.find is not None and effect.acts_on is ActsOn.FIELD else None
+        if finding is not None:
+            found[effect.name] = finding
+    return found
+
+
+def _on_rows(
+    rows: Recording,
+    inspection: Inspection,
+    effects: tuple[Effect, ...],
+    simulation_x: Array | None,
+    progress: Progress,
+) -> Diagnosis:
+    """The diagnosis of some rows of an inspected recording."""
+    began = time.monotonic()
     progress(f"screening {len(effects)} effects")
-    prepared, search, explained, refused = _in_form(inspection.to_diagnose, effects)
+    prepared, search, explained, refused = _in_form(rows, effects)
     progress("looking for what is left")
     end = _with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
     progress("looking at attitude and noise")

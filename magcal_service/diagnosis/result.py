@@ -35,14 +35,15 @@ def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
     """
     fields = [_of_term(diagnosis, index) for index in range(len(diagnosis.fit.terms))]
     acts_on = {effect.name: effect.acts_on for effect in diagnosis.effects}
-    samples = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] is ActsOn.SAMPLES]
-    others = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] is not ActsOn.SAMPLES]
+    beside = (ActsOn.ATTITUDE, ActsOn.NOISE)
+    samples = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] not in beside]
+    others = [_of_finding(diagnosis, name) for name in diagnosis.findings if acts_on[name] in beside]
 
     def by_share(entry: Entry) -> float:
         return -float(entry.where["share_of_mismatch"])
 
     # a craft that nutates has a rate that seems to change, too: attitude first, by name
-    order = [name for kind in (ActsOn.ATTITUDE, ActsOn.NOISE) for name, acts in acts_on.items() if acts is kind]
+    order = [name for kind in beside for name, acts in acts_on.items() if acts is kind]
     unknown = [_unknown(diagnosis)] if diagnosis.verdict is Verdict.UNKNOWN else []
     by_size = sorted([*unknown, *fields, *samples], key=by_share)
     return (*by_size, *sorted(others, key=lambda e: order.index(e.effect)))
@@ -88,10 +89,10 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
     odds = math.exp(-min(finding.nats, 50.0))
     return Entry(
         effect=name,
-        says=effect.sentence(finding.parameters, "none"),
-        driver="none",
+        says=effect.sentence(finding.parameters, finding.driver),
+        driver=finding.driver,
         variant="",
-        probability=1.0 - odds,
+        probability=1.0 - max(odds, finding.doubt),
         rivals=(),
         members=(name,),
         separated_by=effect.separated_by,

@@ -299,6 +299,8 @@ class Finding:
     share: of the mismatch in the residual that it touches, 0 to 1.
     spoiled: (n,) rows that no fit should use, or None.
     time_s: from and to, where it acts for a part of the recording only.
+    driver: as of a hypothesis.
+    doubt: least probability that is left to something else.
     """
 
     parameters: Values
@@ -306,6 +308,8 @@ class Finding:
     share: float
     spoiled: NDArray[np.bool_] | None = None
     time_s: tuple[float, float] | None = None
+    driver: str = "none"
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,7 +331,8 @@ class Effect:
     says: sentences of cause and size, with ``{driver}`` and properties of parameters (``saying.Said``) in braces; the
         first whose parameters are all there is used.
     hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
-    find: detects it in samples, attitude or noise; None for an effect that acts as a field only.
+    find: detects it in samples, attitude or noise, or in when a field comes and goes; None for one that acts as a field
+        of a known course only.
     derived: further parameters computed from those that were fitted.
     absorbed: what of it the nine errors absorb; empty where nothing.
     not_live: drivers and forms that no single moment determines, so that they are not compensated live.

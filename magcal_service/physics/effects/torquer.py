@@ -10,11 +10,13 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.drivers.pulses import pulses
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes
+from magcal_service.physics.interface import Block, Columns, Effect, Finding, Hypothesis, Nonlinear, Values, along_axes
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.sunlight import carried
+from magcal_service.physics.scene.view import View
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 """L/R of the coil, 0: faster than a sample."""
@@ -94,6 +96,11 @@ def _derived(parameters: Values) -> Values:
     return {"nt_per_am2": turned}
 
 
+def _find(view: View) -> Finding | None:
+    found = pulses(view)
+    return None if found is None else found[1]
+
+
 EFFECT = Effect(
     name="torquer",
     acts_on=ActsOn.FIELD,
@@ -117,6 +124,7 @@ EFFECT = Effect(
         "middle_s": "s",
         "from_s": "s",
         "to_s": "s",
+        "pulse_nt": "nT",
     },
     prior=(10.0, 50000.0),
     valid="commands held between samples; no saturation of the core",
@@ -128,7 +136,10 @@ EFFECT = Effect(
         "Torquers on a regular duty of {period_s.size} add up to {on_nt.size} on {on_nt.place} while on.",
         "Torquers that detumble by the sign of dB/dt add up to {detumbling_nt.size} ({detumbling_nt.place}).",
         "Torquers that dump momentum every {period_s.size} add {dumping.percent} of the field.",
+        "Torquers that are not recorded fire every {period_s.size}, for {on_share.percent} of it, each time with "
+        "another field, of {pulse_nt.size} by rms; the rows within these pulses are left out.",
     ),
+    find=_find,
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

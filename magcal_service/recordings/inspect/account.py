@@ -14,6 +14,7 @@ WHY: Final[Mapping[str, str]] = {
     "thinned": "thinned out evenly",
     "spikes": "that are single spikes",
     "spoiled": "stuck or saturated, as named",
+    "in_pulses": "within pulses that nobody recorded, as named",
 }
 """Reasons for which a row is left out, in the order of the steps, as what follows a count of rows."""
 

@@ -1,0 +1,222 @@
+"""Torquers that nobody recorded, on a regular beat: a new dipole in each pulse, none between the pulses.
+
+A controller measures while its coils are off, then drives them for the rest of its cycle, with another dipole each
+time.  No course in time fits that, and each pulse needs three numbers of its own; but where in a cycle the field is
+disturbed, and that it is not elsewhere, shows in the evidence for all pulses together.  The rows between pulses are
+sound; those in them carry a field that nothing else in the recording tells.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Finding, value_of
+from magcal_service.physics.scene.view import View
+
+_CYCLES_S: Final = np.arange(20.0, 601.0)
+"""Cycles in whole seconds, as controllers have them; shorter ones hold too few samples for a dipole in each pulse."""
+
+_BIN_S: Final = 10.0
+"""Stretches whose fields are estimated to find the cycle; choice: half of the shortest."""
+
+_BEST: Final = 6
+"""Cycles whose pulses are looked for: the right one, multiples of it, and a few for chance."""
+
+_LEAST_BEAT: Final = 6.0
+"""Sigmas by which the strength has to vary over the best cycle: of 581 cycles one has 4 by chance."""
+
+_SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75)
+"""Shares of a cycle for which coils are on; a share between leaves a tenth of its field in the gaps at most."""
+
+_STEPS: Final = 40
+"""Places in a cycle where pulses may begin, and shares of it in the end."""
+
+_NEAR: Final = 2
+"""Places around the best beginning and length that are tried in the end: as far as to the next of ``_SHARES``."""
+
+_SIZES: Final = (0.02, 0.1, 0.5, 2.0, 10.0)
+"""Variances of a pulse's field in units of the noise's, 1 sigma of 0.14 to 3.2 times the noise per axis."""
+
+_FEWEST: Final = 20
+"""Pulses from which on a beat is one: fewer are steps."""
+
+_LEAST_NATS: Final = 50.0
+"""Evidence for pulses over their absence, for more than one direction over one, each beside what the search costs."""
+
+_STEADY: Final = 0.5
+"""Correlation of a pulse's field with the next one's from which on it follows something, and is another effect."""
+
+_MARGIN: Final = 2
+"""Samples around a pulse that are left out with it: a coil decays, and edges are known to a fortieth of a cycle."""
+
+_CLIPPED: Final = 99.0
+"""Percentile at which the strength of a stretch is cut, so that one outlier makes no cycle."""
+
+UNRECORDED: Final = "inferred:pulses"
+"""Driver of a finding."""
+
+_DOUBT: Final = 0.03
+"""Share that is left to something else on a beat of its own: as to an effect whose driver was not recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Pulses that begin ``first_s`` after the first row and every ``period_s``, and last ``on_share`` of that."""
+
+    period_s: float
+    first_s: float
+    on_share: float
+
+    def rows(self, time_s: Array, margin_s: float = 0.0) -> NDArray[np.bool_]:
+        """(n,) rows within a pulse or ``margin_s`` around it."""
+        since = (time_s - time_s[0] - self.first_s + margin_s) % self.period_s
+        return np.asarray(since < self.on_share * self.period_s + 2.0 * margin_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """u u' and u r over the rows before each row, u the field's direction, r the residual in units of the noise."""
+
+    time_s: Array
+    squares: Array
+    products: Array
+
+    @classmethod
+    def of(cls, time_s: Array, unit: Array, residual: Array) -> _Sums:
+        zero = np.zeros((1, 3, 3))
+        squares = np.concatenate([zero, np.cumsum(unit[:, :, None] * unit[:, None, :], axis=0)])
+        products = np.concatenate([zero[0, :1], np.cumsum(unit * residual[:, None], axis=0)])
+        return cls(time_s - time_s[0], squares, products)
+
+    def over(self, begin_s: Array, end_s: Array) -> tuple[Array, Array]:
+        """The sums (k, 3, 3) and (k, 3) of stretches of time (k,)."""
+        first, last = np.searchsorted(self.time_s, begin_s), np.searchsorted(self.time_s, end_s)
+        return self.squares[last] - self.squares[first], self.products[last] - self.products[first]
+
+    def pulses(self, beat: Beat) -> tuple[Array, Array]:
+        """The sums of each pulse."""
+        begins = self._begins(beat)
+        return self.over(begins, begins + beat.on_share * beat.period_s)
+
+    def gaps(self, beat: Beat) -> tuple[Array, Array]:
+        """The sums of each pause between two pulses."""
+        begins = self._begins(beat)
+        return self.over(begins + beat.on_share * beat.period_s, begins + beat.period_s)
+
+    def _begins(self, beat: Beat) -> Array:
+        count = int((self.time_s[-1] - beat.first_s) // beat.period_s)
+        return beat.first_s + beat.period_s * np.arange(max(count, 0))
+
+
+def pulses(view: View) -> tuple[Beat, Finding] | None:
+    """Torquers on a beat in a residual, with the rows that they spoil; None where there are none, or a record of them.
+
+    Source: the evidence is the marginal likelihood of random fields of one variance against none (a random-effects
+    model; MacKay 2003, Information Theory, chapter 28), its parts summed over pulses.
+    """
+    scene = view.scene
+    span_s = float(scene.time_s[-1] - scene.time_s[0]) if len(scene) else 0.0
+    if not scene.in_orbit or scene.of_quantity("magnetic moment") or span_s < _FEWEST * _CYCLES_S[0]:
+        return None
+    sums = _Sums.of(scene.time_s, scene.unit, view.residual_nt / view.noise_nt)
+    best = max((_best(sums, period) for period in _cycles(sums, scene.period_s)), default=None, key=_nats)
+    if best is None:
+        return None
+    nats, beat, size = best
+    squares, products = sums.pulses(beat)
+    fields = _fields(squares, products, size)
+    off_nats = float(_evidence(*sums.gaps(beat), size).sum())
+    follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
+    turning = nats - _of_one_direction(squares, products, fields)
+    clear = len(fields) >= _FEWEST and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
+    return (beat, _finding(view, beat, fields, nats)) if clear else None
+
+
+def _nats(found: tuple[float, Beat, float]) -> float:
+    return found[0]
+
+
+def _finding(view: View, beat: Beat, fields: Array, nats: float) -> Finding:
+    scene = view.scene
+    rows = beat.rows(scene.time_s, _MARGIN * scene.period_s)
+    size_nt = view.noise_nt * np.sqrt((fields**2).sum(axis=1))
+    rms_nt = float(np.sqrt(np.mean(size_nt**2)))
+    sigma_nt = float(np.std(size_nt**2) / (2.0 * rms_nt * np.sqrt(len(fields))))
+    return Finding(
+        {
+            "period_s": value_of(beat.period_s, 0.5 * beat.period_s / len(fields), "s"),
+            "on_share": value_of(beat.on_share, 1.0 / _STEPS, "1"),
+            "pulse_nt": value_of(rms_nt, sigma_nt, "nT"),
+        },
+        nats,
+        1.0,
+        spoiled=rows,
+        driver=UNRECORDED,
+        doubt=_DOUBT,
+    )
+
+
+def _cycles(sums: _Sums, period_s: float) -> list[float]:
+    """Cycles over which the strength of the field rises and falls most, best first."""
+    edges = np.arange(0.0, sums.time_s[-1], max(_BIN_S, 4.0 * period_s))
+    if len(edges) < 2 * _FEWEST:
+        return []
+    squares, products = sums.over(edges[:-1], edges[1:])
+    strength = np.einsum("ki,ki->k", products, _fields(squares, products, max(_SIZES)))
+    strength = np.minimum(strength, np.percentile(strength, _CLIPPED))
+    middle, excess = 0.5 * (edges[:-1] + edges[1:]), strength - strength.mean()
+    scores = []
+    for cycle_s in _CYCLES_S:
+        places = int(max(2, min(cycle_s // _BIN_S, 24)))
+        place = ((middle % cycle_s) / cycle_s * places).astype(np.intp)
+        sizes, totals = np.bincount(place, minlength=places), np.bincount(place, excess, minlength=places)
+        varied = float((totals**2 / np.maximum(sizes, 1)).sum()) / max(float(strength.var()), 1e-300)
+        scores.append((varied - (places - 1)) / np.sqrt(2.0 * (places - 1)))
+    if max(scores) < _LEAST_BEAT:
+        return []
+    return [float(_CYCLES_S[index]) for index in np.argsort(scores)[::-1][:_BEST]]
+
+
+def _best(sums: _Sums, period_s: float) -> tuple[float, Beat, float]:
+    """Evidence, place and length of pulses in a cycle, and the variance of their fields."""
+    step_s = period_s / _STEPS
+    coarse = [Beat(period_s, number * step_s, share) for share in _SHARES for number in range(_STEPS)]
+    nats, beat, size = max((_tried(sums, one, size) for one in coarse for size in _SIZES), key=_nats)
+    near = range(-_NEAR, _NEAR + 1)
+    fine = [
+        Beat(period_s, (beat.first_s + begin * step_s) % period_s, beat.on_share + length / _STEPS)
+        for begin in near
+        for length in near
+        if 0.0 < beat.on_share + length / _STEPS < 1.0
+    ]
+    nats, beat, size = max((_tried(sums, one, size) for one in fine), key=_nats)
+    return nats - math.log((len(coarse) * len(_SIZES) + len(fine)) * len(_CYCLES_S)), beat, size
+
+
+def _tried(sums: _Sums, beat: Beat, size: float) -> tuple[float, Beat, float]:
+    return float(_evidence(*sums.pulses(beat), size).sum()), beat, size
+
+
+def _fields(squares: Array, products: Array, size: float) -> Array:
+    """Most probable fields (k, 3) of stretches, in units of the noise, under fields of a variance."""
+    return np.asarray(np.linalg.solve(squares + np.eye(3) / size, products[..., None])[..., 0])
+
+
+def _evidence(squares: Array, products: Array, size: float) -> Array:
+    """(k,) ln of the odds for a field of a variance over none in each stretch [nats]."""
+    explained = np.einsum("ki,ki->k", products, _fields(squares, products, size))
+    return np.asarray(0.5 * (explained - np.linalg.slogdet(np.eye(3) + size * squares)[1]))
+
+
+def _of_one_direction(squares: Array, products: Array, fields: Array) -> float:
+    """Evidence [nats] for pulses along the direction that the fields have most in common, of the best variance."""
+    along = np.linalg.eigh(fields.T @ fields)[1][:, -1]
+    square, product = np.einsum("i,kij,j->k", along, squares, along), products @ along
+    each = [0.5 * (size * product**2 / (1.0 + size * square) - np.log1p(size * square)) for size in _SIZES]
+    return float(max(one.sum() for one in each))

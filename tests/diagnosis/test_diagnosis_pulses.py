@@ -1,0 +1,69 @@
+"""A diagnosis of torquers on a beat that nobody recorded: named, their rows left out, the nine errors right between."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from magcal_service import Recording, geomagnetic
+from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from magcal_service.diagnosis.result import entries
+from magcal_service.diagnosis.rows import account_of
+from magcal_service.model import measure
+from magcal_service.physics.catalogue import effect_named
+from tests.physics.scenes import ORIGIN_NS, X, orbit_eci_km
+
+COUNT, NOISE_NT, CYCLE_S = 4800, 80.0, 60.0
+
+
+@cache
+def diagnosed() -> Diagnosis:
+    """A tumbling craft whose coils are on for a quarter of each minute, with a new dipole each time."""
+    rng = np.random.default_rng(21)
+    time_s = np.arange(COUNT) * 1.0
+    time_ns = ORIGIN_NS + np.rint(time_s * 1e9).astype(np.int64)
+    place = orbit_eci_km(time_s)
+    reference = geomagnetic.igrf_eci_nt(time_ns, place)
+    turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    angle = time_s / 1.7
+    first = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    second = np.stack(
+        [-np.sin(angle) * np.cos(angle / 7.0), np.cos(angle) * np.cos(angle / 7.0), np.sin(angle / 7.0)], 1
+    )
+    attitude = np.stack([first, second, np.cross(first, second)], axis=1) @ turn
+    body = np.einsum("nij,nj->ni", attitude, reference)
+    on = time_s % CYCLE_S < 0.25 * CYCLE_S
+    fields = rng.normal(0.0, 250.0, (COUNT // int(CYCLE_S), 3))[(time_s // CYCLE_S).astype(int)]
+    field = measure(X, body + on[:, None] * fields + rng.normal(0.0, NOISE_NT, body.shape))
+    recording = Recording.from_arrays(
+        time_ns.astype("datetime64[ns]"),
+        field,
+        reference,
+        position_ecef_km=geomagnetic.ecef_from_eci(time_ns, place),
+        noise_nt=NOISE_NT,
+    )
+    return diagnose(recording, effects=tuple(effect_named(name) for name in ("torquer", "bias_step", "tone")))
+
+
+def test_the_torquer_is_named_and_something_is_left_to_doubt() -> None:
+    assert diagnosed().verdict is Verdict.NAMED
+    assert diagnosed().trusted
+    (entry,) = entries(diagnosed())
+    assert (entry.effect, entry.driver, entry.probability) == ("torquer", "inferred:pulses", 0.97)
+    assert entry.parameters["period_s"].value == CYCLE_S
+    assert "fire every 60.0" in entry.says
+
+
+def test_the_rows_of_the_pulses_are_accounted_for() -> None:
+    account = account_of(diagnosed().inspection, diagnosed().prepared)
+    assert COUNT // 4 <= account.left_out["in_pulses"] < 0.4 * COUNT
+    assert account.used == len(diagnosed().prepared.recording) == COUNT - account.left_out["in_pulses"]
+    assert str(account).endswith("within pulses that nobody recorded, as named")
+
+
+def test_between_the_pulses_the_nine_errors_are_right() -> None:
+    fit = diagnosed().fit
+    sigma = np.sqrt(np.diag(fit.covariance)[:9])
+    assert np.all(np.abs(fit.x[:9] - X) < 4.0 * sigma)
+    assert fit.rms_nt < 1.05 * NOISE_NT

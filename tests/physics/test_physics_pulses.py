@@ -1,0 +1,105 @@
+"""Torquers that nobody recorded, by their beat: found with cycle, share and size, and nothing else taken for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.model import Array
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Finding
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.view import View
+from tests.physics.scenes import ORIGIN_NS
+
+COUNT, NOISE_NT = 9000, 100.0
+TIME_S = np.arange(COUNT) * 1.0
+CYCLE_S, SHARE, FIRST_S = 90.0, 0.3, 21.0
+CYCLE = ((TIME_S - FIRST_S) // CYCLE_S).astype(int)
+ON = (TIME_S - FIRST_S) % CYCLE_S < SHARE * CYCLE_S
+
+
+def scene(**channels: Telemetry) -> Scene:
+    """A craft that tumbles in orbit."""
+    turn = np.stack([np.sin(TIME_S / 1.9), np.cos(TIME_S / 1.9), 0.7 * np.sin(TIME_S / 5.3)], axis=1)
+    field = 40_000.0 * turn / np.linalg.norm(turn, axis=1)[:, None]
+    return Scene(TIME_S, ORIGIN_NS, True, field, field, field, np.linalg.norm(field, axis=1), channels=channels)
+
+
+def found(disturbance: Array, of: Scene | None = None, noise: Array | None = None) -> Finding | None:
+    """What a field (n, 3) [nT] in the body, beside white noise, is taken for."""
+    of = scene() if of is None else of
+    noise = np.random.default_rng(3).normal(0.0, NOISE_NT, COUNT) if noise is None else noise
+    residual = np.einsum("ni,ni->n", of.unit, disturbance) + noise
+    find = effect_named("torquer").find
+    assert find is not None
+    return find(View(of, residual, NOISE_NT))
+
+
+def levels(seed: int = 9) -> Array:
+    """(n, 3) another field in each cycle, 150 nT by rms and axis."""
+    return np.asarray(np.random.default_rng(seed).normal(0.0, 150.0, (CYCLE.max() + 2, 3))[CYCLE])
+
+
+def test_a_beat_is_found_with_its_cycle_share_and_size() -> None:
+    pulses = found(ON[:, None] * levels())
+    assert pulses is not None
+    value = {name: float(one.value) for name, one in pulses.parameters.items()}
+    assert value["period_s"] == CYCLE_S
+    assert value["on_share"] == pytest.approx(SHARE, abs=0.05)
+    assert value["pulse_nt"] == pytest.approx(150.0 * np.sqrt(3.0), rel=0.15)
+    assert pulses.driver == "inferred:pulses"
+    assert pulses.doubt == 0.03
+    assert pulses.nats > 1000.0
+
+
+def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
+    pulses = found(ON[:, None] * levels())
+    assert pulses is not None
+    assert pulses.spoiled is not None
+    assert pulses.spoiled[ON].all()
+    assert np.mean(pulses.spoiled[~ON]) < 0.12
+
+
+def _bursts() -> Array:
+    rng = np.random.default_rng(12)
+    field = np.zeros((COUNT, 3))
+    for begin in rng.integers(0, COUNT - 30, 80):
+        field[begin : begin + 27] += rng.normal(0.0, 200.0, 3)
+    return field
+
+
+def _memory() -> Array:
+    noise = np.random.default_rng(2).normal(0.0, 60.0, (COUNT, 3))
+    for row in range(1, COUNT):
+        noise[row] += 0.97 * noise[row - 1]
+    return noise
+
+
+ONE_WAY = np.array([0.6, -0.64, 0.48])
+ELSE = {
+    "nothing": np.zeros((COUNT, 3)),
+    "noise with a memory": _memory(),
+    "bursts at no regular times": _bursts(),
+    "a load of another current in each cycle": ON[:, None] * levels()[:, :1] * ONE_WAY,
+    "the same field in each pulse": ON[:, None] * np.array([150.0, -90.0, 60.0]),
+    "pulses that follow the orbit": ON[:, None]
+    * 200.0
+    * np.stack([np.sin(TIME_S / 900.0 + k) for k in range(3)], axis=1),
+    "a field in the gaps as well": levels() + 0.5 * levels(4),
+    "steps": 300.0 * np.sign(np.sin(TIME_S[:, None] / np.array([700.0, 900.0, 1300.0]))),
+}
+
+
+@pytest.mark.parametrize("name", ELSE)
+def test_what_is_no_beat_is_none(name: str) -> None:
+    assert found(ELSE[name]) is None
+
+
+def test_a_recorded_torquer_and_a_laboratory_are_left_to_what_was_recorded() -> None:
+    beat = ON[:, None] * levels()
+    coils = Telemetry("coils", "magnetic moment", np.sign(levels()) * ON[:, None])
+    assert found(beat, scene(coils=coils)) is None
+    assert found(beat, replace(scene(), in_orbit=False)) is None
