@@ -114,7 +114,9 @@ def _by_time(grids: Sequence[dict[str, Any]], title: str) -> Sheet:
             axes.add_patch(
                 Rectangle(corner, error_to - corner[0], level_to - corner[1], color=colours.to_rgba(seconds))
             )
-        _draw_frame(axes, grid["title"] if grid["cells"] else f"{grid['title']}:\nnever trusted", highest_nt)
+        if not grid["cells"]:
+            axes.annotate("never trusted", (0.06, 0.9), xycoords="axes fraction", color=QUIET)
+        _draw_frame(axes, grid["title"], highest_nt)
 
     def finish(figure: Any, axes: Sequence[Any]) -> None:
         figure.suptitle(title, fontsize=9)
