@@ -163,10 +163,13 @@ def test_a_terminal_shows_the_picture_until_q_and_is_left_as_it_was(recording: P
     environment = {**os.environ, "TERM": "xterm", "PYTHONUTF8": "1", "NO_COLOR": ""}
     command = [sys.executable, "-m", "magcal_service.cli", "watch", str(recording), "--speed", "0"]
     with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment) as process:
-        seen = read_until(ours, "end of the recording")
-        os.write(ours, b"q")
-        seen += read_until(ours, "\x1b[?1049l")
-        assert process.wait(20) == 0
+        try:
+            seen = read_until(ours, "end of the recording")
+            os.write(ours, b"q")
+            seen += read_until(ours, "\x1b[?1049l")
+            assert process.wait(120) == 0
+        finally:
+            process.kill()
     assert termios.tcgetattr(theirs) == before
     os.close(ours)
     os.close(theirs)
@@ -178,7 +181,7 @@ def test_a_terminal_shows_the_picture_until_q_and_is_left_as_it_was(recording: P
 
 def read_until(file: int, told: str) -> str:
     """What comes out of a terminal, up to a text."""
-    seen, deadline_s = b"", time.monotonic() + 20.0
+    seen, deadline_s = b"", time.monotonic() + 120.0
     while told.encode() not in seen and time.monotonic() < deadline_s:
         if select.select([file], [], [], 0.2)[0]:
             seen += os.read(file, 65536)

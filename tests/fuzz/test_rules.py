@@ -92,7 +92,7 @@ def test_a_message_that_does_not_arrive_is_found(monkeypatch: pytest.MonkeyPatch
 def test_a_run_that_ended_goes_on_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds = []
 
-    def one_batch(machine: type[Rules], number: int, worlds: int) -> str:
+    def one_batch(machine: type[Rules], number: int, worlds: int, *, shrink: bool) -> str:
         seeds.append((machine.method, number))
         machine.total.update(steps=100, worlds=worlds)
         return "AssertionError: planted" if len(seeds) == 2 else ""

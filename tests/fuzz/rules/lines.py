@@ -7,7 +7,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, cast
+from typing import ClassVar, Final, cast
 
 import zenoh
 
@@ -40,6 +40,8 @@ class Line(abc.ABC):
     """
 
     node: Link
+    takes_results: ClassVar[bool] = True
+    """Whether results that a node sends arrive at the service, which is to leave them alone."""
 
     def __init__(self, crafts: Sequence[str]) -> None:
         self.crafts = tuple(crafts)
@@ -102,7 +104,12 @@ class SerialLine(Line):
 
 
 class ZenohLine(Line):
-    """Two sessions on 127.0.0.1, and a third that is no node of ours."""
+    """Two sessions on 127.0.0.1, and a third that is no node of ours.
+
+    A result that the node sends comes back to itself, which listens to results, and to no service.
+    """
+
+    takes_results = False
 
     def __init__(self, crafts: Sequence[str]) -> None:
         super().__init__(crafts)

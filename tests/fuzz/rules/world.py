@@ -97,9 +97,12 @@ class World:
     def send(self, messages: Iterable[Message]) -> None:
         """Let the node send, and the daemon work it off."""
         for message in messages:
+            to_service = kind_of(message).code < FIRST_RESULT or isinstance(message, Command)
+            if not (to_service or self.line.takes_results):
+                continue
             self.done["messages"] += 1
             self.node.send(message)
-            if message.craft in _CRAFTS and (kind_of(message).code < FIRST_RESULT or isinstance(message, Command)):
+            if message.craft in _CRAFTS and to_service:
                 self._sent[_mark_of(message)] += 1
         self.settle()
 
