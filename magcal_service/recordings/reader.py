@@ -28,6 +28,7 @@ from magcal_service.recordings.specs import (
     TimeSpec,
 )
 from magcal_service.recordings.table import TextTable, read_table
+from magcal_service.recordings.unit_words import unit_of
 from magcal_service.typed_toml import nearest
 
 _HEAD_BYTES: Final = 1 << 16  # far more than stands above the first section of a descriptor
@@ -136,6 +137,7 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
     position = log.position(descriptor, time_ns)
     reference = log.reference(descriptor.reference, time_ns, position)
     channels = {spec.name: log.channel(spec) for spec in descriptor.channels}
+    remarks = (*_of_units(descriptor, table), *log.remarks)
     recording = Recording(
         name=descriptor.samples.name,
         descriptor=descriptor,
@@ -148,11 +150,28 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
         source=descriptor.magnetometer.source,
         others=tuple(further),
         further=further,
-        report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries), tuple(log.remarks)),
+        report=RowReport(table.seen, int(np.count_nonzero(log.kept)), tuple(log.entries), remarks),
         lines=table.lines,
     ).select(log.kept)
     _check_usable(recording)
     return recording
+
+
+def _of_units(descriptor: Descriptor, table: TextTable) -> list[str]:
+    """That a line of units stands below the header, and where it contradicts the description."""
+    if not table.units:
+        return []
+    said = dict(zip(table.header, map(unit_of, table.units), strict=True))
+    named = [(spec.columns, str(spec.unit)) for spec in (descriptor.magnetometer, *descriptor.beside)]
+    named += [(spec.columns, spec.unit) for spec in descriptor.channels]
+    other = {
+        column: f"{said[column]} of {column!r}, which the description takes in {unit}"
+        for columns, unit in named
+        for column in columns
+        if unit and said.get(column) and said[column] != unit
+    }
+    differs = f"; it says {', '.join(other.values())}" if other else ""
+    return [f"a line of units stands below the header and is no row{differs}"]
 
 
 def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import math
 import re
 import zlib
 from collections import Counter
@@ -22,6 +23,7 @@ from magcal_service.progress import Work, counted
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
 from magcal_service.recordings.row_limits import RowLimits
+from magcal_service.recordings.unit_words import are_units, unit_of
 
 _Stream = io.BufferedReader | gzip.GzipFile
 
@@ -57,6 +59,7 @@ class TextTable:
     entries: what was counted on the way.
     decimal: the sign in numbers with a fraction.
     comments: lines in the file that are comments, rising.
+    units: what a line of units right below the header says of each column; empty where there is none.
     joined: further columns by name, each made when it is asked for, with a cell for every row.
     """
 
@@ -67,6 +70,7 @@ class TextTable:
     entries: tuple[RowCount, ...]
     decimal: str = "."
     comments: Sequence[int] = ()
+    units: tuple[str, ...] = ()
     joined: Mapping[str, Callable[[], list[str]]] = field(default_factory=dict)
 
     def column(self, name: str) -> list[str]:
@@ -114,7 +118,7 @@ def read_table(path: Path, form: RowForm = PLAIN_ROWS, limits: RowLimits | None 
     rows = len(lines) - first if lines[-1].strip() else len(lines) - first - 1
     limits.check_rows(path, rows)
     limits.check_cells(path, len(header), rows)
-    splitter = _Splitter(_splitting(form.delimiter), len(header), form.comment, form.decimal)
+    splitter = _Splitter(_splitting(form.delimiter), len(header), form.comment, form.decimal, form.header)
     with counted(Work(f"reading {path.name}", rows, "rows")) as work:
         for number, line in enumerate(islice(lines, first, None), start=first + 1):
             splitter.add(number, line, at_end=number == len(lines))
@@ -226,6 +230,8 @@ class _Splitter:
     width: int
     comment: str
     decimal: str
+    header: bool
+    units: tuple[str, ...] = ()
     rows: list[list[str]] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
     comments: list[int] = field(default_factory=list)
@@ -245,6 +251,10 @@ class _Splitter:
         if self.comment and line.lstrip().startswith(self.comment):
             self.comments.append(number)
             return
+        if self.header and not self.seen and not self.units and (units := self._line_of_units(line)):
+            self.units = units
+            self.comments.append(number)
+            return
         self.seen += 1
         if not line.strip():
             self.note(RowFault.BLANK_LINE, number)
@@ -260,6 +270,14 @@ class _Splitter:
             self.rows.append(cells)
             self.numbers.append(number)
 
+    def _line_of_units(self, line: str) -> tuple[str, ...]:
+        """The cells of a line that has units in place of numbers; empty for any other."""
+        cells = tuple(cell.strip() for cell in self.split(line.rstrip("\r")) or ())
+        if len(cells) != self.width or not any(map(unit_of, cells)) or not are_units(cells):
+            return ()
+        numbers = any(math.isfinite(_number_or_nan(cell.translate(POINT))) for cell in cells if cell != "1")
+        return () if numbers else cells
+
     def table(self, header: tuple[str, ...]) -> TextTable:
         """The finished table."""
         entries = tuple(
@@ -267,7 +285,7 @@ class _Splitter:
             for kind, at in self.faults.items()
         )
         numbers = np.array(self.numbers, dtype=np.int64)
-        return TextTable(header, self.rows, numbers, self.seen, entries, self.decimal, self.comments)
+        return TextTable(header, self.rows, numbers, self.seen, entries, self.decimal, self.comments, self.units)
 
 
 def parse_numbers(cells: list[str]) -> tuple[FloatArray, Codes]:

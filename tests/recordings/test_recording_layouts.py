@@ -199,3 +199,23 @@ def test_a_join_that_cannot_be_is_refused(tmp_path: Path, case: str) -> None:
     join, heat, says = REFUSED_JOINS[case]
     with pytest.raises(RecordingError, match=says):
         joined(tmp_path, join, heat)
+
+
+@pytest.mark.parametrize("units", ["s,nT,nT,nT,nT", "[s],[nT],[nT],[nT],-", "s;nT;nT;nT;"])
+def test_a_line_of_units_is_no_row_and_is_held_against_the_description(units: str, tmp_path: Path) -> None:
+    lines = [f"{i},{30000 + i},-20000,{100 * (i % 7)},48000" for i in range(60)]
+    text = "\n".join(["t,x,y,z,f", units.replace(";", ","), *lines, ""])
+    descriptor = (
+        'version = 1\n[samples]\nfile = "log.csv"\n[time]\ncolumn = "t"\nformat = "elapsed_s"\n[magnetometer]\n'
+    )
+    descriptor += 'columns = ["x", "y", "z"]\nunit = "nT"\n[reference]\nmagnitude = "f"\nunit = "nT"\n'
+    (tmp_path / "log.csv").write_text(text)
+    (tmp_path / "RECORDING.toml").write_text(descriptor)
+    report = read_recording(tmp_path / "RECORDING.toml").report
+    assert (report.rows, report.used, report.entries) == (60, 60, ())
+    assert report.remarks == ("a line of units stands below the header and is no row",)
+    (tmp_path / "log.csv").write_text(text.replace("nT", "mG"))
+    (remark,) = read_recording(tmp_path / "RECORDING.toml").report.remarks
+    assert "mG of 'x', which the description takes in nT" in remark
+    (tmp_path / "log.csv").write_text(text.replace(units.replace(";", ","), "s,nT,nT,broken,0.5"))
+    assert read_recording(tmp_path / "RECORDING.toml").report.refused == 1

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from magcal_service.recordings.describe.layout import Layout
 from magcal_service.recordings.describe.sample import Sample
-from magcal_service.recordings.describe.units import split_unit, unit_of
 from magcal_service.recordings.table import parse_numbers
+from magcal_service.recordings.unit_words import split_unit, unit_of
 
 FloatArray = npt.NDArray[np.float64]
 

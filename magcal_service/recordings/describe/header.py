@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from magcal_service.recordings.describe.cells import NUMBER, WHITESPACE, is_value, split
-from magcal_service.recordings.describe.units import is_unit
+from magcal_service.recordings.unit_words import are_units
 
 _MOST_UNNAMED = 40  # cells of a header beyond those of the rows
 
@@ -43,7 +43,7 @@ def find_header(head: Sequence[str], comment: str, delimiter: str, labels: tuple
     first = next((i for i, line in enumerate(head) if _is_row(line, comment, delimiter, labels)), len(head))
     width = len(labels)
     lines = _name_lines(head[:first], comment, delimiter, width)
-    units_at = next((at for at, cells, marked in lines if not marked and _are_units(cells)), None)
+    units_at = next((at for at, cells, marked in lines if not marked and are_units(cells)), None)
     if units_at is not None and len(lines) == 1:
         units_at = None  # one line that only looks like units is a line of names
     named = [line for line in lines if line[0] != units_at]
@@ -83,10 +83,6 @@ def _name_lines(
         if len(found) == 2:
             break
     return found
-
-
-def _are_units(cells: tuple[str, ...]) -> bool:
-    return sum(is_unit(cell) for cell in cells) * 2 >= sum(bool(cell) for cell in cells)
 
 
 def _check(names: tuple[str, ...], width: int, rows: Sequence[str], delimiter: str) -> tuple[str, tuple[str, ...]]:

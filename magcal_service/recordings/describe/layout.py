@@ -11,7 +11,7 @@ from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.describe.cells import COMMA_NUMBER, NUMBER, WHITESPACE, is_value, split
 from magcal_service.recordings.describe.header import Header, find_header
 from magcal_service.recordings.describe.sample import Sample
-from magcal_service.recordings.describe.units import unit_of
+from magcal_service.recordings.unit_words import unit_of
 
 _DELIMITERS: Final = ("\t", ";", "|", ",", WHITESPACE)
 """In the order of preference: where two cut a line equally well, the rarer one was meant."""

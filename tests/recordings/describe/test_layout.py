@@ -9,7 +9,7 @@ import pytest
 from magcal_service.recordings.describe.columns import read_log, triples
 from magcal_service.recordings.describe.layout import Layout, find_layout
 from magcal_service.recordings.describe.sample import read_sample
-from magcal_service.recordings.describe.units import split_unit
+from magcal_service.recordings.unit_words import split_unit
 
 
 def layout_of(text: str, folder: Path) -> Layout:

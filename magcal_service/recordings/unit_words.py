@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 _FIELD: Final = {
@@ -121,6 +122,11 @@ def is_unit(text: str) -> bool:
         "sec",
         "[]",
     }
+
+
+def are_units(cells: Sequence[str]) -> bool:
+    """Whether the cells of a line without numbers are units, most of them."""
+    return sum(is_unit(cell) for cell in cells) * 2 >= sum(bool(cell) for cell in cells)
 
 
 def split_unit(name: str) -> tuple[str, str]:
