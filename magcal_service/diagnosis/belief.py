@@ -26,6 +26,12 @@ _LEAST_UNLISTED: Final = (0.01, 0.03)
 that is inferred.  However well a name fits, causes that nobody thought of fit as well now and then; of concealed cases'
 names that nothing spoke against, 1 and 3 of a hundred were false."""
 
+_FEW_LEVELS: Final = 2
+"""Jumps, each by a vector of its own, that are believed as one is: what swells and fades is met by more, too."""
+
+_ONE_WAVE: Final = 0.5
+"""Probability that a duty, with a line at a multiple of its rate beside it, leaves to another wave of that cycle."""
+
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
 
@@ -83,13 +89,46 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
-    least = _LEAST_UNLISTED[not is_recorded(explained.fit.terms[index].hypothesis)]
-    unlisted = min(max(lasting, shaped**2, least), _MOST_UNLISTED)
+    unlisted = min(max(lasting, shaped**2, _least_unlisted(explained.fit, index)), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
+
+
+def _least_unlisted(fit: Fit, index: int) -> float:
+    """Least probability that a name leaves to causes in no catalogue, by its form and what stands beside it."""
+    hypothesis = fit.terms[index].hypothesis
+    levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
+    jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
+    least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
+    return max(least, _ONE_WAVE) if index in _of_one_wave(fit) else least
+
+
+def _of_one_wave(fit: Fit) -> set[int]:
+    """Numbers of the terms that are parts of one periodic wave: a duty, and lines at multiples of its rate."""
+    time_s = fit.problem.scene.time_s
+    resolution_hz = 1.0 / max(float(time_s[-1] - time_s[0]), 1e-9)
+    cycles = [(index, value) for index, value in _numbers(fit, "period") if value > 0.0]
+    lines = _numbers(fit, "frequency")
+    found: set[int] = set()
+    for cycle, period_s in cycles:
+        for line, frequency_hz in lines:
+            order = round(frequency_hz * period_s)
+            if order >= 1 and abs(frequency_hz - order / period_s) < resolution_hz:
+                found |= {cycle, line}
+    return found
+
+
+def _numbers(fit: Fit, role: str) -> list[tuple[int, float]]:
+    """The nonlinear numbers of a role, with the number of their term."""
+    return [
+        (index, float(value))
+        for index, term in enumerate(fit.terms)
+        for number, value in zip(term.hypothesis.nonlinear, term.theta, strict=True)
+        if number.role == role
+    ]
 
 
 def _part(left: float, held: float) -> float:

@@ -78,6 +78,40 @@ def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
     assert posterior(replace(named, fit=recorded), 0).own == pytest.approx(0.99)
 
 
+@pytest.mark.parametrize(
+    ("variant", "own"),
+    [
+        ("steps at 2 instants", 0.97),
+        ("steps at 3 instants", 0.94),
+        ("steps at 5 instants", 0.88),
+        ("switched at 5 instants", 0.97),
+    ],
+)
+def test_many_jumps_each_by_its_own_are_believed_less(variant: str, own: float) -> None:
+    """What swells and fades is met by steps, too; what is switched on and off by one vector is not."""
+    jumps = next(one for one in effect_named("bias_step").hypotheses(scene()) if one.variant == variant)
+    named = explained([])
+    (term,) = named.fit.terms
+    theta = np.linspace(1000.0, 7000.0, len(jumps.nonlinear))
+    fit = replace(named.fit, terms=(replace(term, hypothesis=jumps, theta=theta),))
+    assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
+
+
+@pytest.mark.parametrize(("times", "own"), [(2.0, 0.5), (3.0, 0.5), (2.4, 0.97), (0.5, 0.97)])
+def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float, own: float) -> None:
+    """Of a cycle of 130 s, which is no duty, and no tone of its own."""
+    duty = next(
+        one for one in effect_named("torquer").hypotheses(scene()) if "period" in {n.role for n in one.nonlinear}
+    )
+    tone = form("tone")
+    theta = np.array([130.0 if number.role == "period" else 0.3 for number in duty.nonlinear])
+    named = explained([])
+    terms = (Term(duty, theta, np.ones(3)), Term(tone, np.array([times / 130.0]), np.ones(6)))
+    fit = replace(named.fit, terms=terms)
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
+
+
 def test_a_good_name_is_trusted() -> None:
     """The right step, nothing left, no rival near."""
     assert said(explained([("bias_drift", 60.0)])) == ()
