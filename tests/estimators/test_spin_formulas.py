@@ -203,6 +203,16 @@ def test_the_sums_of_a_fit_are_those_of_its_rows() -> None:
     )
 
 
+def test_a_craft_at_rest_stays_where_it_is_and_an_error_of_its_rate_turns_it_with_time() -> None:
+    some = samples()
+    rest = SpinState(X, attitude(), np.zeros(3), covariance())
+    times, measured, reference = fit_module._pieces(some)[0]
+    found = fit_module._Turned.of(rest, times, measured, reference)
+    np.testing.assert_allclose(found.field_nt, attitude() @ some.reference_eci_nt.T, atol=1e-9)
+    np.testing.assert_allclose(found.turns[0], np.broadcast_to(np.eye(3)[:, :, None], found.turns[0].shape), atol=1e-9)
+    np.testing.assert_allclose(found.turns[1], np.eye(3)[:, :, None] * some.times_s, atol=1e-9)
+
+
 def test_a_fit_to_clean_samples_finds_their_state_and_the_covariance_of_its_rows() -> None:
     some = samples(400)
     start = state()

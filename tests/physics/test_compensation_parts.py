@@ -12,7 +12,7 @@ from magcal_service.model import Array, d_matrix
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.live_drivers import positions_km
 from magcal_service.physics.apply.live_reference import shifts_s
-from magcal_service.physics.apply.model_file import ModelTerm
+from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm
 from magcal_service.wire.messages import (
     Clock,
     Frame,
@@ -23,6 +23,7 @@ from magcal_service.wire.messages import (
     Vector,
 )
 from tests.physics.live_models import HOT_X, THERMAL, model_of
+from tests.physics.scenes import AXIS_BODY, AXIS_ECI, turning
 
 START_NS = 1_742_472_000 * 10**9
 SECOND_NS = 10**9
@@ -256,3 +257,27 @@ def test_without_terms_nothing_changes() -> None:
     given = ReferenceSample(**common(1.0), magnitude_nt=45e3)  # type: ignore[arg-type]
     assert of.reference(given) == given
     assert (of.missing, of.wait_s) == ((), 0.0)
+
+
+# Attitude
+
+
+@pytest.mark.parametrize(("later_s", "known_from"), [(0.0, 0), (86_400.0, 9)])
+def test_the_models_axis_in_space_holds_where_its_recording_began_and_that_of_the_stream_later(
+    later_s: float, known_from: int
+) -> None:
+    """A day later the axis has moved by 61 deg: nothing is said before the tenth sample, and then it is the new one."""
+    axis = AXIS_ECI if later_s == 0.0 else np.array([0.0, 0.0, 1.0])
+    spin = ModelSpin(tuple(AXIS_BODY.tolist()), tuple(AXIS_ECI.tolist()), 0.2)
+    of = Compensation(model_of(RING, origin_ns=START_NS, spin=spin))
+    of._begun_ns = START_NS + round(later_s * SECOND_NS)
+    for k in range(20):
+        time_s = later_s + 60.0 * k
+        field = 3e4 * np.array([np.cos(0.3 * k), np.sin(0.3 * k), np.sin(0.7 * k)])
+        truth = turning(AXIS_BODY, axis, np.array([0.2 * time_s]))
+        x, y, z = field.tolist()
+        of.reference(reference(time_s, (x, y, z)))
+        found = of._attitude(truth @ field, START_NS + round(time_s * SECOND_NS))
+        assert (found is not None) is (k >= known_from)
+        if found is not None:
+            assert found == pytest.approx(truth, abs=1e-6)

@@ -34,10 +34,10 @@ class Sensor:
         self.witness, self.noise_nt, self._rng = Witness(), noise_nt, np.random.default_rng(seed)
         self.trusted = True
 
-    def second(self, k: int, seen_nt: float, phase: Phase = Phase.RUNNING) -> None:
+    def second(self, k: int, seen_nt: float, phase: Phase = Phase.RUNNING, clock: Clock = Clock.UTC) -> None:
         residual, field = np.array([seen_nt + self.noise_nt * self._rng.standard_normal()]), np.array([[2e4, 1e4, 3e4]])
         magnitude = np.linalg.norm(field, axis=1) - residual
-        tick = Tick(k, np.array([float(k)]), field, magnitude, time_ns=k * 10**9, clock=Clock.UTC)
+        tick = Tick(k, np.array([float(k)]), field, magnitude, time_ns=k * 10**9, clock=clock)
         self.witness.push(tick, TickOutcome(phase, residual, 1), estimate(self.noise_nt), trusted=self.trusted)
 
 
@@ -141,3 +141,16 @@ def test_white_noise_is_never_loud() -> None:
     assert sums.max() < 3.2
     assert np.mean(sums > 2.0) < 1e-3
     assert not sensor.witness.is_loud
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "clock", "local"),
+    [(0, Clock.UTC, True), (10, Clock.UTC, True), (11, Clock.UTC, False), (0, Clock.ELAPSED, False)],
+)
+def test_a_witness_has_seen_the_same_seconds_by_the_same_clock(ahead_s: int, clock: Clock, local: bool) -> None:
+    first, second = Sensor(100.0, 1), Sensor(100.0, 2)
+    for k in range(120):
+        first.second(k + ahead_s, 0.0, clock=clock)
+        second.second(k, 800.0 * (k >= 60))
+        second.witness.judge([first.witness])
+    assert second.witness.local is local

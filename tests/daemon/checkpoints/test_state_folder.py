@@ -77,6 +77,27 @@ def test_a_pipe_a_link_and_a_folder_are_no_checkpoints(store: StateStore, tmp_pa
     assert [name for name, why in newest(store) if not why] == ["0000000007.state", "0000000006.state"]
 
 
+@pytest.mark.parametrize(
+    ("planted", "kept"),
+    [
+        (["9999999997"], ["9999999998", "9999999997"]),
+        (["9999999998"], ["0000000002", "0000000001"]),
+        (["9999999999", "9999999998"], ["0000000002", "0000000001"]),
+    ],
+)
+def test_a_number_after_which_there_is_no_room_is_none_to_count_from(
+    store: StateStore, planted: list[str], kept: list[str]
+) -> None:
+    """Ten digits end: what stands at the end was not written here, and is set aside rather than overtaken."""
+    store.write(checkpoint(1))
+    for number in planted:
+        (store.folder / f"{number}.state").write_bytes(encode(checkpoint(99)))
+    store.write(checkpoint(2))
+    assert newest(store) == [(f"{number}.state", "") for number in kept]
+    aside = [number for number in planted if number not in kept]
+    assert sorted(path.stem for path in store.folder.glob("*.dropped")) == sorted(aside)
+
+
 def test_a_checkpoint_that_everybody_could_have_written_is_dropped(store: StateStore) -> None:
     store.write(checkpoint())
     (store.folder / "0000000001.state").chmod(0o602)
