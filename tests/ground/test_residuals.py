@@ -1,4 +1,4 @@
-"""Levels of a residual against analytic values of series whose spectrum is known."""
+"""Levels of a residual against analytic values of series whose spectrum is known; tails that chi-squared has."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from magcal_service.residuals import noise_floor, rms, white_floor
+from magcal_service.residuals import log_tail, noise_floor, rms, white_floor
 
 SECOND_NS = 1_000_000_000
 
@@ -76,3 +77,12 @@ def test_stretches_of_64_samples_have_a_spectrum_and_shorter_ones_an_rms(count: 
     floor = math.sqrt((white_floor(residual[:count]) ** 2 + white_floor(residual[count:]) ** 2) / 2.0)
     expected = floor if looked_at else rms(residual)
     assert noise_floor(stretches(count, count), residual) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 6, 9, 29, 45])
+def test_tails_against_scipy(degrees: int) -> None:
+    """ln P to 1e-9 of itself, from the middle of the distribution to where P is 1e-400."""
+    for x in (0.0, 0.3, 1.0, 5.0, 20.0, 60.0, 400.0, 900.0):
+        assert log_tail(x, degrees) == pytest.approx(chi2.logsf(x, degrees), rel=1e-6, abs=1e-9)
+    assert -log_tail(5000.0, degrees) == pytest.approx(2500.0, rel=0.1)
+    assert log_tail(-3.0, degrees) == pytest.approx(0.0, abs=1e-12)

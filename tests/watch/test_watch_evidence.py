@@ -1,4 +1,4 @@
-"""Evidence from sums: what least squares over all rows gives, and tails that chi-squared has."""
+"""Evidence from sums: what least squares over all rows gives."""
 
 from __future__ import annotations
 
@@ -6,21 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from magcal_service.model import BIAS, D_SCALE
-from magcal_service.residuals import log_tail
 from magcal_service.watch.evidence import Explanation, of_columns, of_course, spectral, without
 
 ROWS = 400
-
-
-@pytest.mark.parametrize("degrees", [1, 2, 3, 6, 9, 29, 45])
-def test_tails_against_scipy(degrees: int) -> None:
-    """ln P to 1e-9 of itself, from the middle of the distribution to where P is 1e-400."""
-    for x in (0.0, 0.3, 1.0, 5.0, 20.0, 60.0, 400.0, 900.0):
-        assert log_tail(x, degrees) == pytest.approx(chi2.logsf(x, degrees), rel=1e-6, abs=1e-9)
-    assert -log_tail(5000.0, degrees) == pytest.approx(2500.0, rel=0.1)
 
 
 def rows(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
