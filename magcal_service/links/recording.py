@@ -7,6 +7,7 @@ several craft in a session the one of that name is played),
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -80,7 +81,7 @@ class RecordingLink(Link):
 
     def _poll(self, wait_s: float) -> list[Message]:
         if self._speed == 0.0:
-            return self._take(lambda message: True)
+            return self._take_next()
         now_s = time.monotonic()
         if self._started_s is None:
             self._started_s = now_s
@@ -96,6 +97,13 @@ class RecordingLink(Link):
 
     def _take_due(self, now_s: float) -> list[Message]:
         return self._take(lambda message: self._due_s(message) <= now_s)
+
+    def _take_next(self) -> list[Message]:
+        if self._next is None:
+            return []
+        batch = [self._next, *itertools.islice(self._stream, _BATCH - 1)]
+        self._next = self._following()
+        return batch
 
     def _take(self, wanted: Callable[[Message], bool]) -> list[Message]:
         batch: list[Message] = []

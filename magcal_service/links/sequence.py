@@ -88,17 +88,17 @@ class SequenceTracker:
 
     def __init__(self, counters: Counter[str], limit: int) -> None:
         self._counters, self._limit = counters, limit
-        self._records: dict[tuple[str, str, str], SourceRecord] = {}
+        self._records: dict[tuple[str, str, type[Message]], SourceRecord] = {}
 
     def note(self, message: Message) -> None:
         """Count one accepted message for its source."""
-        key = (message.craft, message.source, kind_of(message).name)
+        key = (message.craft, message.source, type(message))
         record = self._records.get(key)
         if record is None:
             if len(self._records) >= self._limit:
                 self._counters["untracked"] += 1
                 return
-            record = self._records[key] = SourceRecord(*key)
+            record = self._records[key] = SourceRecord(message.craft, message.source, kind_of(message).name)
         lost = record.lost
         outcome = record.note(message.sequence, message.time_ns)
         if outcome in ("doubled", "late", "restarted"):
