@@ -239,10 +239,17 @@ class ModelWatch(Stateful, ModelWatchMemory):
             self._close_chunk(estimate.noise_nt)
         if self._samples % BLOCK:
             return False
-        if len(self.drivers.drivers()) > self._offered:
-            self.begin()  # a channel has come that the window has no columns for
+        if len(self.drivers.drivers()) > self._offered or self._walked_otherwise(walks):
+            self.begin()  # the window has no columns for a channel that has come, or sums of another kind
             return False
         return self._close_block(float(tick.times_s[-1]), walks=walks)
+
+    def _walked_otherwise(self, walks: bool) -> bool:
+        """Whether the window's sums are of nine errors that walk while these do not, or the other way round.
+
+        A command or a configuration may change the process noise while a window is open.
+        """
+        return self._rest is not None and (len(self._rest) < self._size()) is not walks
 
     def _open(self, tick: Tick, estimate: StateEstimate, values: Mapping[str, tuple[float, ...]]) -> None:
         offered = self.drivers.drivers()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.model import BIAS, D_SCALE, calibrate, field_jacobian, without_radial_noise
+from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, calibrate, field_jacobian, without_radial_noise
 from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch import residual_watch as module
@@ -488,6 +488,21 @@ def test_a_channel_that_comes_later_begins_a_new_window_at_the_blocks_end() -> N
     assert watch.is_open
     pushed(watch, stream[-1:])
     assert not watch.is_open
+
+
+@pytest.mark.parametrize("walks", [True, False])
+def test_process_noise_that_comes_or_goes_begins_a_new_window_at_the_blocks_end(walks: bool) -> None:
+    """Sums with and without the nine errors' columns cannot be added; nothing of the window's finding is lost."""
+    watch = ModelWatch(6.0)
+    watch.finding = Finding(("a",), "", 50.0, 30.0)
+    pushed(watch, ticks(BLOCK), walks=not walks)
+    assert not any(pushed(watch, ticks(BLOCK - 1, first=BLOCK), walks=walks))
+    assert watch.is_open
+    pushed(watch, ticks(1, first=2 * BLOCK - 1), walks=walks)
+    assert (watch.is_open, watch.finding is not None) == (False, True)
+    pushed(watch, ticks(FIRST_EVALUATION, first=2 * BLOCK), walks=walks)
+    assert watch._rest is not None
+    assert len(watch._rest) == watch._size() - (STATE_SIZE if walks else 0)
 
 
 def test_a_channel_that_ends_is_void_from_then_on() -> None:
