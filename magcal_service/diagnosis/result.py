@@ -8,12 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
-from magcal_service.diagnosis.diagnose import FLOOR, Diagnosis, Verdict
+from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, plain
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
+from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations
 from magcal_service.diagnosis.signals import UNLISTED, said, strongest
 from magcal_service.diagnosis.where import lines, span, where_of_term

@@ -18,7 +18,6 @@ from magcal_service.diagnosis.diagnose import (
     _doubts,
     _imitated,
     _is_coning,
-    _memory,
     _simulation,
     _unexplained,
     _verdict,
@@ -26,6 +25,7 @@ from magcal_service.diagnosis.diagnose import (
 from magcal_service.diagnosis.leftover import Structure
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
 from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
+from magcal_service.diagnosis.searching import _memory
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure

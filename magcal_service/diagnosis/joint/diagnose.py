@@ -17,7 +17,7 @@ from magcal_service.diagnosis.belief import (
     stands_out,
     with_left,
 )
-from magcal_service.diagnosis.diagnose import FLOOR, UNKNOWN_SHARE, Progress, Verdict
+from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
@@ -30,6 +30,7 @@ from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.searching import FLOOR, Progress
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue

@@ -1,0 +1,187 @@
+"""The search of a diagnosis, under the noise that the recording needs.
+
+In the form of residual that says most; with the field model's errors as large as they have to be; and with the memory
+of the noise taken off where it has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.belief import with_left
+from magcal_service.diagnosis.blocks import correlation_samples
+from magcal_service.diagnosis.explain import Explained, Search, is_recorded
+from magcal_service.diagnosis.field_error import SCALES, FieldError
+from magcal_service.diagnosis.field_level import at_scale, needed_scale
+from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.lines import is_red
+from magcal_service.diagnosis.nameless import standing
+from magcal_service.diagnosis.prepare import Form, Prepared, prepare
+from magcal_service.diagnosis.problem import Fit, Problem, is_collapsed
+from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
+from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
+from magcal_service.physics.interface import Effect
+from magcal_service.recordings.recording import Recording
+
+Progress = Callable[[str], None]
+
+_LONGEST_MEMORY: Final = 20.0
+"""Samples over which noise may remember itself: a correlation of 0.9 from one to the next.  What lasts longer is
+structure, until physics and shapes without a name have had their turn."""
+
+_MUCH_WORSE: Final = 1.2
+"""Times what magnitudes are left with, or the noise, from which on whole vectors are doubted: a sound attitude leaves
+the same to a few per cent."""
+
+FLOOR: Final = 0.3
+"""Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """What a search ends with.
+
+    Parameters
+    ----------
+    search: the last one.
+    explained: with the effects that stand.
+    left: structures that are left, best first.
+    floor_nt: least noise that evidence was counted in [nT].
+    whitening: autoregressive coefficients (p,) of the noise, empty where it is white.
+    rest: what lasts beside the effects; None where the noise has a memory.
+    """
+
+    search: Search
+    explained: Explained
+    left: list[Structure]
+    floor_nt: float
+    whitening: Array
+    rest: Rest | None = None
+
+    def with_left(self, baseline: Fit) -> End:
+        """The same, with what is left beside the effects of a fit whose nine errors alone are ``baseline``."""
+        rest = None if len(self.whitening) else Rest.of(baseline, self.explained.fit)
+        left_nt2 = self.left[0].squares if self.left and significant(self.left[0]) else 0.0
+        return replace(self, rest=rest, explained=with_left(self.explained, left_nt2, rest, self.floor_nt))
+
+
+def in_form(recording: Recording, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained, tuple[Form, ...]]:
+    """A search in the form of residual that says most, and the forms that the attitude does not bear out.
+
+    Whole vectors show what the attitude errs by, magnitudes nothing of that.  So where vectors are left with more than
+    noise, magnitudes are searched too, and stand where they are left with clearly less.
+    """
+    prepared, search, explained = _searched(prepare(recording, effects), effects)
+    left_nt = _left_nt(explained.fit)
+    if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
+        return prepared, search, explained, ()
+    others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects)
+    scalar = others[2].fit
+    if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
+        return prepared, search, explained, ()
+    return (*others, (prepared.form,))
+
+
+def _left_nt(fit: Fit) -> float:
+    """rms on held-out blocks, rows weighted as the noise is [nT]; of vectors that along the field, if it is more.
+
+    Along the field an attitude's own noise does not show; what it errs by slowly draws the nine errors away there.
+    """
+    whole = float(np.sqrt(np.mean(fit.held_out_white**2)))
+    if not fit.problem.is_vector:
+        return whole
+    along = np.einsum("ni,ni->n", fit.unit, fit.held_out_residual.reshape(-1, 3))
+    return max(whole, float(np.sqrt(np.mean(along**2))))
+
+
+def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained]:
+    """A search under the field-model errors that the recording needs, and what it was prepared as for it."""
+    spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
+    usual, taken = prepared.problem.field_error, min(SCALES)
+    prepared = _settled(prepared, prepared.problem) if usual is None else _at_scale(prepared, usual, taken)
+    while True:
+        search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
+        explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt)
+        if usual is None:
+            return prepared, search, explained
+        scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
+        if scale <= taken:
+            return prepared, search, explained
+        taken, prepared = scale, _at_scale(prepared, usual, scale)
+        if names_hold or not explained.fit.terms:  # wider noise brings no new names
+            floor = FLOOR * prepared.problem.noise_nt
+            return prepared, search, search.again(prepared.problem, explained.fit, floor)
+
+
+def _drivers(explained: Explained) -> set[str]:
+    """Recorded channels that drive the terms of a fit."""
+    return {term.hypothesis.driver for term in explained.fit.terms if is_recorded(term.hypothesis)}
+
+
+def _at_scale(prepared: Prepared, usual: FieldError, scale: float) -> Prepared:
+    return _settled(prepared, at_scale(prepared.problem, usual, scale))
+
+
+def _settled(prepared: Prepared, problem: Problem) -> Prepared:
+    """Under a problem's noise, with the vectors that its nine errors calibrate: other vectors' columns hold noise."""
+    baseline = Search(problem, []).refreshed(solve(problem, prepared.baseline.x))
+    return replace(prepared, problem=baseline.problem, baseline=baseline)
+
+
+def with_memory(prepared: Prepared, search: Search, explained: Explained, progress: Progress) -> End:
+    """What stands, with the memory of the noise taken off where it has one.
+
+    It stays on where a recorded driver would go with it: what the blocks bear out of a record is no noise.
+    """
+    problem, baseline = prepared.problem, prepared.baseline
+    floor = FLOOR * problem.noise_nt
+    phase = None if prepared.spin is None else prepared.spin.phase_rad
+    coefficients = _memory(prepared, search.problem, explained.fit)
+    if not len(coefficients):
+        return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
+    progress("the noise has a memory: once more with it taken off")
+    quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
+    again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
+    again, again_left = _standing(quiet, baseline, again, phase, lower)
+    if _drivers(explained):
+        explained, left = _standing(search, baseline, explained, phase, floor)
+        if not _drivers(explained) <= _drivers(again):
+            return End(search, explained, left, floor, np.zeros(0))
+    return End(quiet, again, again_left, lower, coefficients)
+
+
+def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
+    """Autoregressive coefficients (p,) of the noise, empty where it is white.
+
+    What hangs together has to be the noise itself, and its spectrum has to be red: an oscillation, or something slow
+    on top of white noise, is none.
+    """
+    if problem.is_vector:
+        return np.zeros(0)
+    scene = problem.scene
+    _, nats = autoregression(fit.residual, scene.pauses, scene.unit)
+    if nats < ACCEPTED_NATS or not is_red(scene, fit.residual, fit.unit):
+        return np.zeros(0)
+    if correlation_samples(problem.white(fit.residual)) > _LONGEST_MEMORY:
+        return np.zeros(0)
+    if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
+        return np.zeros(0)
+    return long_memory(fit.residual, scene.unit)
+
+
+def _standing(
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor: float
+) -> tuple[Explained, list[Structure]]:
+    """What stands beside the structure that is left, and that structure."""
+    left = structures(search, explained.fit, phase, floor)
+    if not explained.fit.terms:
+        return explained, left
+    stands = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
+    return stands, left if stands.fit is explained.fit else structures(search, stands.fit, phase, floor)
