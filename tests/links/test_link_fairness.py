@@ -105,9 +105,20 @@ def test_a_rate_lets_a_burst_pass_and_then_its_rate() -> None:
     assert limit.allows("b", 2.0)
 
 
+def test_the_wait_for_the_next_is_what_the_bucket_takes_to_hold_one() -> None:
+    """Emptied at 10 s, at 5 a second: the next may pass at 10.2 s, and then it does."""
+    limit = RateLimit(5.0, 2.0)
+    assert limit.wait_s("a", 10.0) == 0.0
+    assert [limit.allows("a", 10.0) for _ in range(3)] == [True, True, False]
+    assert [limit.wait_s("a", now_s) for now_s in (10.0, 10.05, 10.2, 99.0)] == pytest.approx([0.2, 0.15, 0.0, 0.0])
+    assert not limit.allows("a", 10.19)
+    assert limit.allows("a", 10.21)
+
+
 def test_no_rate_is_no_limit() -> None:
-    """0 lets everything pass."""
+    """0 lets everything pass, at once."""
     limit = RateLimit(0.0, 1.0)
+    assert limit.wait_s("a", 0.0) == 0.0
     assert all(limit.allows("a", 0.0) for _ in range(10_000))
 
 
