@@ -113,9 +113,6 @@ def prepare(
         level = noise_nt or _white(scene, x)
     attitude = recorded_attitude(usable)
     scene = cleaned(scene, x)
-    sun = sun_seen(scene, np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
-    if sun is not None:
-        scene = replace(scene, sun_ahead_deg=sun.ahead_deg)
     aimed = None if scene.in_orbit or Form.AIMED not in forms else in_body(usable, scene, attitude)
     room = None if aimed is not None or Form.ROOM not in forms else _room(scene, attitude)
     spin = None if attitude is not None else _spin(usable, scene)
@@ -127,6 +124,9 @@ def prepare(
     if alone is not None:
         rate = np.gradient(alone.phase_rad, scene.time_s)
         scene = replace(scene, turning_rad_s=rate[:, None] * alone.axis_body)
+    sun = sun_seen(scene, np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
+    if sun is not None:
+        scene = replace(scene, sun_ahead_deg=sun.ahead_deg)
     largest_nt = {effect.name: effect.prior[1] for effect in effects}
     if aimed is not None:
         baseline = _aimed_baseline(scene, level, largest_nt, aimed, x)

@@ -9,14 +9,15 @@ ecliptic until its shadow explains the channel, and is believed there only where
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
+from magcal_service.physics.effects.sun_disturbance import harmonics
 from magcal_service.physics.scene import sunlight
 from magcal_service.physics.scene.scene import Scene
 
@@ -60,6 +61,16 @@ _BEARS_OUT: Final = 3.0
 _SMALL: Final = 1e-6
 """Of the largest, what is rounding among columns that light makes of the field."""
 
+_CHANCE: Final = 35.0
+"""Times the noise of a row, what light elsewhere has to explain more: odds of e^17 for a Sun that was looked for."""
+
+_GREATER_PART: Final = 0.5
+"""Of what a slow field or gain leaves beside light at the date, what light elsewhere has to explain: a step or a drift
+goes a little better with one Sun than with another by chance."""
+
+_STRETCHES: Final = 48
+"""In which a field may differ: ten an orbit over five hours, as fast as heat comes and goes."""
+
 _EXPLAINED: Final = 0.1
 """Most that may be left of a channel's variance by light alone: what follows angles or duty as well tells no date."""
 
@@ -96,7 +107,7 @@ def sun_seen(scene: Scene, residual_nt: Array) -> SunSeen | None:
     Parameters
     ----------
     scene: with vectors calibrated by nine errors, ``recordings.scene_of.cleaned``.
-    residual_nt: (n,) scalar residual under them [nT]; where light explains it better at the stated date, that stands.
+    residual_nt: (n,) scalar residual under them [nT]; the date stands unless light elsewhere is what it follows.
     """
     if not scene.in_orbit or scene.position_eci_km is None or scene.sun_eci is None or len(scene) < _BINS // 4:
         return None
@@ -120,29 +131,77 @@ def sun_seen(scene: Scene, residual_nt: Array) -> SunSeen | None:
     if not found:
         return None
     sun = min(found, key=lambda one: one[:2])[2]
-    here_nt2, there_nt2 = (_explained(scene, residual_nt, ahead) for ahead in (0.0, sun.ahead_deg))
-    return sun if there_nt2 > here_nt2 else None
+    return sun if _needed(scene, residual_nt, sun) else None
 
 
-def _explained(scene: Scene, residual_nt: Array, ahead_deg: float) -> float:
-    """Squares of a residual (n,) that a field or a gain by light takes with it beside the nine errors [nT^2]."""
-    assert scene.position_eci_km is not None
+def _needed(scene: Scene, residual_nt: Array, sun: SunSeen) -> bool:
+    """Whether a residual (n,) follows light there, as it follows neither light at the date nor the channel itself.
+
+    A channel looks like the light of another Sun for many reasons: a payload on for part of each orbit, heat late by
+    more than two lags, a panel's angle.  None of those moves what light does to the magnetometer.
+    """
     unit, field_nt = scene.unit, scene.clean_field_nt
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     gains = [unit[:, i] * field_nt[:, j] + unit[:, j] * field_nt[:, i] for i, j in pairs]
     nine = np.linalg.qr(np.stack([*unit.T, *gains], axis=1))[0]
     residual = _without(residual_nt[:, None], nine)[:, 0]
+    columns = np.concatenate([unit, unit * field_nt], axis=1)
+
+    def explained(answers: Iterable[Array]) -> float:
+        return max(_squares(_without(columns * (one - one.mean())[:, None], nine), residual) for one in answers)
+
+    def by_light(ahead_deg: float) -> float:
+        aimed = _aimed(scene, ahead_deg)
+        by_direction = 0.0 if aimed is None else _squares(_without(aimed, nine), residual)
+        return max(explained(_lit_answers(scene, ahead_deg)), by_direction)
+
+    instead = max(by_light(0.0), explained(scene.channels[sun.channel].values.T))
+    gain = by_light(sun.ahead_deg) - instead
+    slow, noise = _slow(columns, residual)
+    return gain > max(_CHANCE * noise, _GREATER_PART * (slow - instead))
+
+
+def _aimed(scene: Scene, ahead_deg: float) -> Array | None:
+    """(n, 24) what a field by the Sun's direction in the body may add, first and second degree; None without one."""
+    of = replace(scene, sun_ahead_deg=ahead_deg)
+    if of.sun_body is None or of.lit is None:
+        return None
+    sun = of.sun_body * of.lit[:, None]
+    signals = np.concatenate([sun, harmonics(sun)], axis=1)
+    return np.asarray((signals[:, :, None] * scene.unit[:, None, :]).reshape(len(scene), -1))
+
+
+def _lit_answers(scene: Scene, ahead_deg: float) -> Iterator[Array]:
+    """What answers (n,) to light under a Sun so far ahead, by its time constants."""
+    assert scene.position_eci_km is not None
     sun = sunlight.sun_eci(scene.time_ns * 1e-9, math.radians(ahead_deg))
     lit = sunlight.sunlit(scene.position_eci_km, sun)
-    best = 0.0
     for constants_s in _RESPONSES_S:
         answer = lit - lit.mean()
         for constant_s in constants_s:
             answer = sunlight.first_order(scene.time_s, answer, constant_s) if constant_s > 0.0 else answer
-        columns = np.concatenate([unit, unit * field_nt], axis=1) * answer[:, None]
-        basis, sizes, _ = np.linalg.svd(_without(columns, nine), full_matrices=False)
-        best = max(best, float(((basis[:, sizes > _SMALL * sizes[0]].T @ residual) ** 2).sum()))
-    return best
+        yield answer
+
+
+def _squares(columns: Array, residual: Array) -> float:
+    """Squares of a residual (n,) that columns (n, k) take with them [nT^2]; what rounding made of them takes none."""
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return float(((basis[:, sizes > max(_SMALL * sizes[0], 1e-9)].T @ residual) ** 2).sum())
+
+
+def _slow(columns: Array, residual: Array) -> tuple[float, float]:
+    """Squares of a residual (n,) that a slowly changing field or gain takes with it, and the noise of a row [nT^2].
+
+    ``columns`` (n, k) of the field and gain, fitted anew in each of many stretches, less what that takes of noise.
+    """
+    count = max(min(_STRETCHES, len(residual) // (8 * columns.shape[1])), 1)
+    taken = sum(
+        _squares(some, left)
+        for some, left in zip(np.array_split(columns, count), np.array_split(residual, count), strict=True)
+    )
+    numbers = count * columns.shape[1]
+    noise = max(float(residual @ residual) - taken, 0.0) / (len(residual) - numbers)
+    return taken - numbers * noise, noise
 
 
 def _finer(scene: Scene, bins: _Bins, values: Array, angle: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -68,9 +69,15 @@ def scene(**channels: Array) -> Scene:
     )
 
 
+def noise(of: Scene) -> Array:
+    """(n,) residual [nT] of the magnetometer alone."""
+    return np.random.default_rng(11).normal(0.0, 20.0, len(of))
+
+
 def following(of: Scene, ahead_deg: float) -> Array:
-    """(n,) residual [nT] of a field along x that is there in the light of a Sun so far ahead."""
-    return np.asarray(50.0 * of.unit[:, 0] * light(ahead_deg))
+    """(n,) residual [nT] of a field along x by what is not recorded: heat beside a current, a current beside heat."""
+    lit = light(ahead_deg)
+    return np.asarray(50.0 * of.unit[:, 0] * (lagging(lit, 600.0) if "current" in of.channels else lit) + noise(of))
 
 
 def seen_by(of: Scene, ahead_deg: float = AHEAD_DEG) -> SunSeen | None:
@@ -119,6 +126,35 @@ def test_the_residual_keeps_the_sun_where_light_explains_it_at_the_date() -> Non
     payload = scene(current=light(AHEAD_DEG))
     assert seen_by(payload, 0.0) is None
     assert seen_by(payload, AHEAD_DEG) is not None
+
+
+OTHERWISE: dict[str, Callable[[Scene], Array]] = {
+    "noise alone": noise,
+    "a step": lambda of: noise(of) + 50.0 * of.unit[:, 1] * (TIME_S > 7000.0),
+    "a drift": lambda of: noise(of) + 0.01 * of.unit[:, 2] * TIME_S,
+    "the channel itself": lambda of: noise(of) + 40.0 * of.unit[:, 0] * of.channels["current"].values[:, 0],
+}
+
+
+@pytest.mark.parametrize("residual", OTHERWISE)
+def test_a_residual_that_follows_no_light_moves_no_sun(residual: str) -> None:
+    """It goes a little better with one Sun than with another by chance, and a recorded driver needs no Sun."""
+    payload = scene(current=light(AHEAD_DEG))
+    assert sun_seen(payload, OTHERWISE[residual](payload)) is None
+
+
+def test_a_disturbance_by_the_suns_direction_shows_the_sun_too() -> None:
+    """Of its field nothing follows light alone: the Sun's direction turns in the body."""
+    angle = TIME_S / 31.0
+    turn = np.stack([np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
+    body = np.tile(np.eye(3), (len(TIME_S), 1, 1))
+    body[:, :2, :2] = turn
+    of = replace(scene(current=light(AHEAD_DEG)), body_from_eci=body)
+    moved = replace(of, sun_ahead_deg=AHEAD_DEG)
+    assert moved.sun_body is not None
+    residual = noise(of) + 50.0 * (moved.sun_body[:, 0] * of.unit[:, 1] * light(AHEAD_DEG))
+    assert sun_seen(of, residual) is not None
+    assert sun_seen(replace(of, body_from_eci=None), residual) is None
 
 
 def test_without_utc_or_an_orbit_no_sun_is_seen() -> None:
