@@ -16,8 +16,8 @@ def add_plot(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="figure to write: .svg, .pdf or .png")
     names = "of a recording: before-after (default), errors, track or spectrum"
     parser.add_argument("--figure", metavar="NAME", help=names)
-    given = "of a recording: show this result on it, in place of a replay"
-    parser.add_argument("--with", dest="given", type=Path, metavar="RESULT.json", help=given)
+    given = "of a recording: show this result on it, in place of a replay; physics.toml with its effects subtracted"
+    parser.add_argument("--with", dest="given", type=Path, metavar="RESULT.json|physics.toml", help=given)
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=SOURCE_HELP)
     parser.examples = ("magcal plot output/paper/RECORDING.toml --figure errors --out errors.svg",)

@@ -22,6 +22,7 @@ from magcal_service.physics.apply.model_file import text_of
 from magcal_service.recordings.inspect.inspection import Inspection
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.table import IntArray
 from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
 from magcal_service.trust.vector_gate import strays
 from magcal_service.trust.verdict import Trust
@@ -49,17 +50,29 @@ class Applied:
     strayed: those that are not as long as the field was: doubtful, whatever the result.
     missing: vectors that an effect was not subtracted from for want of its driver, by effect: doubtful as well.
     remark: what kept the model from being used as it is, empty where nothing did.
+    references: time [ns] and length [nT] of each reference, as the effects that act on it leave it, in the order of
+        the recording.
+    stopped: why no effect was subtracted from any, empty where that was not so; it is in ``remark`` too.
     """
 
     vectors: tuple[CalibratedVector, ...]
     strayed: int
     missing: Counter[str]
     remark: str = ""
+    references: tuple[tuple[int, float], ...] = ()
+    stopped: str = ""
 
     @property
     def trusted(self) -> int:
         """How many vectors may be used."""
         return sum(one.verdict is Verdict.TRUSTED for one in self.vectors)
+
+    def reference_at(self, time_ns: IntArray) -> Array:
+        """Length of the reference at given times (n,), interpolated between those there are [nT]; NaN without any."""
+        if not self.references:
+            return np.full(len(time_ns), np.nan)
+        times, lengths = (np.array(column) for column in zip(*sorted(self.references), strict=True))
+        return np.interp(time_ns - times[0], times - times[0], lengths)
 
 
 def apply(given: Given, inspection: Inspection) -> Applied:
@@ -154,9 +167,12 @@ def _applied(
 ) -> Applied:
     vectors, missing, strayed = list[CalibratedVector](), Counter[str](), 0
     newest: tuple[int, float, Clock] | None = None
+    references: list[tuple[int, float]] = []
     trust = Trust(given.verdict, (), "", given.protection_nt, given.protection_by)
     for sample, reference in _samples(recording, compensation):
         newest = reference or newest
+        if reference is not None:
+            references.append(reference[:2])
         corrected, unknown = sample, None
         if compensation is not None:
             corrected, unknown = compensation.correct(sample), compensation.start_variance
@@ -168,7 +184,7 @@ def _applied(
             strayed += stray
             doubt |= stray
         vectors.append(replace(vector, verdict=Verdict.DOUBTFUL) if doubt else vector)
-    return Applied(tuple(vectors), strayed, missing, remark)
+    return Applied(tuple(vectors), strayed, missing, remark, tuple(references), stopped=remark)
 
 
 def _samples(

@@ -12,11 +12,12 @@ from magcal_service import geomagnetic
 from magcal_service.diagnosis.report.drawing import DIVERGING
 from magcal_service.diagnosis.report.figures import coastlines
 from magcal_service.errors import Fault, InputRefusedError
-from magcal_service.model import STATE_NAMES, STATE_SIZE, Array, calibrate, scalar_residual
+from magcal_service.model import STATE_NAMES, STATE_SIZE, Array, calibrate
+from magcal_service.offline.apply import apply
 from magcal_service.offline.given import Given
 from magcal_service.offline.replay import replay
 from magcal_service.plots.paper import AFTER, BEFORE, COAST, QUIET, Sheet, thinned, time_axis
-from magcal_service.recordings.inspect.inspection import inspect
+from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
 from magcal_service.residuals import rms
 from magcal_service.wire.messages import Estimate, Frame, Verdict
@@ -35,13 +36,15 @@ class Shown:
     Parameters
     ----------
     recording: its usable rows, in order of time.
-    x: nine errors (9,) [nT, -].
+    calibrated_nt: w (n, 3) [nT], without the disturbances of a ``physics.toml`` that was given.
+    reference_nt: |H| (n,) [nT], with its corrections where a ``physics.toml`` has any.
     estimates: times (k,) [s], states (k, 9) and 1 sigma (k, 9) of the replay; empty where a result was given.
     spin_hz: rate of the spin [Hz], None where none is stated.
     """
 
     recording: Recording
-    x: Array
+    calibrated_nt: Array
+    reference_nt: Array
     estimates: tuple[Array, Array, Array]
     spin_hz: float | None
 
@@ -51,16 +54,23 @@ class Shown:
         times: Array = 1e-9 * (self.recording.time_ns - self.recording.time_ns[0]).astype(np.float64)
         return times
 
-    def residual(self, x: Array) -> Array:
-        """|w| - |H| with nine errors (n,) [nT]."""
+    @property
+    def before(self) -> Array:
+        """|B| - |H| as recorded (n,) [nT]."""
         magnitude = self.recording.reference.magnitude_nt
-        return np.asarray(scalar_residual(x, self.recording.field_body_nt, magnitude))
+        return np.asarray(np.linalg.norm(self.recording.field_body_nt, axis=1) - magnitude)
+
+    @property
+    def after(self) -> Array:
+        """|w| - |H| (n,) [nT]."""
+        return np.asarray(np.linalg.norm(self.calibrated_nt, axis=1) - self.reference_nt)
 
 
 def shown(recording: Recording, given: Given | None) -> Shown:
     """Replay a recording, or take the nine errors of a result.
 
-    Raises ``InputRefusedError`` where the replay comes to no estimate.
+    Raises ``InputRefusedError`` where the replay comes to no estimate, or the effects of a ``physics.toml`` cannot be
+    subtracted.
     """
     inspection = inspect(recording)
     spin = recording.descriptor.spin
@@ -68,7 +78,11 @@ def shown(recording: Recording, given: Given | None) -> Shown:
     usable = inspection.usable.sorted_unique()
     if given is not None:
         none = np.zeros((0, STATE_SIZE))
-        return Shown(usable, given.x, (np.zeros(0), none, none), spin_hz)
+        over_time = (np.zeros(0), none, none)
+        if given.model is not None:
+            return Shown(*_compensated(given, inspection), over_time, spin_hz)
+        calibrated = calibrate(given.x, usable.field_body_nt)
+        return Shown(usable, calibrated, usable.reference.magnitude_nt, over_time, spin_hz)
     found: list[Estimate] = []
 
     def keep(message: object) -> None:
@@ -79,7 +93,21 @@ def shown(recording: Recording, given: Given | None) -> Shown:
     if result.verdict is Verdict.NOT_STARTED or not found:
         accepted = "give the result to be shown by --with RESULT.json; magcal calibrate says why there is none"
         raise InputRefusedError([Fault(f"{recording.name}: estimate", "none", accepted)])
-    return Shown(usable, result.x, _over_time(found), spin_hz)
+    calibrated = calibrate(result.x, usable.field_body_nt)
+    return Shown(usable, calibrated, usable.reference.magnitude_nt, _over_time(found), spin_hz)
+
+
+def _compensated(given: Given, inspection: Inspection) -> tuple[Recording, Array, Array]:
+    """Usable rows, w (n, 3) and |H| (n,) [nT] as ``magcal apply`` has them by a ``physics.toml``."""
+    applied = apply(given, inspection)
+    if applied.stopped:
+        accepted = f"{applied.stopped}; show the nine errors alone by the result of magcal calibrate"
+        raise InputRefusedError([Fault("--with", given.name, accepted)])
+    vectors = {one.time_ns: one.field_body_nt for one in applied.vectors}
+    usable = inspection.usable.sorted_unique()
+    usable = usable.select(np.array([time_ns in vectors for time_ns in usable.time_ns.tolist()]))
+    calibrated = np.array([vectors[time_ns] for time_ns in usable.time_ns.tolist()]).reshape(-1, 3)
+    return usable, calibrated, applied.reference_at(usable.time_ns)
 
 
 def _over_time(found: Sequence[Estimate]) -> tuple[Array, Array, Array]:
@@ -95,16 +123,15 @@ def before_after(of: Shown) -> Sheet:
     time_s, recording = of.time_s, of.recording
     rows, (scale, unit) = thinned(len(time_s)), time_axis(float(time_s[-1]))
     measured = np.linalg.norm(recording.field_body_nt, axis=1)
-    calibrated = np.linalg.norm(calibrate(of.x, recording.field_body_nt), axis=1)
-    before, after = of.residual(np.zeros(STATE_SIZE)), of.residual(of.x)
+    calibrated = np.linalg.norm(of.calibrated_nt, axis=1)
+    before, after = of.before, of.after
 
     def draw(figure: Any) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
         points: dict[str, Any] = {"s": 2, "linewidths": 0, "rasterized": True}
         upper.scatter(time_s[rows] / scale, measured[rows] / 1e3, c=BEFORE, label="measured |B|", **points)
         upper.scatter(time_s[rows] / scale, calibrated[rows] / 1e3, c=AFTER, label="calibrated |w|", **points)
-        reference = recording.reference.magnitude_nt[rows] / 1e3
-        upper.plot(time_s[rows] / scale, reference, color=QUIET, lw=1.0, label="reference |H|")
+        upper.plot(time_s[rows] / scale, of.reference_nt[rows] / 1e3, color=QUIET, lw=1.0, label="reference |H|")
         upper.set_ylabel("field [uT]")
         upper.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), markerscale=4)
         lower.scatter(time_s[rows] / scale, after[rows], c=AFTER, **points)
@@ -137,7 +164,7 @@ def errors(of: Shown) -> Sheet:
 
 
 def track(of: Shown) -> Sheet:
-    """The ground track over the coasts, coloured by the residual of the nine errors."""
+    """The ground track over the coasts, coloured by the residual."""
     position = of.recording.position
     if position is None:
         accepted = "a recording with [position] is accepted"
@@ -145,7 +172,7 @@ def track(of: Shown) -> Sheet:
     times, km = of.recording.time_ns, position.km
     ecef = km if position.frame is Frame.ECEF else geomagnetic.ecef_from_eci(times, km)
     latitude, longitude, _ = geomagnetic.geodetic_from_ecef(np.asarray(ecef, dtype=np.float64))
-    residual, rows = of.residual(of.x), thinned(len(times))
+    residual, rows = of.after, thinned(len(times))
     limit = max(float(np.quantile(np.abs(residual), 0.98)), 1.0)
 
     def draw(figure: Any) -> None:
@@ -172,19 +199,20 @@ def spectrum(of: Shown) -> Sheet:
     slot = np.rint(time_s / period_s).astype(np.intp)
     tones = [] if of.spin_hz is None else [(k, k * of.spin_hz) for k in _TONES if k * of.spin_hz < 0.5 / period_s]
 
-    def density(x: Array) -> Array:
-        residual = of.residual(x)
+    def density(residual: Array) -> Array:
         grid = np.zeros(int(slot[-1]) + 1)
         grid[slot] = residual - residual.mean()
         return np.asarray(np.abs(np.fft.rfft(grid)[1:]) * np.sqrt(2.0 * period_s / len(residual)))
 
     frequency = np.fft.rfftfreq(int(slot[-1]) + 1, period_s)[1:]
-    curves = [(np.zeros(STATE_SIZE), BEFORE, "measured"), (of.x, AFTER, "calibrated")]
+    curves = [(of.before, BEFORE, "measured"), (of.after, AFTER, "calibrated")]
 
     def draw(figure: Any) -> None:
         axes = figure.subplots()
-        for x, colour, label in curves:
-            axes.loglog(frequency, np.maximum(density(x), 1e-3), color=colour, lw=0.6, label=label, rasterized=True)
+        for residual, colour, label in curves:
+            axes.loglog(
+                frequency, np.maximum(density(residual), 1e-3), color=colour, lw=0.6, label=label, rasterized=True
+            )
         for multiple, tone_hz in tones:
             axes.axvline(tone_hz, color=QUIET, ls="--", lw=0.9)
             axes.annotate(f"{multiple} x spin", (tone_hz, 0.02), xycoords=("data", "axes fraction"), rotation=90)

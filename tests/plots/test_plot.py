@@ -8,12 +8,16 @@ import pytest
 
 import magcal_service as magcal
 from magcal_service.offline.given import read_given
+from magcal_service.physics.apply.model_file import ModelTerm, text_of
 from magcal_service.plots.of_recording import before_after, errors, shown, spectrum
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
 from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet, save
+from sim_sensor.recorder import record_simulation
+from sim_sensor.simulation import Simulation
 from tests.cli.cli_inputs import DESCRIPTOR, log_rows, run
 from tests.offline.hand_turned import TRUTH, hand_turned
+from tests.physics.live_models import THERMAL, hot, model_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -50,6 +54,21 @@ def test_a_result_is_shown_on_a_recording_and_by_itself(tmp_path: Path) -> None:
     bias, _, levels = drawn(of_calibration(json.loads((tmp_path / "result.json").read_text()), given))
     assert bias.lines[0].get_ydata() == pytest.approx(TRUTH[:3], abs=100.0)
     assert levels.patches[1].get_height() == pytest.approx(100.0, rel=0.1)
+
+
+def test_the_effects_of_a_physics_file_are_subtracted(tmp_path: Path) -> None:
+    """The hot board's temperature, and a reference that is said to be 2 s early: as ``magcal apply`` corrects them."""
+    scenario = hot()
+    recording = magcal.read_recording(record_simulation(Simulation(scenario, 4, 600.0), tmp_path))
+    early = ModelTerm("time_offset", "none", "", {"offset_s": np.array(2.0)})
+    for name, terms in (("heat", THERMAL), ("late", (*THERMAL, early))):
+        (tmp_path / f"{name}.toml").write_text(text_of(model_of(*terms, origin_ns=scenario.start_ns)))
+    heat, late = (shown(recording, read_given(tmp_path / f"{name}.toml")) for name in ("heat", "late"))
+    assert drawn(before_after(heat))[1].get_title() == "residual 3997 nT rms before, 95 nT after"
+    recorded = recording.reference.magnitude_nt
+    assert heat.reference_nt.tolist() == recorded.tolist()
+    assert late.reference_nt[:-2] == pytest.approx(recorded[2:])
+    assert late.calibrated_nt.tolist() == heat.calibrated_nt.tolist()
 
 
 def test_a_diagnosis_and_a_study_are_shown() -> None:
