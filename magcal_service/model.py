@@ -159,6 +159,12 @@ def variance_of_v(reference_magnitude_nt: Number, noise_variance: Number) -> Num
     return linear + 6.0 * noise_variance * noise_variance
 
 
+def largest_variance(covariance: Array, field_nt: Array) -> float:
+    """Of a calibrated vector in any direction, by the nine errors' covariance (9, 9) alone [nT^2]; B (3,) [nT]."""
+    jacobian = field_jacobian(field_nt)
+    return float(np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1])
+
+
 def without_radial_noise(
     x: Array, field_nt: Array, reference_magnitude_nt: Array, noise_share: float = 1.0
 ) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
-from magcal_service.model import BIAS, D_ALL, Array, d_matrix, field_jacobian
+from magcal_service.model import BIAS, D_ALL, Array, d_matrix, largest_variance
 from magcal_service.residuals import white_floor
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
@@ -66,12 +66,6 @@ def _is_collapsed(x: Array) -> bool:
         return False
     eigenvalues = np.linalg.eigvalsh(np.eye(3) + d_matrix(x))
     return bool(eigenvalues[0] < low or eigenvalues[-1] > high)
-
-
-def _largest_variance(estimate: StateEstimate, field_nt: Array) -> float:
-    """Of a calibrated vector in any direction, by the uncertainty of the estimate alone [nT^2]."""
-    jacobian = field_jacobian(field_nt)
-    return float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1])
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -233,7 +227,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _observe_residual(self, residual_nt: list[float], tick: Tick, estimate: StateEstimate) -> None:
         for value in residual_nt:
             if not self._block:
-                self._block_spread_nt2 = _largest_variance(estimate, tick.field_body_nt[0])
+                self._block_spread_nt2 = largest_variance(estimate.covariance, tick.field_body_nt[0])
             self._residuals.append(value)
             self._block.append(value)
             if len(self._block) == _Levels.block_samples:

@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
-from magcal_service.model import STATE_SIZE, Array, field_jacobian
+from magcal_service.model import STATE_SIZE, Array, largest_variance
 from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_sums as sums
@@ -178,8 +178,7 @@ class Protector(Stateful, ProtectorMemory):
             self._look()
 
     def _gate_nt(self, estimate: StateEstimate, field_nt: Array) -> float:
-        jacobian = field_jacobian(field_nt)
-        spread = float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1])
+        spread = largest_variance(estimate.covariance, field_nt)
         return self.config.filter.gate_sigma * math.sqrt(estimate.noise_nt**2 + max(spread, 0.0))
 
     def _close_chunk(self, estimate: StateEstimate) -> None:

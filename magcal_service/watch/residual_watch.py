@@ -20,7 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.estimators.interface import StateEstimate
-from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian, without_radial_noise
+from magcal_service.model import (
+    BIAS,
+    STATE_SIZE,
+    Array,
+    d_matrix,
+    field_jacobian,
+    largest_variance,
+    without_radial_noise,
+)
 from magcal_service.physics.acting import Watched
 from magcal_service.physics.catalogue import watched_as
 from magcal_service.snapshot import SnapshotError, Stateful
@@ -255,8 +263,8 @@ class ModelWatch(Stateful, ModelWatchMemory):
         offered = self.drivers.drivers()
         known = [driver for driver in offered if not math.isnan(value_of(values, driver))]
         self._x, self._began_s = estimate.x.copy(), float(tick.times_s[-1])
-        jacobian = field_jacobian(tick.field_body_nt[-1])  # the reference state's error is allowed for
-        self._spread_nt2 = max(0.0, float(np.linalg.eigvalsh(jacobian @ estimate.covariance @ jacobian.T)[-1]))
+        spread_nt2 = largest_variance(estimate.covariance, tick.field_body_nt[-1])
+        self._spread_nt2 = max(0.0, spread_nt2)  # the reference state's error is allowed for
         self._drivers, self._void, self._offered = known, [False] * len(known), len(offered)
         self._zero = [value_of(values, driver) for driver in known]
 

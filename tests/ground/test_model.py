@@ -16,6 +16,7 @@ from magcal_service.model import (
     calibrated_components,
     d_matrix,
     field_jacobian,
+    largest_variance,
     mean_of_v,
     measure,
     predicted_scalar,
@@ -188,3 +189,9 @@ def test_so_much_of_the_residual_is_taken_out_as_is_noise(share: float) -> None:
     expected = w / length * (length - share * (length - magnitude))
     np.testing.assert_allclose(w_hat[0], expected, rtol=1e-12)
     np.testing.assert_allclose(b_hat[0], np.linalg.solve(MATRIX, expected + X[:3]), rtol=1e-12)
+
+
+def test_the_largest_variance_of_a_vector_by_hand() -> None:
+    """Biases of 3, 4, 5 nT, and D33 of 1e-3 at 20 uT along z: 25 and 400 nT^2 there, more than along x and y."""
+    covariance = np.diag([9.0, 16.0, 25.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0])
+    assert largest_variance(covariance, np.array([0.0, 0.0, 2e4])) == pytest.approx(425.0)
