@@ -72,7 +72,8 @@ class Applied:
         if not self.references:
             return np.full(len(time_ns), np.nan)
         times, lengths = (np.array(column) for column in zip(*sorted(self.references), strict=True))
-        return np.interp(time_ns - times[0], times - times[0], lengths)
+        found: Array = np.interp(time_ns - times[0], times - times[0], lengths)
+        return found
 
 
 def apply(given: Given, inspection: Inspection) -> Applied:

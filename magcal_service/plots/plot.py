@@ -37,7 +37,8 @@ def sheet_of(
     ----------
     path: a recording, or a result in JSON.
     figure: of a recording one of ``FIGURES``; None: the first.
-    given: a result whose nine errors, and effects of a ``physics.toml``, are shown on a recording; None: those of a replay.
+    given: a result whose nine errors, and effects of a ``physics.toml``, are shown on a recording;
+        None: those of a replay.
     craft, source: which one of a recording that holds several.
 
     Raises ``InputRefusedError`` or ``RecordingError`` for what is none of these or cannot be shown so.
