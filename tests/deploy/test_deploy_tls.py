@@ -23,7 +23,7 @@ from magcal_service.wire.messages import (
 )
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
-WAIT_S = 10.0
+WAIT_S = 120.0
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 

@@ -24,7 +24,7 @@ from magcal_service.wire.messages import Command, Message, Status
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 def craft(name: str = "paper") -> CraftConfig:

@@ -91,7 +91,7 @@ def run(tmp_path: Path, disk: object) -> Iterator[Callable[..., tuple[Recorder, 
 
 def answers(service: Live, count: int) -> int:
     """How many vectors came back for samples that were sent."""
-    found, deadline = 0, time.monotonic() + 30.0
+    found, deadline = 0, time.monotonic() + 120.0
     while found < count and time.monotonic() < deadline:
         found += sum(isinstance(message, CalibratedVector) for message in service.node.receive(0.1))
     return found

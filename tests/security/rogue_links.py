@@ -21,7 +21,7 @@ from magcal_service.wire.messages import Command, MagnetometerSample, Message, S
 from sim_sensor.demo.daemon_process import DaemonProcess
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0  # where forty processes want two cores a daemon takes 60 s to start
 STATUS_PERIOD_S = 1.0
 CRAFT = f'\n[[craft]]\nname = "demo"\n[output]\nstatus_period_s = {STATUS_PERIOD_S}\n'
 

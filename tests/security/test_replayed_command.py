@@ -17,7 +17,7 @@ from sim_sensor.demo.daemon_process import DaemonProcess
 from sim_sensor.demo.pty_pair import PtyPair
 
 KEY = bytes(range(32))
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0  # where forty processes want two cores a daemon takes 60 s to start
 
 
 class Operator:
