@@ -6,6 +6,7 @@ A message names the value that was refused, what is accepted, and the next step.
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "DecodeError",
     "ExtraMissingError",
     "Fault",
+    "FileFault",
     "InputRefusedError",
     "LinkAddressError",
     "LinkError",
@@ -22,6 +24,7 @@ __all__ = [
     "how_to_install",
     "printable",
     "unwritable",
+    "why_not",
 ]
 
 
@@ -72,6 +75,53 @@ class Fault:
         return f"Fault({str(self)!r})"
 
 
+class FileFault(Fault):
+    """A file or folder that the operating system does not open, in words: nobody wrote a value there to be refused.
+
+    Parameters
+    ----------
+    where: the file, or file and field.
+    error: what the operating system said.
+    accepted: what is expected there, and the next step.
+    """
+
+    __slots__ = ()
+
+    def __init__(self, where: str, error: OSError, accepted: str) -> None:
+        super().__init__(where, error, accepted)
+
+    @classmethod
+    def of_folder(cls, where: str, accepted: str) -> FileFault:
+        """The fault of a folder where a file is expected."""
+        return cls(where, IsADirectoryError(errno.EISDIR, "a folder"), accepted)
+
+    def __str__(self) -> str:
+        return printable(f"{self.where}: {why_not(self.value)}; {self.accepted}")
+
+
+_WHY_NOT = {
+    errno.ENOENT: "there is no such file or folder",
+    errno.EEXIST: "a file of this name is there already",
+    errno.EISDIR: "this is a folder, not a file",
+    errno.ENOTDIR: "a part of this path is a file, not a folder",
+    errno.EACCES: "permission is denied to this user",
+    errno.EPERM: "this user may not do that",
+    errno.ENOSPC: "no space is left on the disk",
+    errno.EROFS: "the file system can only be read",
+    errno.ELOOP: "this is a link, or too many links lead to it",
+    errno.ENAMETOOLONG: "the name is too long for a file",
+}
+
+
+def why_not(error: object) -> str:
+    """What the operating system said, as a clause with a verb."""
+    known = _WHY_NOT.get(error.errno or 0) if isinstance(error, OSError) else None
+    if known is not None:
+        return known
+    said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return f"the system says {said[:1].lower()}{said[1:]}" if isinstance(error, OSError) and error.errno else said
+
+
 class InputRefusedError(MagcalError):
     """An input file or argument was refused; carries every fault found, one line each."""
 
@@ -91,10 +141,9 @@ class RecordingError(InputRefusedError):
 def unwritable(path: Path, error: OSError) -> InputRefusedError:
     """The refusal of an output file."""
     if isinstance(error, FileNotFoundError):
-        return InputRefusedError(
-            [Fault(str(path), f"no folder {path.parent}", "give a file in a folder that is there")]
-        )
-    return InputRefusedError([Fault(str(path), error.strerror or str(error), "give a file that can be written")])
+        missing = FileNotFoundError(f"there is no folder {path.parent}")
+        return InputRefusedError([FileFault(str(path), missing, "make it, or give a file in a folder that is there")])
+    return InputRefusedError([FileFault(str(path), error, "give a file that can be written")])
 
 
 class LinkAddressError(MagcalError):

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ExtraMissingError, Fault, RecordingError
+from magcal_service.errors import ExtraMissingError, Fault, FileFault, RecordingError
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -111,7 +111,7 @@ def read_element_sets(path: Path) -> ElementSets:
             text = file.read(_MOST_BYTES).decode("ascii", errors="replace")
     except OSError as exc:
         accepted = "a readable file of two-line element sets is accepted"
-        raise RecordingError([Fault(str(path), exc.strerror or str(exc), accepted)]) from None
+        raise RecordingError([FileFault(str(path), exc, accepted)]) from None
     pairs = list(_pairs(path, [line.rstrip() for line in text.splitlines()]))
     if not pairs:
         accepted = (

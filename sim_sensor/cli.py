@@ -18,7 +18,7 @@ from typing import Protocol, runtime_checkable
 
 from magcal_service.cli.common import Parser, described
 from magcal_service.cli.completion import Names, add_completion
-from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.errors import ConfigError, FileFault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
@@ -192,7 +192,7 @@ def _recorded(simulation: Simulation, directory: Path, option: str) -> Path:
         return record_simulation(simulation, directory)
     except OSError as error:
         accepted = "a folder that can be made and written is accepted"
-        raise ConfigError([Fault(option, f"{directory}: {error.strerror}", accepted)]) from None
+        raise ConfigError([FileFault(f"{option}: {directory}", error, accepted)]) from None
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, FileFault
 
 if TYPE_CHECKING:
     from magcal_service.many.executor import Executor
@@ -177,7 +177,7 @@ def refuse_unwritable(path: Path | None, *inputs: Path | None) -> None:
     if path is None or path == STDOUT:
         return
     if path.is_dir():
-        raise InputRefusedError([Fault(str(path), "a folder", "give a file that can be written")])
+        raise InputRefusedError([FileFault.of_folder(str(path), "give a file that can be written")])
     if not path.parent.is_dir():
         raise unwritable(path, FileNotFoundError())
     for one in filter(None, inputs):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP, Parser
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, FileFault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.mcap_reader import McapReader
@@ -152,6 +152,4 @@ def _refuse_itself(out: Path, sources: list[Path]) -> None:
 
 
 def _unusable(path: Path, error: OSError) -> InputRefusedError:
-    return InputRefusedError(
-        [Fault(str(path), error.strerror or str(error), "give a file that can be read and written")]
-    )
+    return InputRefusedError([FileFault(str(path), error, "give a file that can be read and written")])

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, FileFault
 
 __all__ = [
     "MIN_KEY_BYTES",
@@ -150,7 +150,7 @@ def _status(path: Path) -> os.stat_result:
 
 
 def _unreadable(path: Path, error: OSError) -> ConfigError:
-    return ConfigError([Fault(str(path), error.strerror or str(error), "a readable file is required")])
+    return ConfigError([FileFault(str(path), error, "a readable file is required")])
 
 
 def _fault(path: Path, mode: int, accepted: str) -> ConfigError:

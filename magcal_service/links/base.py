@@ -22,6 +22,9 @@ _log = logging.getLogger("magcal.links")
 
 _MOST_STRANGERS = 4  # told by name: enough for a mistyped one, and no list that a peer could fill
 
+_STRANGER_S = 60.0
+"""How long after its last message a craft that is not served is told in statuses [s]; its counter stays."""
+
 
 class Role(StrEnum):
     """Which end of a link this is: it decides what is received and what is sent.
@@ -67,7 +70,7 @@ class Link(abc.ABC):
         self.overflows: Counter[str] = Counter(dict.fromkeys(sorted(self.crafts), 0))
         # What a peer can make this end remember: beyond it, invented names are served but not remembered.
         self.most_sources = 1024 + 32 * len(self.crafts)
-        self._strangers: list[str] = []
+        self._strangers: dict[str, float] = {}  # when a message of each came last, by the monotonic clock [s]
         self._counting = threading.Lock()
         self._sequences = SequenceTracker(self.counters, self.most_sources)
         self._life = LinkLife(self._count)
@@ -101,8 +104,9 @@ class Link(abc.ABC):
 
     @property
     def strangers(self) -> tuple[str, ...]:
-        """Craft whose messages came and are not served, the first of them."""
-        return tuple(self._strangers)
+        """Craft whose messages came within the last minute and are not served, the first of them."""
+        since = time.monotonic() - _STRANGER_S
+        return tuple(name for name, last_s in self._strangers.items() if last_s > since)
 
     def served(self) -> frozenset[str] | None:
         """Craft that daemons at the other ends serve now; None where the link does not tell.  May take a second."""
@@ -132,14 +136,21 @@ class Link(abc.ABC):
 
     def _accepted(self, message: Message) -> bool:
         if self.crafts and message.craft not in self.crafts:
-            if message.craft not in self._strangers and len(self._strangers) < _MOST_STRANGERS:
-                self._strangers.append(message.craft)
-                served = ", ".join(sorted(self.crafts))
-                _log.warning("%s: messages of craft %r are refused; served: %s", self.address, message.craft, served)
-            self.counters["refused.unknown_craft"] += 1
+            self._note_stranger(message.craft)
             return False
         self._sequences.note(message)
         return True
+
+    def _note_stranger(self, craft: str) -> None:
+        """Count a message of a craft that is not served; of the first such craft by name too."""
+        if craft not in self._strangers and len(self._strangers) < _MOST_STRANGERS:
+            served = ", ".join(sorted(self.crafts))
+            _log.warning("%s: messages of craft %r are refused; served: %s", self.address, craft, served)
+            self._strangers[craft] = 0.0
+        self.counters["refused.unknown_craft"] += 1
+        if craft in self._strangers:
+            self._strangers[craft] = time.monotonic()
+            self.counters[f"refused.unknown_craft.{craft}"] += 1
 
     def _decoded(self, payload: bytes) -> Message | None:
         """The message of a payload, or None where it is refused (and counted)."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, FileFault, InputRefusedError
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.result_head import SCHEMAS, head, schema_of
@@ -90,7 +90,7 @@ def read_given(path: Path) -> Given:
             raw = file.read(_LARGEST_FILE + 1)
             size = max(len(raw), path.stat().st_size)
     except OSError as error:
-        raise InputRefusedError([Fault(str(path), error.strerror or str(error), "give a readable file")]) from None
+        raise InputRefusedError([FileFault(str(path), error, "give a readable file")]) from None
     if len(raw) > _LARGEST_FILE:
         raise InputRefusedError([Fault(str(path), f"{size} bytes", f"at most {_LARGEST_FILE} bytes; {ACCEPTED}")])
     digest = hashlib.sha256(raw).hexdigest()

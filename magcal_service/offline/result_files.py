@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, InputRefusedError, unwritable
+from magcal_service.errors import Fault, FileFault, InputRefusedError, unwritable
 
 CALIBRATION: Final = "calibration.json"
 DIAGNOSIS: Final = "diagnosis.json"
@@ -27,7 +27,7 @@ def prepare_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
         accepted = "give a folder that can be made or written"
-        raise InputRefusedError([Fault(str(folder), exc.strerror or str(exc), accepted)]) from None
+        raise InputRefusedError([FileFault(str(folder), exc, accepted)]) from None
 
 
 def earlier_files(folder: Path, own: Sequence[str] = ()) -> list[Path]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, FileFault, InputRefusedError
 from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
@@ -60,7 +60,7 @@ def _of_json(path: Path) -> Sheet:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputRefusedError([Fault(str(path), error.strerror or str(error), "give a readable file")]) from None
+        raise InputRefusedError([FileFault(str(path), error, "give a readable file")]) from None
     except (ValueError, RecursionError):
         raise InputRefusedError([Fault(str(path), "no JSON", _ACCEPTED)]) from None
     kind = content if isinstance(content, dict) else {}

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, InputRefusedError, RecordingError
+from magcal_service.errors import Fault, FileFault, InputRefusedError, RecordingError
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session import decoded
@@ -79,7 +79,7 @@ def _message_columns(path: Path, kind: str, craft: str | None, source: str | Non
                 if craft in (None, name) and source in (None, message.source):
                     rows.append(dict(_cells(message)))
     except OSError as error:
-        raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
+        raise RecordingError([FileFault(str(path), error, "give a readable recording")]) from None
     if craft is not None and craft not in names:
         raise RecordingError([Fault(f"{path}: craft", craft, nearest(craft, set(names)))])
     header = dict.fromkeys(key for row in rows for key in row)

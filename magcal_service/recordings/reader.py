@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.errors import Fault, FileFault, RecordingError
 from magcal_service.progress import Work, counted
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.join import join_files
@@ -88,7 +88,7 @@ def _refuse_undescribed(path: Path) -> None:
         accepted = "a described log is accepted; give the file that describes it"
         if (path / DESCRIPTOR_NAME).is_file():
             accepted += f": {path / DESCRIPTOR_NAME}"
-        raise RecordingError([Fault(str(path), "a folder", accepted)])
+        raise RecordingError([FileFault.of_folder(str(path), accepted)])
     if path.name.lower().endswith((*LOG_SUFFIXES, *RAW_SUFFIXES)) or _is_rows(path):
         accepted = (
             f"a log is read by its description; magcal describe {quote(str(path))} --out "

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple, Self
 from magcal_service.config.daemon_settings import RecordConfig
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import digest
-from magcal_service.errors import DecodeError, Fault, InputRefusedError
+from magcal_service.errors import DecodeError, Fault, FileFault, InputRefusedError
 from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder, recover_in_place
 from magcal_service.recordings.state_text import state_as_text
@@ -257,9 +257,7 @@ def open_recorder(config: RecordConfig, crafts: Sequence[CraftConfig]) -> Record
         config.directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         accepted = "a folder that can be made is accepted"
-        raise InputRefusedError(
-            [Fault("record.directory", str(config.directory), f"{error.strerror}; {accepted}")]
-        ) from None
+        raise InputRefusedError([FileFault(f"record.directory: {config.directory}", error, accepted)]) from None
     if not os.access(config.directory, os.W_OK | os.X_OK):
         raise InputRefusedError(
             [Fault("record.directory", str(config.directory), "a folder that can be written to is accepted")]

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import craft_from_toml
-from magcal_service.errors import ConfigError, DecodeError, Fault, RecordingError
+from magcal_service.errors import ConfigError, DecodeError, Fault, FileFault, RecordingError
 from magcal_service.recordings.json_form import from_json
 from magcal_service.recordings.mcap import CRAFT, DROPPED, MOST_MISSING, PROFILE, STATE, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
@@ -99,7 +99,7 @@ def read_session(path: Path, craft: str | None = None, prefer: str | None = None
             for name, message in decoded(reader, found.refused, _INPUTS | {"reply"}):
                 found.take(name, message, reader)
     except OSError as error:
-        raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
+        raise RecordingError([FileFault(str(path), error, "give a readable recording")]) from None
     name = _chosen(path, list(found.messages), craft, prefer)
     configurations, dropped = _metadata(reader)
     dropped = min(dropped + reader.gone, MOST_MISSING)

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.errors import FileFault, RecordingError
 from magcal_service.recordings.mcap import DROPPED, SESSION, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.timestamps import ns_to_iso8601
@@ -98,7 +98,7 @@ def session_info(path: Path) -> SessionInfo:
         with path.open("rb") as file:
             return _info(McapReader(file, str(path)))
     except OSError as error:
-        raise RecordingError([Fault(str(path), error.strerror or str(error), "give a readable recording")]) from None
+        raise RecordingError([FileFault(str(path), error, "give a readable recording")]) from None
 
 
 def _info(reader: McapReader) -> SessionInfo:

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.errors import Fault, FileFault, RecordingError
 from magcal_service.progress import Work, counted
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
@@ -176,7 +176,7 @@ def _read_bytes(path: Path, limits: RowLimits) -> tuple[bytearray, bool]:
         with _open(path) as stream:
             return _read_to_the_end(path, stream, limits)
     except OSError as exc:
-        raise RecordingError([Fault(str(path), exc.strerror or str(exc), "give a readable log")]) from None
+        raise RecordingError([FileFault(str(path), exc, "give a readable log")]) from None
     except ValueError:  # a name that no file can have
         raise RecordingError([Fault("samples.file", str(path), "give a readable log")]) from None
 
@@ -275,8 +275,8 @@ class _Splitter:
         cells = tuple(cell.strip() for cell in self.split(line.rstrip("\r")) or ())
         if len(cells) != self.width or not any(map(unit_of, cells)) or not are_units(cells):
             return ()
-        numbers = any(math.isfinite(_number_or_nan(cell.translate(POINT))) for cell in cells if cell != "1")
-        return () if numbers else cells
+        written = [form for cell in cells if cell != "1" for form in (cell, cell.translate(POINT))]
+        return () if any(math.isfinite(_number_or_nan(form)) for form in written) else cells
 
     def table(self, header: tuple[str, ...]) -> TextTable:
         """The finished table."""

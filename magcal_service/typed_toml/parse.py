@@ -6,7 +6,7 @@ import itertools
 import tomllib
 from pathlib import Path
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, FileFault, InputRefusedError
 from magcal_service.typed_toml.table import Table
 
 _MAX_FILE_BYTES = 1 << 20
@@ -32,7 +32,7 @@ def open_toml(path: Path, error: type[InputRefusedError]) -> Table:
             raw = file.read(_MAX_FILE_BYTES + 1)
             size = max(len(raw), path.stat().st_size)
     except OSError as exc:
-        raise error([Fault(str(path), exc.strerror or str(exc), "give a readable TOML file")]) from None
+        raise error([FileFault(str(path), exc, "give a readable TOML file")]) from None
     if size > _MAX_FILE_BYTES:
         raise error([Fault(str(path), f"{size} bytes", _TOO_LARGE)])
     return parse_toml(raw, str(path), path.name, error)

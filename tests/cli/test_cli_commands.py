@@ -167,7 +167,7 @@ def test_an_output_that_cannot_be_written_is_refused_by_name(
     done = run(command, short, option, path)
     assert (done.code, done.err.splitlines()) == (
         2,
-        [f"{path}: 'no folder {path.parent}' is refused; give a file in a folder that is there"],
+        [f"{path}: there is no folder {path.parent}; make it, or give a file in a folder that is there"],
     )
 
 

@@ -42,7 +42,8 @@ def test_a_file_in_place_of_a_folder_is_refused_by_its_own_name(described: Path,
     more = ("--separately",) if command == "diagnose" else ()
     done = run(command, described / "RECORDING.toml", *more, "--out", described / "taken")
     assert (done.code, done.out) == (2, "")
-    assert done.err == f"{described / 'taken'}: 'File exists' is refused; give a folder that can be made or written\n"
+    expected = "a file of this name is there already; give a folder that can be made or written"
+    assert done.err == f"{described / 'taken'}: {expected}\n"
 
 
 @pytest.mark.parametrize("command", ["calibrate", "inspect"])
@@ -51,11 +52,11 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(described: 
     assert (done.code, done.out, done.err) == (
         2,
         "",
-        f"{described}: 'a folder' is refused; give a file that can be written\n",
+        f"{described}: this is a folder, not a file; give a file that can be written\n",
     )
     done = run(command, described / "RECORDING.toml", "--json", described / "no" / "x.json")
     assert (done.code, done.out) == (2, "")
-    assert f"'no folder {described / 'no'}' is refused; give a file in a folder that is there" in done.err
+    assert f"there is no folder {described / 'no'}; make it, or give a file in a folder that is there" in done.err
 
 
 def test_rows_are_replayed_as_the_craft_that_is_chosen_of_a_configuration(described: Path) -> None:

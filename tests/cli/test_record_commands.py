@@ -192,18 +192,18 @@ def test_describe_names_the_craft(two: Path, say: Say) -> None:
 
 
 REFUSED = {
-    "no file": (("info", "absent.mcap"), "No such file"),
+    "no file": (("info", "absent.mcap"), "there is no such file"),
     "no MCAP": (("info", "{text}"), "not an MCAP file"),
     "no MCAP to recover": (("recover", "{text}"), "not an MCAP file"),
-    "no file to recover": (("recover", "absent.mcap"), "No such file"),
-    "no file to join": (("join", "absent.mcap", "--out", "out.mcap"), "No such file"),
+    "no file to recover": (("recover", "absent.mcap"), "there is no such file"),
+    "no file to join": (("join", "absent.mcap", "--out", "out.mcap"), "there is no such file"),
     "over itself": (("recover", "{session}", "--out", "{session}"), "another file"),
     "other table": (("export", "{session}", "--out", "x.xls"), "ending in .csv or .parquet"),
     "unknown kind": (("export", "{session}", "--out", "x.csv", "--kind", "estimates"), "did you mean 'estimate'"),
     "unknown craft": (("export", "{two}", "--out", "x.csv", "--craft", "alhpa"), "did you mean 'alpha'"),
     "no craft": (("export", "{two}", "--out", "x.csv"), "2 craft"),
     "no craft to describe": (("describe", "{two}"), "choose one with --craft"),
-    "no folder": (("export", "{session}", "--out", "absent/x.csv"), "no folder absent"),
+    "no folder": (("export", "{session}", "--out", "absent/x.csv"), "there is no folder absent"),
 }
 
 

@@ -77,11 +77,11 @@ def test_a_key_that_is_none_is_refused(text: str, told: str, tmp_path: Path) -> 
 
 def test_a_secret_that_is_not_there_is_refused(tmp_path: Path) -> None:
     """A missing file and a directory are told as such."""
-    with pytest.raises(ConfigError, match="No such file"):
+    with pytest.raises(ConfigError, match="there is no such file"):
         check_secret(tmp_path / "absent")
     with pytest.raises(ConfigError, match="not a file"):
         check_secret(tmp_path)
-    with pytest.raises(ConfigError, match="No such file"):
+    with pytest.raises(ConfigError, match="there is no such file"):
         read_key(tmp_path / "absent")
 
 
@@ -216,7 +216,7 @@ def test_a_physics_file_is_a_file_that_not_everybody_can_write(tmp_path: Path) -
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ConfigError, match="pipe: 'not a file' is refused"):
         check_input(tmp_path / "pipe")
-    with pytest.raises(ConfigError, match="absent: 'No such file"):
+    with pytest.raises(ConfigError, match="absent: there is no such file"):
         check_input(tmp_path / "absent")
 
 

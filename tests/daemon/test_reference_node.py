@@ -119,7 +119,7 @@ def test_what_age_costs_is_said(days: float, words: str) -> None:
 
 def test_the_command_refuses_what_cannot_give_a_field(tmp_path: Path) -> None:
     old = run("reference", "--craft", "iss", "--tle", tmp_path / "none.tle")
-    assert (old.code, "No such file" in old.err) == (2, True)
+    assert (old.code, "there is no such file" in old.err) == (2, True)
     (tmp_path / "iss.tle").write_text(SETS)
     old = run("reference", "--craft", "iss", "--tle", tmp_path / "iss.tle")
     assert (old.code, "days from now" in old.err, "--max-age-days" in old.err) == (2, True, True)

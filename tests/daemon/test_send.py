@@ -52,7 +52,7 @@ def test_commands_over_zenoh_are_answered_with_what_has_changed(tmp_path: Path) 
         assert "frozen" not in said.splitlines()[0]
         loaded = sent("load_physics", "name=other.toml")[1]
         assert f"accepted: physics_loaded: other.toml: {other.effect} by {other.driver}; " in loaded
-        assert "none.toml: 'No such file or directory' is refused" in sent("load_physics", "name=none.toml")[1]
+        assert "none.toml: there is no such file or folder; " in sent("load_physics", "name=none.toml")[1]
         assert sent("process_noise", "D=5") == (2, "paper: process_noise REFUSED: D is 5.0; 0 to 0.01 is accepted\n")
         asked = json.loads(sent("status", "--json")[1])
         assert (asked["accepted"], asked["command"], asked["text"]) == (True, "status", asked["before"])

@@ -138,7 +138,7 @@ def test_somebody_who_serves_nothing_is_no_daemon() -> None:
         assert why_silent(node, ["a"]).startswith("no daemon is seen there; ")
 
 
-def test_names_of_strangers_are_bounded() -> None:
+def test_names_of_strangers_are_bounded_and_told_for_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         open_link("loop:strangers", Role.SERVICE, crafts=["demo"]) as link,
         open_link("loop:strangers", Role.NODE) as node,
@@ -148,6 +148,12 @@ def test_names_of_strangers_are_bounded() -> None:
         received(link)
         assert link.strangers == ("craft0", "craft1", "craft2", "craft3")
         assert link.counters["refused.unknown_craft"] == 20
+        assert [link.counters[f"refused.unknown_craft.craft{number}"] for number in (0, 3, 4)] == [1, 1, 0]
+        monotonic = time.monotonic
+        monkeypatch.setattr(time, "monotonic", lambda: monotonic() + 61.0)
+        node.send(stream(craft="craft2", seconds=1)[0])
+        received(link)
+        assert link.strangers == ("craft2",)
 
 
 def received(link: Link) -> None:

@@ -257,7 +257,7 @@ def test_a_command_loads_another_model_from_beside_the_configured_one(tmp_path: 
         return "" if reply.accepted else reply.text
 
     assert "beside" in ask(name="../second.toml")
-    assert "No such file" in ask(name="third.toml")
+    assert "there is no such file" in ask(name="third.toml")
     os.mkfifo(tmp_path / "pipe.toml")
     assert "not a file" in ask(name="pipe.toml")
     (tmp_path / "second.toml").chmod(0o666)

@@ -186,7 +186,7 @@ def test_a_row_takes_the_newest_joined_row_that_is_not_later_within_the_toleranc
 
 REFUSED_JOINS = {
     "no such column": (JOIN, HEAT.replace("gps.heat", "gps.heatt"), "did you mean 'gps.heat'"),
-    "no such file": (JOIN.replace("gps.dat", "none.dat"), HEAT, "none.dat: 'No such file"),
+    "no such file": (JOIN.replace("gps.dat", "none.dat"), HEAT, "none.dat: there is no such file"),
     "another clock": (JOIN.replace("elapsed_ms", "unix_ms"), HEAT, r"samples.join\[0\].time: 'utc'"),
     "no such time": (JOIN.replace('"s"', '"q"'), HEAT, r"samples.join\[0\].time.column: 'q'"),
     "no tolerance": (JOIN.replace("tolerance_s = 2.0", ""), HEAT, r"samples.join\[0\].tolerance_s: 'missing'"),

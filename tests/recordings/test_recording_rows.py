@@ -185,7 +185,7 @@ def test_what_is_no_gzip_is_refused(tmp_path: Path, content: bytes) -> None:
 def test_a_missing_log_is_refused_by_name(tmp_path: Path) -> None:
     path = write_log(tmp_path)
     (tmp_path / "log.csv").unlink()
-    with pytest.raises(RecordingError, match=r"log\.csv.*No such file"):
+    with pytest.raises(RecordingError, match=r"log\.csv: there is no such file or folder; give"):
         read_recording(path)
 
 

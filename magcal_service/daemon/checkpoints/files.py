@@ -35,7 +35,7 @@ from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.floor import Floor
 from magcal_service.disk import write_whole
-from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.errors import Fault, FileFault, InputRefusedError, MagcalError
 from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
@@ -179,7 +179,7 @@ class StateStore:
             with suppress(_HeldError), self._locked():  # another's half-written file is no leftover
                 self._sweep()
         except OSError as error:
-            fault = Fault(str(self.folder), error.strerror or str(error), "a folder that can be written is accepted")
+            fault = FileFault(str(self.folder), error, "a folder that can be written is accepted")
             raise InputRefusedError([fault]) from None
 
     @contextmanager

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import FileFault, InputRefusedError
 from magcal_service.links.counter_file import CounterFile
 
 
@@ -29,7 +29,7 @@ class Floor:
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
-            fault = Fault(str(folder), error.strerror or str(error), "a folder that can be written is accepted")
+            fault = FileFault(str(folder), error, "a folder that can be written is accepted")
             raise InputRefusedError([fault]) from None
         self._file = CounterFile(folder / f"{label.replace('/', '.')}.counter")
         self._before = 0  # the newest that was found sound or written

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.errors import Fault, FileFault, RecordingError
 
 _WHOLE_BYTES: Final = 1 << 21
 """2 MiB: up to here a log is read whole, in well under a second."""
@@ -59,7 +59,7 @@ class Sample:
 def read_sample(path: Path) -> Sample:
     """Read a log's head, its tail and stretches between; raises ``RecordingError`` for what is no text in lines."""
     if path.is_dir():
-        raise _refused(path, "a folder", "give the log itself, a text file of rows")
+        raise RecordingError([FileFault.of_folder(str(path), "give the log itself, a text file of rows")])
     if path.suffix.lower() in _DESCRIBED:
         raise _refused(path, path.suffix, "a raw log is described; magcal calibrate takes this file as it is")
     try:
@@ -67,8 +67,10 @@ def read_sample(path: Path) -> Sample:
         if not path.is_file():
             raise _refused(path, "no plain file", "give the log itself, a text file of rows")
         pieces, whole = _pieces(path, size)
-    except (OSError, EOFError, zlib.error) as exc:
-        raise _refused(path, getattr(exc, "strerror", None) or str(exc), "give a readable log") from None
+    except OSError as exc:
+        raise RecordingError([FileFault(str(path), exc, "give a readable log")]) from None
+    except (EOFError, zlib.error) as exc:
+        raise _refused(path, str(exc), "give a readable log") from None
     if not any(piece.strip() for piece in pieces):
         raise _refused(path, "empty", "a log with a row a line is accepted")
     for piece in pieces:

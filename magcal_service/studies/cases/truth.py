@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.errors import ConfigError, Fault, FileFault
 from magcal_service.physics.effects import (
     bias_step,
     coloured_noise,
@@ -108,7 +108,7 @@ def read_answers(folder: Path) -> dict[str, Truth]:
         return {name: _own(answer) if "effects" in answer else _flat(answer) for name, answer in answers.items()}
     except OSError as exc:
         accepted = f"a folder of concealed cases is accepted, with {ANSWERS} beside them; {_MAKE}"
-        raise ConfigError([Fault("--recordings", str(folder), f"{ANSWERS}: {exc.strerror}; {accepted}")]) from None
+        raise ConfigError([FileFault(f"--recordings: {folder / ANSWERS}", exc, accepted)]) from None
     except (ValueError, KeyError, TypeError, AttributeError) as exc:
         accepted = f"an answer for each case is accepted, in one of the two forms of docs/studies.md; {_MAKE}"
         raise ConfigError([Fault(str(path), f"{type(exc).__name__}: {exc}", accepted)]) from None
