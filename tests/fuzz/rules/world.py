@@ -8,9 +8,11 @@ would alone, bit for bit.
 from __future__ import annotations
 
 import itertools
+import math
 import shutil
 import tempfile
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -33,6 +35,9 @@ from tests.fuzz.rules.lines import LINES, await_that
 _CRAFTS: Final = (WILD, OTHER, CALM)
 _MARK: Final = "world"
 """Source of the messages that say that all before them has come through."""
+
+_AGAIN_S: Final = 1.0
+"""After which such a message is sent again [s]: zenoh drops what is put before it knows of an end that is back."""
 
 
 class PlantedError(Exception):
@@ -148,9 +153,13 @@ class World:
             command_sequence=0,
             accepted=True,
         )
-        self.link.send(mark)
+        sent_s = -math.inf
 
         def come() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > _AGAIN_S:
+                sent_s = time.monotonic()
+                self.link.send(mark)
             published.extend(self.node.receive(0.0))
             return mark in published and len(self._of_calm(published)) >= len(self._expected)
 
