@@ -203,10 +203,20 @@ class Bench:
         path.write_text(changed, encoding="utf-8")
         try:
             parts = [part for part in room.test_files(Path(mutant.file), self.folder) if part]
-            failures = (self._first_failure(part, SLOWER * processor_s + STARTING_S) for part in parts)
+            failures = (self._sure_failure(part, SLOWER * processor_s + STARTING_S) for part in parts)
             return next(filter(None, failures), "")
         finally:
             path.write_text(source, encoding="utf-8")
+
+    def _sure_failure(self, tests: list[str], longest_s: float) -> str:
+        """The first test that fails twice: one that waits for another process may fail once by a loaded machine."""
+        left_out: list[str] = []
+        while failed := self._first_failure([*tests, *left_out], longest_s):
+            function = failed.partition("[")[0]
+            if "::" not in function or self._first_failure([function], longest_s):
+                return failed
+            left_out += ["--deselect", function]
+        return ""
 
     def _first_failure(self, tests: list[str], longest_s: float | None = None) -> str:
         waiting = f"--timeout={LONGEST_TEST_S}"

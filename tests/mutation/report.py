@@ -31,8 +31,9 @@ mutants of the room that would be noticed at first with 95 % (Wilson 1927).
 Not drawn is what decides nothing (annotations, imports, `__all__`, the words of a refusal, arguments of `@dataclass`,
 the markers `*` and `/` of a signature), and what leaves no Python: any test would notice. A mutant that needs three
 times the processor time of the unchanged code and a minute more, or waits for 20 minutes in one test, comes to no end:
-it is noticed "by time". A loaded machine makes no such mutants, since the time is the processor's. A room whose tests
-fail without a mutant is refused.
+it is noticed "by time". A loaded machine makes no such mutants, since the time is the processor's, and a test has to
+fail twice: one that waits for another process may fail once by itself. A room whose tests fail without a mutant is
+refused.
 
 {table}
 
