@@ -310,10 +310,12 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return Trust(verdict, reasons, remedy, level.nt, str(level.by))
 
     def _before_start(self, estimate: StateEstimate) -> Trust:
-        reasons = [Reason.SPIN_ALIASING] if self._is_aliased() else []
+        reasons = self._silence()  # first: while nothing is learned, waiting helps against nothing else
+        if self._is_aliased():
+            reasons.append(Reason.SPIN_ALIASING)
         if estimate.waiting_for:
             reasons.append(reason_of(estimate.waiting_for))
-        reasons += [*self._sensed(), *self._silence(), Reason.COLLECTING]
+        reasons += [*self._sensed(), Reason.COLLECTING]
         return Trust(Verdict.NOT_STARTED, tuple(reasons), self._remedy(reasons[0]))
 
     def _information(self) -> set[Reason]:

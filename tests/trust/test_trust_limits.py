@@ -466,13 +466,18 @@ def test_an_estimator_that_starts_anew_is_judged_and_one_that_starts_first_is_no
     )
 
 
-def test_before_the_start_what_is_told_by_others_is_said_as_well() -> None:
+def test_before_the_start_what_keeps_samples_from_being_learned_from_is_said_first() -> None:
+    """The remedy is that of the first reason: no wait for directions helps a frozen craft."""
     monitor = TrustMonitor(CONFIG)
+    monitor.observe_frozen()
+    frozen = monitor.judge(replace(SETTLED, phase=Phase.STARTING, waiting_for=StartGate.POOR_COVERAGE))
+    assert (frozen.reasons[0], frozen.remedy) == (Reason.FROZEN, REMEDIES[Reason.FROZEN])
+    monitor.observe_freeze(False)
     monitor.observe_skipped(1.0)
     monitor.observe_fault(Reason.STUCK)
     starting = replace(SETTLED, phase=Phase.STARTING, waiting_for=StartGate.BAD_FIT)
     assert monitor.judge(starting).reasons == (
-        Reason.INCONSISTENT, Reason.NO_REFERENCE, Reason.STUCK, Reason.COLLECTING,
+        Reason.NO_REFERENCE, Reason.STUCK, Reason.INCONSISTENT, Reason.COLLECTING,
     )  # fmt: skip
 
 
