@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.estimators import ukf
 from magcal_service.estimators.interface import Phase, TickOutcome
 from magcal_service.estimators.parts.spin_window import Window, across_axis
 from magcal_service.estimators.parts.start import BatchSolution
@@ -369,3 +370,17 @@ def test_a_noise_that_the_start_has_contradicted_is_learnt_from_then_on(monkeypa
     target.handle(tick(5, 0.0))
     assert target._learning
     assert target._windows is None
+
+
+def test_what_is_kept_of_a_tick_keeps_its_references() -> None:
+    some = replace(tick(1, 0.0, 0.0, 0.0), reference_eci_nt=np.diag([1.0, 2.0, 3.0]))
+    kept = ukf._only(some, np.array([True, False, True]))
+    np.testing.assert_array_equal(kept.reference_eci_nt, [[1.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    np.testing.assert_array_equal(kept.field_body_nt, some.field_body_nt[[0, 2]])
+    assert ukf._only(tick(1, 0.0, 0.0), np.array([True, False])).reference_eci_nt is None
+
+
+def test_the_fourth_measurement_goes_on_from_the_last_sample_of_a_tick() -> None:
+    target, some = running(replace(CONFIG, spin=SpinConfig(fourth=True))), tick(1, 0.0, 0.0, 0.0)
+    target._fourth_update(some, SpinConfig(fourth=True))
+    np.testing.assert_array_equal(target._last_field, some.field_body_nt[2])

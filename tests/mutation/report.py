@@ -34,7 +34,7 @@ times the processor time of the unchanged code and a minute more, or waits for 2
 it is noticed "by time". A loaded machine makes no such mutants, since the time is the processor's, and a test has to
 fail twice: one that waits for another process may fail once by itself. A room whose tests fail without a mutant is
 refused. Seed 27 was tried in the order of the draw until time was up; three mutants of `estimators` lived in the test
-files nearest to them and count as not noticed, though the rest of the room was not run.
+files nearest to them and count as not noticed at first, though the rest of the room was not run.
 
 {table}
 
