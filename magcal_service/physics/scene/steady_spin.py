@@ -233,7 +233,7 @@ def _tracked(turn: Array, time_s: Array, rate: float, sure: Array) -> Array:
         miss = (angles[index] - expected + np.pi) % (2.0 * np.pi) - np.pi
         phase = expected + 0.25 * weights[index] * miss
         if step > 0.0:
-            speed += 0.02 * weights[index] * miss / step
+            speed += 0.02 * weights[index] ** 2 * miss / step  # a direction's error grows by 1/s, its rate by 1/s^2
         found.append(expected + miss)
     return np.array(found)
 
