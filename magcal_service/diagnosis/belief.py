@@ -14,6 +14,7 @@ from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.recordings.inspect.motion import kepler_rad_s
 
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
@@ -31,6 +32,12 @@ _FEW_LEVELS: Final = 2
 
 _ONE_WAVE: Final = 0.5
 """Probability that a duty, with a line at a multiple of its rate beside it, leaves to another wave of that cycle."""
+
+_FEWEST_SWITCHED: Final = 4
+"""Instants from which on two pairs show whether they come again after an orbit."""
+
+_EACH_ORBIT: Final = 0.03
+"""Share of an orbit to which what is switched comes again after one: an eclipse to less, a command only by chance."""
 
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
@@ -103,7 +110,17 @@ def _least_unlisted(fit: Fit, index: int) -> float:
     levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
     jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
-    return max(least, _ONE_WAVE) if index in _of_one_wave(fit) else least
+    return max(least, _ONE_WAVE) if index in _of_one_wave(fit) or _is_each_orbit(fit, index) else least
+
+
+def _is_each_orbit(fit: Fit, index: int) -> bool:
+    """Whether a term's instants come again an orbit later, every second one: something follows the orbit, as light."""
+    place = fit.problem.scene.position_ecef_km
+    instants = np.sort([value for number, value in _numbers(fit, "instant") if number == index])
+    if place is None or not fit.problem.scene.in_orbit or len(instants) < _FEWEST_SWITCHED:
+        return False
+    orbit_s = 2.0 * np.pi / kepler_rad_s(float(np.linalg.norm(place, axis=1).mean()))
+    return bool(np.all(np.abs((instants[2:] - instants[:-2]) / orbit_s - 1.0) < _EACH_ORBIT))
 
 
 def _of_one_wave(fit: Fit) -> set[int]:

@@ -25,6 +25,7 @@ from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 STEP_NT = np.array([220.0, -140.0, 90.0])
 AT_S = 4100.0
+ORBIT_S = 2.0 * math.pi / 1.1068e-3  # of the scene
 
 
 def form(name: str) -> Hypothesis:
@@ -93,6 +94,17 @@ def test_many_jumps_each_by_its_own_are_believed_less(variant: str, own: float) 
     named = explained([])
     (term,) = named.fit.terms
     theta = np.linspace(1000.0, 7000.0, len(jumps.nonlinear))
+    fit = replace(named.fit, terms=(replace(term, hypothesis=jumps, theta=theta),))
+    assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
+
+
+@pytest.mark.parametrize(("again_s", "own"), [(ORBIT_S, 0.5), (0.98 * ORBIT_S, 0.5), (0.9 * ORBIT_S, 0.97)])
+def test_what_is_switched_once_an_orbit_follows_the_orbit(again_s: float, own: float) -> None:
+    """An eclipse does, and an array current with it; what comes again at other times is switched."""
+    jumps = next(h for h in effect_named("bias_step").hypotheses(scene()) if h.variant == "switched at 4 instants")
+    named = explained([])
+    (term,) = named.fit.terms
+    theta = np.array([500.0, 1700.0, 500.0 + again_s, 1690.0 + again_s])
     fit = replace(named.fit, terms=(replace(term, hypothesis=jumps, theta=theta),))
     assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
 

@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.recordings.inspect.motion import EARTH_RAD_S, MU_KM3_S2
+
 FloatArray = npt.NDArray[np.float64]
 
 Indices = npt.NDArray[np.intp]
 
-_MU_KM3_S2: Final = 398600.4418  # of the Earth
-_TURN_RAD_S: Final = 7.292115e-5  # of the Earth
 _RADIUS_KM: Final = 6371.0  # mean, of the Earth
 _E2: Final = 6.69438e-3  # squared eccentricity of WGS84
 _STILL: Final = 1e-5  # of the normal: a plane that goes round the pole by half a degree
@@ -40,7 +40,7 @@ def orbit_height_km(latitude_deg: FloatArray, longitude_deg: FloatArray, time_s:
     if len(time) < 2:
         return None
     geocentric = np.arctan((1.0 - _E2) * np.tan(np.radians(latitude)))
-    inertial = np.radians(longitude) + _TURN_RAD_S * (time - time[0])
+    inertial = np.radians(longitude) + EARTH_RAD_S * (time - time[0])
     across = np.cos(geocentric)
     place = np.column_stack([across * np.cos(inertial), across * np.sin(inertial), np.sin(geocentric)])
     first, later, step = _pieces(time)
@@ -48,7 +48,7 @@ def orbit_height_km(latitude_deg: FloatArray, longitude_deg: FloatArray, time_s:
         return None
     cosine = np.clip((place[first] * place[later]).sum(axis=1), -1.0, 1.0)
     rate = float(np.arccos(cosine).sum() / step.sum())
-    return None if rate <= 0.0 else float((_MU_KM3_S2 / rate**2) ** (1.0 / 3.0)) - _RADIUS_KM
+    return None if rate <= 0.0 else float((MU_KM3_S2 / rate**2) ** (1.0 / 3.0)) - _RADIUS_KM
 
 
 def frame_of_way(position_km: FloatArray, time_s: FloatArray) -> str:
@@ -64,7 +64,7 @@ def frame_of_way(position_km: FloatArray, time_s: FloatArray) -> str:
     first, later, _ = _pieces(time)
     if len(first) < _FEWEST:
         return ""
-    angle = _TURN_RAD_S * (time - time[0])
+    angle = EARTH_RAD_S * (time - time[0])
     x, y, z = position.T
     turned = np.column_stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z])
     eci, ecef = (_unsteady(one[first], one[later]) for one in (position, turned))
