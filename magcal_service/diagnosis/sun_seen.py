@@ -148,14 +148,14 @@ def _needed(scene: Scene, residual_nt: Array, sun: SunSeen) -> bool:
     columns = np.concatenate([unit, unit * field_nt], axis=1)
 
     def explained(answers: Iterable[Array]) -> float:
-        return max(_squares(_without(columns * (one - one.mean())[:, None], nine), residual) for one in answers)
+        return max(_squares(_without(_following(columns, one), nine), residual) for one in answers)
 
     def by_light(ahead_deg: float) -> float:
         aimed = _aimed(scene, ahead_deg)
         by_direction = 0.0 if aimed is None else _squares(_without(aimed, nine), residual)
         return max(explained(_lit_answers(scene, ahead_deg)), by_direction)
 
-    instead = max(by_light(0.0), explained(scene.channels[sun.channel].values.T))
+    instead = max(by_light(0.0), explained(scene.channels[sun.channel].values.T[:, :, None]))
     gain = by_light(sun.ahead_deg) - instead
     slow, noise = _slow(columns, residual)
     return gain > max(_CHANCE * noise, _GREATER_PART * (slow - instead))
@@ -171,16 +171,22 @@ def _aimed(scene: Scene, ahead_deg: float) -> Array | None:
     return np.asarray((signals[:, :, None] * scene.unit[:, None, :]).reshape(len(scene), -1))
 
 
+def _following(columns: Array, courses: Array) -> Array:
+    """Columns (n, k) times each of some courses (n, m) less its mean: (n, k m)."""
+    return np.concatenate([columns * (one - one.mean())[:, None] for one in courses.T], axis=1)
+
+
 def _lit_answers(scene: Scene, ahead_deg: float) -> Iterator[Array]:
-    """What answers (n,) to light under a Sun so far ahead, by its time constants."""
+    """What answers to light under a Sun so far ahead, and the decays of its start (n, m), by its time constants."""
     assert scene.position_eci_km is not None
     sun = sunlight.sun_eci(scene.time_ns * 1e-9, math.radians(ahead_deg))
     lit = sunlight.sunlit(scene.position_eci_km, sun)
     for constants_s in _RESPONSES_S:
-        answer = lit - lit.mean()
-        for constant_s in constants_s:
-            answer = sunlight.first_order(scene.time_s, answer, constant_s) if constant_s > 0.0 else answer
-        yield answer
+        courses = [lit - lit.mean()]
+        for constant_s in (constant_s for constant_s in constants_s if constant_s > 0.0):
+            courses[0] = sunlight.first_order(scene.time_s, courses[0], constant_s)
+            courses.append(np.exp(-(scene.time_s - scene.time_s[0]) / constant_s))
+        yield np.stack(courses, axis=1)
 
 
 def _squares(columns: Array, residual: Array) -> float:
