@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -330,6 +332,22 @@ def test_gauss_newton_ends_where_the_gradient_is_zero() -> None:
     assert float(step @ normal @ step) < 1e-6
     np.testing.assert_allclose(covariance @ normal, np.eye(9), atol=1e-6)
     assert np.abs((x - X) / np.sqrt(np.diagonal(covariance))).max() < 5.0
+
+
+def test_gauss_newton_damps_no_step_after_a_good_one() -> None:
+    """With a gradient of half its size each step goes half of the way that is left."""
+    truth, root, looks = np.linspace(-0.4, 0.4, 9), np.random.default_rng(4).normal(size=(9, 12)), []
+    normal = 1e4 * root @ root.T
+
+    def equations(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        looks.append(x)
+        return normal, 0.5 * normal @ (x - truth), float((x - truth) @ normal @ (x - truth))
+
+    halved: Any = SimpleNamespace(normal_equations=equations)
+    result = gauss_newton(halved, np.zeros(9))
+    assert result is not None
+    np.testing.assert_allclose(looks[:4], np.outer([0.0, 0.5, 0.75, 0.875], truth), atol=1e-12)
+    np.testing.assert_allclose(result[1], np.linalg.inv(normal), rtol=1e-9)
 
 
 def test_gauss_newton_does_not_change_its_start() -> None:
