@@ -27,6 +27,7 @@ _FASTEST_KM_S: Final = 12.0  # nothing near the Earth goes faster
 _AIR_KM_S: Final = 0.6  # and no aircraft than this
 _RADIUS_KM: Final = (6330.0, 60000.0)  # from the polar ice to beyond the geostationary ring
 _LOW_KM: Final = (120.0, 2500.0)  # heights of a low orbit
+_NO_LATITUDE: Final = "a latitude of"
 _STRIDE: Final = 8  # rows that a speed is taken over
 _NEEDED: Final = 8  # steps that a speed is judged by
 
@@ -104,16 +105,17 @@ def _by_names(draft: Draft, times: Times | None) -> Place | None:
         if moving is None or _in_orbit((latitude, longitude), draft.log, times):
             return _geodetic(draft, times, latitude, longitude, "")
         fault = "other columns move over the ground as a craft in orbit does, and these do not"
-    moving = _moving_pair(draft.log, times)
+    swapped = fault.startswith(_NO_LATITUDE) and not _no_place(longitude, latitude, draft.log, times)
+    moving = (longitude, latitude) if swapped else _moving_pair(draft.log, times)
     says = f"the header calls {latitude.label} and {longitude.label} a position, but {fault}"
     draft.said.append(f"position: not believed: {says}")
     if moving is not None:
         value = ",".join(draft.names(moving))
-        why = "these move over the ground as a craft in orbit does"
+        why = "the same two the other way round" if swapped else "these move over the ground as a craft in orbit does"
         asks = f"{says}: the header seems to name the wrong columns. Which are latitude and longitude?"
         draft.ask(Question("position.columns", asks, ((value, why),), value))
         draft.doubted = True
-        return _asked(moving)
+        return None if swapped else _asked(moving)
     return None
 
 
@@ -150,7 +152,7 @@ def _no_place(latitude: Column, longitude: Column, log: Log, times: Times | None
     if float(np.nanmax(np.abs(lat))) > 90.0 or float(np.nanmax(np.abs(lon))) > 360.0:
         most = float(np.nanmax(np.abs(lat)))
         scaled = "; are they in 1e-7 degrees? the log has to hold degrees" if most > 1e6 else ""
-        return f"a latitude of {most:.7g} is none in degrees{scaled}"
+        return f"{_NO_LATITUDE} {most:.7g} is none in degrees{scaled}"
     if times is None:
         return ""
     speeds = ground_speed_km_s(lat, lon, times, log)

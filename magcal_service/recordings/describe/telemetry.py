@@ -34,6 +34,11 @@ _RANGES: Final = {
 }
 """What values of a unit can be; beyond that the name is not believed."""
 
+_HOT_DEGC: Final = 55.0
+"""A whole log at least as warm is asked about: choice, above what electronics are at and in degF a cool room."""
+
+_HOT_DEGF: Final = 110.0  # 43 degC: warmer than that the same log in degF is no more usual than in degC
+
 _SCALARS: Final = ("temperature", "current", "voltage", "pressure", "fraction", "power", "irradiance")
 
 
@@ -196,6 +201,9 @@ def _said(columns: tuple[Column, ...], unit: str, quantity: str) -> _Unit:
     good = values[np.isfinite(values)]
     if not good.size or float(np.mean((good < low) | (good > high))) > 0.02:
         return _Unit("", f"the name says {unit}, but the numbers cannot be that")
+    if unit == "degC" and float(np.quantile(good, 0.02)) >= _HOT_DEGC and float(np.quantile(good, 0.98)) <= _HOT_DEGF:
+        why = f"the name says degC, but {good.min():.4g} to {good.max():.4g} are hot for that and usual in degF"
+        return _Unit("", why, ("degF", "degC"))
     return _Unit(unit, f"the names say {quantity} in {unit}, and the numbers can be that")
 
 

@@ -34,6 +34,9 @@ DAYS: Final = {
 _STEP_S: Final = (0.0009, 3700.0)
 """Seconds between rows: a magnetometer is read between 1000 times a second and once an hour."""
 
+_SLOW_S: Final = 61.0
+"""Seconds between rows up to which a unit that a name says is believed: telemetry comes once a minute or oftener."""
+
 _FAR_BACK: Final = 0.3  # of all that a column runs through: no row comes that late
 
 _FRACTIONS_S: Final = 2.0
@@ -161,10 +164,13 @@ def _elapsed(column: Column, step: float, named: bool) -> list[Form]:
     if not named and not unit and column.name:
         return []
     fits = bool(unit) and _STEP_S[0] <= step * S[unit] <= _STEP_S[1]
-    if fits:
+    usual = fits and _CLEAR_STEP_S[0] <= step * S[unit] <= _SLOW_S
+    others = [one for one, factor in S.items() if one != unit and _CLEAR_STEP_S[0] <= step * factor <= _SLOW_S]
+    if fits and (usual or not others):
         why = f"the name says {unit}, and it rises by {step * S[unit]:.4g} s a row"
         return [Form((column,), f"elapsed_{unit}", column.values * S[unit], False, why, True, 5)]
     possible = [one for one, factor in S.items() if _CLEAR_STEP_S[0] <= step * factor <= _CLEAR_STEP_S[1]]
+    possible += [unit] if fits and unit not in possible else []
     possible = possible or [one for one, factor in S.items() if _STEP_S[0] <= step * factor <= _STEP_S[1]]
     if not column.whole and step <= _FRACTIONS_S and "s" in possible and not unit:
         possible = ["s"]

@@ -148,3 +148,36 @@ def test_what_is_asked_about_is_not_listed_as_not_described(tmp_path: Path) -> N
         assert question(result, asked)
         (line,) = (line for line in result.said if line.startswith("not described"))
         assert line.startswith("not described: 'mode', 'mag';")
+
+
+def test_a_latitude_beyond_the_pole_is_asked_about_the_other_way_round(tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    there = np.tile([139.7, 35.7], (len(field), 1))
+    log = write(tmp_path, "t_s,mx_nT,my_nT,mz_nT,lat,lon", clock(field), field, there)
+    asked = question(describe(log, {}), "position.columns")
+    assert "a latitude of 139.7 is none in degrees" in asked
+    assert "could be lon,lat: the same two the other way round" in asked
+
+
+@pytest.mark.parametrize(("most", "possible"), [(75.0, "degF"), (40.0, "")])
+def test_a_room_too_hot_in_celsius_is_asked_about(most: float, possible: str, tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    log = write(
+        tmp_path, "t_s,mx_nT,my_nT,mz_nT,temp_degC", clock(field), field, np.linspace(most - 6, most, len(field))
+    )
+    asked = question(describe(log, {"reference": "48 uT"}), "channels.temperature.unit")
+    assert bool(asked) is bool(possible)
+    assert not possible or f"could be {possible}" in asked
+
+
+@pytest.mark.parametrize(("unit", "step", "right"), [("s", 100.0, "ms"), ("s", 1000.0, "ms"), ("ms", 1.0, "s")])
+def test_a_unit_of_time_that_makes_no_usual_log_is_asked_about(
+    unit: str, step: float, right: str, tmp_path: Path
+) -> None:
+    field = maker_logs.ground()
+    log = write(tmp_path, f"t_{unit},mx_nT,my_nT,mz_nT", step * np.arange(len(field)), field)
+    asked = question(describe(log, {"reference": "48 uT"}), "time.format")
+    assert f"could be elapsed_{right}" in asked
+    for answer in (unit, right):
+        text = describe(log, {"reference": "48 uT", "time.format": f"elapsed_{answer}"}).text
+        assert f'format = "elapsed_{answer}"' in (text or "")
