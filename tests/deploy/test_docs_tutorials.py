@@ -61,6 +61,15 @@ def test_every_command_of_a_tutorial_ends_and_prints_as_its_page_says(
     played(name)
 
 
+def test_the_phone_of_the_tutorial_is_calibrated_as_its_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(next(text for language, text in blocks("phone") if language == "python"), {})
+    played("phone")
+    assert (tmp_path / "vectors.csv").read_text(encoding="utf-8").count("\n") == 3001
+
+
 def test_the_notebook_runs_and_trusts_its_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
