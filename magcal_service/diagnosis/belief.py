@@ -33,6 +33,9 @@ _FEW_LEVELS: Final = 2
 _ONE_WAVE: Final = 0.5
 """Probability that a duty, with a line at a multiple of its rate beside it, leaves to another wave of that cycle."""
 
+_ALONG: Final = 0.9
+"""Cosine from which on a jump lies along a field whose driver is inferred: of directions at random one in ten does."""
+
 _FEWEST_SWITCHED: Final = 4
 """Instants from which on two pairs show whether they come again after an orbit."""
 
@@ -110,7 +113,30 @@ def _least_unlisted(fit: Fit, index: int) -> float:
     levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
     jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
-    return max(least, _ONE_WAVE) if index in _of_one_wave(fit) or _is_each_orbit(fit, index) else least
+    is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
+    return max(least, _ONE_WAVE) if is_part else least
+
+
+def _is_along_inferred(fit: Fit, index: int) -> bool:
+    """Whether jumps lie along a field whose driver is inferred: a load of the same current, which nobody recorded."""
+    if not any(number == index for number, _ in _numbers(fit, "instant")):
+        return False
+    own = _directions(fit.terms[index])
+    others = [
+        _directions(term)
+        for term in fit.terms
+        if term.hypothesis.driver.startswith("inferred") and any(b.unit == "nT" for b in term.hypothesis.blocks)
+    ]
+    return any(float(np.abs(own @ other.T).max(initial=0.0)) > _ALONG for other in others)
+
+
+def _directions(term: Term) -> Array:
+    """(k, 3) unit vectors of a term's fields; none where its amplitudes are no vectors."""
+    if len(term.amplitudes) % 3:
+        return np.zeros((0, 3))
+    vectors = term.amplitudes.reshape(-1, 3)
+    length = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors[length > 0.0] / length[length > 0.0, None])
 
 
 def _is_each_orbit(fit: Fit, index: int) -> bool:

@@ -18,7 +18,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
 from magcal_service.diagnosis.solution import solve
-from magcal_service.model import measure
+from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.interface import Hypothesis, Nonlinear
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
@@ -96,6 +96,19 @@ def test_many_jumps_each_by_its_own_are_believed_less(variant: str, own: float) 
     theta = np.linspace(1000.0, 7000.0, len(jumps.nonlinear))
     fit = replace(named.fit, terms=(replace(term, hypothesis=jumps, theta=theta),))
     assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
+
+
+@pytest.mark.parametrize(
+    ("field_nt", "own"),
+    [(STEP_NT, 0.5), (-0.4 * STEP_NT, 0.5), (STEP_NT + 40.0, 0.5), (np.array([90.0, 150.0, 0.0]), 0.97)],
+)
+def test_a_jump_along_a_current_that_was_inferred_may_be_its_load(field_nt: Array, own: float) -> None:
+    currents = effect_named("current_loop").hypotheses(replace(scene(), channels={}))
+    lit = next(one for one in currents if one.driver.startswith("inferred") and one.variant == "lit or not")
+    named = explained([])
+    fit = replace(named.fit, terms=(*named.fit.terms, Term(lit, np.zeros(0), field_nt)))
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
 
 
 @pytest.mark.parametrize(("again_s", "own"), [(ORBIT_S, 0.5), (0.98 * ORBIT_S, 0.5), (0.9 * ORBIT_S, 0.97)])
