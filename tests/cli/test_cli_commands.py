@@ -176,7 +176,7 @@ def test_an_output_that_cannot_be_written_is_refused_by_name(
 def test_a_full_disk_is_one_line(command: str, option: str, short: Path) -> None:
     done = run(command, short, option, "/dev/full")
     assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "No space left on device" in done.err
+    assert "no space is left on the disk" in done.err
 
 
 def test_a_replay_takes_exactly_one_craft(short: Path, tmp_path: Path) -> None:

@@ -127,10 +127,17 @@ def test_a_log_with_any_bytes_in_it_is_read_or_refused(piece: bytes, at: int) ->
         assert_told("replay", write(Path(name), DESCRIPTOR, LOG[:at] + piece + LOG[at:]))
 
 
-@pytest.mark.parametrize("line", ['csv = "\\u0000"', 'csv = "/"', 'csv = "."'])
-def test_rows_that_cannot_be_written_are_refused_when_the_daemon_starts(line: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ('csv = "\\u0000"', "is refused"),
+        ('csv = "/"', "this is a folder, not a file"),
+        ('csv = "."', "this is a folder, not a file"),
+    ],
+)
+def test_rows_that_cannot_be_written_are_refused_when_the_daemon_starts(line: str, why: str, tmp_path: Path) -> None:
     path = tmp_path / "magcal.toml"
     path.write_text(CONFIG.replace('csv = "rows.csv"', line))
     done = run("run", "--config", path)
     assert done.code == 2
-    assert "is refused" in done.err.splitlines()[-1]
+    assert why in done.err.splitlines()[-1]

@@ -141,7 +141,7 @@ def test_what_is_put_in_place_of_a_file_and_is_none_of_ours_is_left_as_it_is(
 @needs_full_disk
 def test_a_full_disk_is_told_by_name(estimates: list[Estimate]) -> None:
     out = EstimateCsv(FULL)
-    with pytest.raises(InputRefusedError, match="/dev/full: 'No space left on device' is refused"):
+    with pytest.raises(InputRefusedError, match="/dev/full: no space is left on the disk"):
         out.flush()
     with pytest.raises(InputRefusedError):
         out.close()

@@ -150,7 +150,7 @@ def test_continuous_integration_runs_lint_and_the_readmes_test_command(tmp_path:
     shutil.copy(ROOT / ".ci/run", script)
     programs = tmp_path / "bin"
     programs.mkdir()
-    for name in ("make", "gcc", "openssl", "systemd-analyze", "udevadm", "python3"):
+    for name in ("make", "gcc", "openssl", "node", "npm", "systemd-analyze", "udevadm", "python3"):
         (programs / name).write_text(f'#!/bin/sh\n[ {name} != make ] || echo "make $*" >>calls\n')
         (programs / name).chmod(0o755)
     subprocess.run([script], env={"PATH": f"{programs}:/usr/bin:/bin"}, check=True, timeout=60)

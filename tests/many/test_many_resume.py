@@ -139,6 +139,6 @@ def test_results_that_cannot_be_kept_are_refused_by_file(tmp_path: Path, monkeyp
 
     store = Store(tmp_path, reuse=True)
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputRefusedError, match=r"key\.piece.*No space left"):
+    with pytest.raises(InputRefusedError, match=r"key\.piece: no space is left on the disk"):
         store.put("key", Done(1))
     assert list(tmp_path.iterdir()) == []

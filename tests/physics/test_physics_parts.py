@@ -95,7 +95,7 @@ def test_a_phase_is_unwrapped_through_noise_and_a_slow_change_of_rate() -> None:
     time_s = np.arange(400.0)
     phase = 0.2 + 0.9 * time_s + 2e-4 * time_s**2
     noise = np.random.default_rng(3).normal(0.0, 0.3, 400)
-    found = steady_spin._tracked(np.exp(1j * (phase + noise)), time_s, 0.9)
+    found = steady_spin._tracked(np.exp(1j * (phase + noise)), time_s, 0.9, np.ones(400))
     assert found - found[0] == pytest.approx(phase + noise - (phase[0] + noise[0]), abs=1e-9)
 
 

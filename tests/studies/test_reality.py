@@ -112,7 +112,7 @@ def test_what_is_left_by_the_effects_is_the_noise() -> None:
 
 def test_a_refused_recording_is_a_row_with_the_refusal_and_without_its_place() -> None:
     lost = rows(0)[2]
-    assert re.fullmatch(r"refused: lost\.csv: .* is refused; .*", lost["verdict"])
+    assert re.fullmatch(r"refused: lost\.csv: there is no such file or folder; .*", lost["verdict"])
     assert [lost["false name"], lost["processor [s]"]] == ["no", None]
     assert report().findings.figures["no diagnosis"] == 1
 
