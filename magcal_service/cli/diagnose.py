@@ -31,7 +31,8 @@ def add_diagnose(parser: Parser) -> None:
         metavar="RECORDING.toml|FILE.mcap",
         help="one recording, or several of one craft: their physics is taken to be common",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for its three files")
+    out = "folder for its three files (default: diagnosis)"
+    parser.add_argument("--out", type=Path, default=Path("diagnosis"), metavar="DIR", help=out)
     parser.add_argument("--simulation", metavar="SCENARIO.toml", help="compare with this scenario's nine errors")
     parser.add_argument("--craft", metavar="NAME", help=CRAFT_HELP)
     parser.add_argument("--source", metavar="NAME", help=f"of one recording: {SOURCE_HELP}")
