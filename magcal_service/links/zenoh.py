@@ -41,6 +41,7 @@ _KEPT_RESULTS = ("estimate", "status")  # a late joiner gets the newest of these
 _FIRST_ATTEMPT_S = 1.0  # how long the constructor of a connecting link waits, so that most links are up when it returns
 
 _ASK_S = 1.0  # longest wait for the tokens of the daemons that are there
+_ASK_AGAIN_S = 0.05  # between two questions for them, twenty within that wait
 
 _RECOVERY = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
 
@@ -110,9 +111,17 @@ class ZenohLink(Link):
 
     def served(self) -> frozenset[str]:
         """The craft of the daemons that show themselves, asked for now."""
-        session = self._session
+        session, deadline_s = self._session, time.monotonic() + _ASK_S
+        found = {presence.craft for presence in self.alive() if presence.role is Role.SERVICE}
         if session is None or not self.connected:
             return frozenset()
+        while True:  # zenoh's answer is empty at once every few times, whoever is there
+            found |= self._served_now(session)
+            if found or time.monotonic() > deadline_s or not self.connected:
+                return frozenset(found)
+            self._closed.wait(_ASK_AGAIN_S)
+
+    def _served_now(self, session: zenoh.Session) -> set[str]:
         found = set[str]()
         try:
             for reply in session.liveliness().get(f"{ROOT}/*/alive/*", timeout=_ASK_S):
@@ -121,7 +130,7 @@ class ZenohLink(Link):
                     found.add(presence.craft)
         except zenoh.ZError as error:
             self._failed(error)
-        return frozenset(found)
+        return found
 
     def _poll(self, wait_s: float) -> list[Message]:
         arrived = self._inbox.drain(self._joining.wait_s(time.monotonic(), wait_s))

@@ -204,5 +204,11 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(clean: Path, tm
     assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1)
 
 
-def test_the_folder_is_required(clean: Path) -> None:
-    assert diagnose(clean).code == 2
+def test_without_a_folder_the_files_go_to_one_of_that_name(
+    clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the line which a daemon's status gives, ``magcal diagnose RECORDING``, can be copied."""
+    monkeypatch.chdir(tmp_path)
+    assert diagnose(clean).code == 0
+    names = {path.name for path in (tmp_path / "diagnosis").iterdir()}
+    assert names == {"diagnosis.json", "report.html", "physics.toml"}
