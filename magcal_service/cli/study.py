@@ -42,7 +42,7 @@ def add_study(parser: Parser) -> None:
         "of recordings' descriptors, for reality (default: ../shared/data; to one alone, `cases` beside it), or of "
         "concealed cases, for concealed"
     )
-    parser.add_argument("--recordings", type=Path, nargs="+", default=[], metavar="FOLDER", help=folders)
+    parser.add_argument("--recordings", "--data", type=Path, nargs="+", default=[], metavar="FOLDER", help=folders)
     add_executor(parser)
     parser.examples = ("magcal study noise --runs 20 --out output/noise",)
     parser.set_defaults(command=_study)
