@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.model import Array
+from magcal_service.model import Array, field_jacobian
 from magcal_service.physics.effects.sun_disturbance import harmonics
 from magcal_service.physics.scene import sunlight
 from magcal_service.physics.scene.scene import Scene
@@ -141,9 +141,7 @@ def _needed(scene: Scene, residual_nt: Array, sun: SunSeen) -> bool:
     more than two lags, a panel's angle.  None of those moves what light does to the magnetometer.
     """
     unit, field_nt = scene.unit, scene.clean_field_nt
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    gains = [unit[:, i] * field_nt[:, j] + unit[:, j] * field_nt[:, i] for i, j in pairs]
-    nine = np.linalg.qr(np.stack([*unit.T, *gains], axis=1))[0]
+    nine = np.linalg.qr(np.einsum("ni,nij->nj", unit, field_jacobian(field_nt)))[0]
     residual = _without(residual_nt[:, None], nine)[:, 0]
     columns = np.concatenate([unit, unit * field_nt], axis=1)
 
@@ -151,9 +149,10 @@ def _needed(scene: Scene, residual_nt: Array, sun: SunSeen) -> bool:
         return max(_squares(_without(_following(columns, one), nine), residual) for one in answers)
 
     def by_light(ahead_deg: float) -> float:
-        aimed = _aimed(scene, ahead_deg)
+        under = replace(scene, sun_ahead_deg=ahead_deg)
+        aimed = _aimed(under)
         by_direction = 0.0 if aimed is None else _squares(_without(aimed, nine), residual)
-        return max(explained(_lit_answers(scene, ahead_deg)), by_direction)
+        return max(explained(_lit_answers(under)), by_direction)
 
     instead = max(by_light(0.0), explained(scene.channels[sun.channel].values.T[:, :, None]))
     gain = by_light(sun.ahead_deg) - instead
@@ -161,12 +160,11 @@ def _needed(scene: Scene, residual_nt: Array, sun: SunSeen) -> bool:
     return gain > max(_CHANCE * noise, _GREATER_PART * (slow - instead))
 
 
-def _aimed(scene: Scene, ahead_deg: float) -> Array | None:
+def _aimed(scene: Scene) -> Array | None:
     """(n, 24) what a field by the Sun's direction in the body may add, first and second degree; None without one."""
-    of = replace(scene, sun_ahead_deg=ahead_deg)
-    if of.sun_body is None or of.lit is None:
+    if scene.sun_body is None or scene.lit is None:
         return None
-    sun = of.sun_body * of.lit[:, None]
+    sun = scene.sun_body * scene.lit[:, None]
     signals = np.concatenate([sun, harmonics(sun)], axis=1)
     return np.asarray((signals[:, :, None] * scene.unit[:, None, :]).reshape(len(scene), -1))
 
@@ -176,13 +174,11 @@ def _following(columns: Array, courses: Array) -> Array:
     return np.concatenate([columns * (one - one.mean())[:, None] for one in courses.T], axis=1)
 
 
-def _lit_answers(scene: Scene, ahead_deg: float) -> Iterator[Array]:
-    """What answers to light under a Sun so far ahead, and the decays of its start (n, m), by its time constants."""
-    assert scene.position_eci_km is not None
-    sun = sunlight.sun_eci(scene.time_ns * 1e-9, math.radians(ahead_deg))
-    lit = sunlight.sunlit(scene.position_eci_km, sun)
+def _lit_answers(scene: Scene) -> Iterator[Array]:
+    """What answers to a scene's light, and the decays of its start (n, m), by its time constants."""
+    assert scene.lit is not None
     for constants_s in _RESPONSES_S:
-        courses = [lit - lit.mean()]
+        courses = [scene.lit - scene.lit.mean()]
         for constant_s in (constant_s for constant_s in constants_s if constant_s > 0.0):
             courses[0] = sunlight.first_order(scene.time_s, courses[0], constant_s)
             courses.append(np.exp(-(scene.time_s - scene.time_s[0]) / constant_s))

@@ -114,7 +114,7 @@ class _Sums:
         return beat.first_s + beat.period_s * np.arange(max(count, 0))
 
 
-def pulses(view: View) -> tuple[Beat, Finding] | None:
+def pulses(view: View) -> Finding | None:
     """Torquers on a beat in a residual, with the rows that they spoil; None where there are none, or a record of them.
 
     Source: the evidence is the marginal likelihood of random fields of one variance against none (a random-effects
@@ -135,7 +135,7 @@ def pulses(view: View) -> tuple[Beat, Finding] | None:
     follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
     turning = nats - _of_one_direction(squares, products, fields)
     clear = len(fields) >= _FEWEST and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
-    return (beat, _finding(view, beat, fields, nats)) if clear else None
+    return _finding(view, beat, fields, nats) if clear else None
 
 
 def _nats(found: tuple[float, Beat, float]) -> float:

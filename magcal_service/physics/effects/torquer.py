@@ -12,11 +12,10 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.drivers.pulses import pulses
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
-from magcal_service.physics.interface import Block, Columns, Effect, Finding, Hypothesis, Nonlinear, Values, along_axes
+from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.sunlight import carried
-from magcal_service.physics.scene.view import View
 
 DECAYS_S: Final = np.array([0.0, 0.1, 0.3, 1.0, 3.0])
 """L/R of the coil, 0: faster than a sample."""
@@ -96,11 +95,6 @@ def _derived(parameters: Values) -> Values:
     return {"nt_per_am2": turned}
 
 
-def _find(view: View) -> Finding | None:
-    found = pulses(view)
-    return None if found is None else found[1]
-
-
 EFFECT = Effect(
     name="torquer",
     acts_on=ActsOn.FIELD,
@@ -139,7 +133,7 @@ EFFECT = Effect(
         "Torquers that are not recorded fire every {period_s.size}, for {on_share.percent} of it, each time with "
         "another field, of {pulse_nt.size} by rms; the rows within these pulses are left out.",
     ),
-    find=_find,
+    find=pulses,
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
