@@ -33,6 +33,7 @@ INDEX_HEAD = struct.Struct("<HI")
 
 
 def strict(body: bytes) -> _StrictStream:
+    """A stream over records that raises ``EndOfFile`` where one is shorter than it says."""
     return _StrictStream(io.BytesIO(body))
 
 
