@@ -42,6 +42,13 @@ _FEWEST_SWITCHED: Final = 4
 _EACH_ORBIT: Final = 0.03
 """Share of an orbit to which what is switched comes again after one: an eclipse to less, a command only by chance."""
 
+_INEXACT: Final = 0.02
+"""Of a name's evidence, what the form it was fitted in may leave for others to take: no course, direction or lag of
+a cause is known to better than a tenth of it, whose square is 1 %.  What follows a record is held against that."""
+
+_OF_A_FORM: Final = 0.3
+"""Probability that a name within that leaves to a larger one's other form; choice: enough for it not to be acted on."""
+
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
 
@@ -99,7 +106,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
-    unlisted = min(max(lasting, shaped**2, _least_unlisted(explained.fit, index)), _MOST_UNLISTED)
+    unlisted = min(max(lasting, shaped**2, _least_unlisted(explained, index)), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
@@ -107,14 +114,23 @@ def posterior(explained: Explained, index: int) -> Posterior:
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
 
 
-def _least_unlisted(fit: Fit, index: int) -> float:
+def _least_unlisted(explained: Explained, index: int) -> float:
     """Least probability that a name leaves to causes in no catalogue, by its form and what stands beside it."""
+    fit = explained.fit
     hypothesis = fit.terms[index].hypothesis
     levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
     jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
+    if _is_within_another(explained, index):
+        least = max(least, _OF_A_FORM)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
     return max(least, _ONE_WAVE) if is_part else least
+
+
+def _is_within_another(explained: Explained, index: int) -> bool:
+    """Whether a name that follows no record holds no more than the form of a larger one may be inexact by."""
+    largest = max(gain.nats for gain in explained.gains)
+    return not is_recorded(explained.fit.terms[index].hypothesis) and explained.gains[index].nats < _INEXACT * largest
 
 
 def _is_along_inferred(fit: Fit, index: int) -> bool:

@@ -137,6 +137,21 @@ def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float,
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("larger", "driver", "own"),
+    [(60.0, "none", 0.7), (60.0, "channel:one", 0.99), (40.0, "none", 0.97)],
+)
+def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: float, driver: str, own: float) -> None:
+    """A course that relaxes, fitted as one that bends, leaves a drift; what was recorded is no such rest."""
+    named = explained([])
+    (term,) = named.fit.terms
+    small = replace(term, hypothesis=replace(term.hypothesis, driver=driver))
+    fit = replace(named.fit, terms=(small, Term(form("scale_drift"), np.zeros(0), np.full(3, 1e-6))))
+    gains = (*named.gains, replace(named.gains[0], nats=larger * named.gains[0].nats))
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=gains)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
+
+
 def test_a_good_name_is_trusted() -> None:
     """The right step, nothing left, no rival near."""
     assert said(explained([("bias_drift", 60.0)])) == ()

@@ -12,6 +12,7 @@ from magcal_service.studies.report import shown
 from tests.benchmarks.results import read
 
 MOST_SHOWN: Final = 3  # numbers of one parameter in a cell
+MOST_UNSURE: Final = 1000.0  # times itself, the sigma of a number from which on it is not known at all
 MAIN_METHOD: Final = "ukf"
 
 
@@ -103,9 +104,14 @@ def _measured(one: dict[str, Any]) -> str:
     """Numbers with their sigmas; of many, the largest and their count."""
     values, sigmas = np.ravel(one["value"]), np.ravel(one["sigma"])
     if len(values) <= MOST_SHOWN:
-        return ", ".join(measured(float(v), float(s)) for v, s in zip(values, sigmas, strict=True))
+        return ", ".join(_number(float(v), float(s)) for v, s in zip(values, sigmas, strict=True))
     at = int(np.argmax(np.abs(values)))
     return f"{len(values)} numbers, largest {measured(float(values[at]), float(sigmas[at]))}"
+
+
+def _number(value: float, sigma: float) -> str:
+    """A number with its sigma; one that this recording says nothing of, in words."""
+    return measured(value, sigma) if sigma < MOST_UNSURE * abs(value) else "not known"
 
 
 def _study(name: str, title: str) -> tuple[list[str], list[dict[str, Any]]]:
