@@ -27,8 +27,9 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.empirical import NAME, Empirical, Kind, hats
+from magcal_service.physics.columns import Columns, along_axes, gains
 from magcal_service.physics.drivers.computed import COMPUTED, driver_unit, driver_values
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes, gains
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 ELAPSED: Final = "elapsed_time"

@@ -17,7 +17,7 @@ from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.shapes import Shape, body_shape, products_of_two, shapes
 from magcal_service.model import Array
-from magcal_service.physics.interface import along_axes, oscillation
+from magcal_service.physics.columns import along_axes, oscillation
 
 SIGNIFICANT_NATS: Final = 6.0
 """Evidence for a family, after their number, from which on it is no noise: about a dozen are tried."""

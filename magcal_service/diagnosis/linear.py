@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Segments
+from magcal_service.physics.segments import Segments
 
 FOLDS: Final = 5
 """Parts that the held-out blocks are dealt out to: each fit sees four fifths of the data; more cost more fits."""

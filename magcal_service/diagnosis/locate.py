@@ -13,7 +13,7 @@ from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import Structure, structures
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
-from magcal_service.physics.interface import along_axes, oscillation
+from magcal_service.physics.columns import along_axes, oscillation
 
 _LINES: Final = 4
 """Strongest lines that are listed; choice: the spin, its double, an orbit's side line, and one that is none of them."""

@@ -25,7 +25,8 @@ from magcal_service.diagnosis.blocks import numbered
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.linear import fold_solutions, folds
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
-from magcal_service.physics.interface import Columns, Hypothesis
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 PRIOR_BIAS_NT: Final = 2e5

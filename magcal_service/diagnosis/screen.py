@@ -16,8 +16,9 @@ from magcal_service.diagnosis.plausible import WHOLE, above_least
 from magcal_service.diagnosis.problem import Fit, Problem, free_numbers
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
+from magcal_service.physics.columns import Columns, oscillation
 from magcal_service.physics.effects.coloured_noise import whitened
-from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, oscillation
+from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import SUN_AHEAD
 
 ACCEPTED_NATS: Final = 12.0

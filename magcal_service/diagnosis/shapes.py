@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
-from magcal_service.physics.interface import Columns, along_axes
+from magcal_service.physics.columns import Columns, along_axes
 
 _BINS: Final = 10
 """Ranges of a channel; choice: a tenth of the samples each, and a course that a line or a step does not fit still

@@ -21,7 +21,8 @@ from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, along_axes, common_gain, gains
+from magcal_service.physics.columns import Columns, along_axes, common_gain, gains
+from magcal_service.physics.interface import Block, Hypothesis
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
 from magcal_service.physics.scene.smooth import smooth_course
 from magcal_service.physics.scene.sunlight import first_order

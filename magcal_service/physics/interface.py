@@ -16,74 +16,20 @@ import math
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Direct, Term, Watched
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.saying import Said
+from magcal_service.physics.segments import Sums
 
 if TYPE_CHECKING:
     from magcal_service.physics.scene.scene import Scene
     from magcal_service.physics.scene.view import View
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
-    """What one unit of each amplitude adds, for n samples; one of three forms.
-
-    Parameters
-    ----------
-    axes: (s, n, 3), 3 s amplitudes: number 3 j + i adds ``axes[j, :, i]`` along body axis i [nT per unit].
-    body: (k, n, 3), k amplitudes: each adds a vector in the corrected body frame [nT per unit].
-    magnitude: (k, n), k amplitudes: growth of the field's magnitude at the sensor over the reference's [nT per unit].
-    """
-
-    axes: Array | None = None
-    body: Array | None = None
-    magnitude: Array | None = None
-
-    def along(self, unit: Array) -> Array:
-        """Columns of the scalar residual (n, k) for field directions ``unit`` (n, 3) in the body."""
-        if self.axes is not None:
-            return np.concatenate([part * unit for part in self.axes], axis=1)
-        if self.body is not None:
-            return np.ascontiguousarray(np.einsum("kni,ni->nk", self.body, unit))
-        assert self.magnitude is not None
-        return np.ascontiguousarray(self.magnitude.T)
-
-    def components(self) -> Array | None:
-        """Columns of a vector residual (3 n, k); None for a magnitude, which has no direction."""
-        body = self.body
-        if self.axes is not None:
-            body = np.zeros((3 * len(self.axes), *self.axes.shape[1:]))
-            for i in range(3):
-                body[i::3, :, i] = self.axes[:, :, i]
-        return None if body is None else np.ascontiguousarray(body.reshape(len(body), -1).T)
-
-    def field(self, amplitudes: Array) -> Array:
-        """The body field (n, 3) of amplitudes (k,) [nT]; zeros (n, 3) for a magnitude."""
-        if self.axes is not None:
-            return np.asarray(np.einsum("ji,jni->ni", amplitudes.reshape(-1, 3), self.axes))
-        if self.body is not None:
-            return np.asarray(np.einsum("k,kni->ni", amplitudes, self.body))
-        assert self.magnitude is not None
-        return np.zeros((self.magnitude.shape[1], 3))
-
-    def sizes(self) -> Array:
-        """rms over the recording of what one unit of each amplitude adds (k,) [nT per unit]."""
-        if self.axes is not None:
-            return np.asarray(np.sqrt(np.mean(self.axes**2, axis=1)).reshape(-1))
-        if self.body is not None:
-            return np.asarray(np.sqrt(np.einsum("kni,kni->k", self.body, self.body) / self.body.shape[1]))
-        assert self.magnitude is not None
-        return np.asarray(np.sqrt(np.mean(self.magnitude**2, axis=1)))
-
-    def growth(self, amplitudes: Array) -> Array | float:
-        """Growth of the magnitude (n,) of amplitudes (k,) [nT]; 0 for a body field."""
-        return 0.0 if self.magnitude is None else amplitudes @ self.magnitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,81 +79,6 @@ def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> di
     for number, value in zip(numbers, values, strict=True):
         found.setdefault(number.name, []).append(float(value))
     return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
-    """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
-
-    Parameters
-    ----------
-    normal: (g, k, k) products of the columns with one another, each column of unit rms over the recording.
-    inside: (g, p, k) products of what is fitted anyway (orthonormal over the recording) with the columns.
-    right: (g, k) products of the columns with the residual [nT].
-    squares, count: sum of squares [nT^2] and number of rows of the residual whole.
-    """
-
-    normal: Array
-    inside: Array
-    right: Array
-    squares: float = 0.0
-    count: int = 0
-
-    @property
-    def running(self) -> Segments:
-        """Sums (g + 1, ...) over the first 0, 1 ... g stretches, for ``folded``."""
-
-        def summed(part: Array) -> Array:
-            return np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)])
-
-        normal, inside, right = summed(self.normal), summed(self.inside), summed(self.right)
-        return Segments(normal, inside, right, self.squares, self.count)
-
-    def folded(self, cuts: NDArray[np.intp]) -> Segments:
-        """From ``running`` sums those over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
-
-        ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
-        """
-
-        def between(part: Array) -> Array:
-            wide = part.reshape(len(part), int(np.prod(part.shape[1:])))
-            at = wide.take(cuts.ravel(), axis=0).reshape(*cuts.shape, wide.shape[1]).sum(axis=0)
-            return np.asarray(np.diff(at, axis=0).reshape(len(at) - 1, *part.shape[1:]))
-
-        return Segments(between(self.normal), between(self.inside), between(self.right))
-
-    @property
-    def alone(self) -> Segments:
-        """The same as if nothing else were fitted: quicker, and no smaller a normal matrix."""
-        return Segments(self.normal, self.inside[:, :0], self.right)
-
-    @property
-    def pairs(self) -> Segments:
-        """Each stretch with the next one (g - 1, ...)."""
-        normal, inside, right = (part[:-1] + part[1:] for part in (self.normal, self.inside, self.right))
-        return Segments(normal, inside, right)
-
-    def drop(self, chosen: Array) -> Array:
-        """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
-        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
-        return Segments(normal, inside, right).drops
-
-    @property
-    def drops(self) -> Array:
-        """Drop in squares (g,) [nT^2] by the columns switched on in each stretch alone."""
-        left = self.normal - np.swapaxes(self.inside, 1, 2) @ self.inside
-        trace = np.trace(self.normal, axis1=1, axis2=2) / self.normal.shape[1]
-        diagonal = np.einsum("mii->mi", left)
-        diagonal += (1e-6 * trace + 1e-9)[:, None]
-        return np.asarray(np.einsum("mk,mk->m", self.right, np.linalg.solve(left, self.right[:, :, None])[:, :, 0]))
-
-    @staticmethod
-    def _sum(chosen: Array, part: Array) -> Array:
-        return np.asarray((chosen @ part.reshape(len(part), -1)).reshape(len(chosen), *part.shape[1:]))
-
-
-Sums = Callable[[Columns, NDArray[np.intp]], Segments]
-"""From columns and the first rows of g stretches to their sums, for the residual that is being explained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,45 +246,3 @@ class Effect:
             if all(field in words or field in said for field in fields):
                 return text.format(**words, **said)
         return f"{self.title[0].upper()}{self.title[1:]}."
-
-
-def in_words(value: Value) -> str:
-    """A number or a vector as text, with as many digits as its sigma supports."""
-    return str(Said(value.value, value.sigma, value.unit))
-
-
-def along_axes(signals: Array) -> Columns:
-    """Every signal of (n,) or (n, s) along each body axis."""
-    each = signals[None] if signals.ndim == 1 else signals.T
-    return Columns(axes=np.repeat(each[:, :, None], 3, axis=2))
-
-
-def oscillation(time_s: Array, frequency_hz: float) -> Columns:
-    """Cosine and sine at a frequency along each body axis: six amplitudes."""
-    angle = 2.0 * np.pi * frequency_hz * time_s
-    return along_axes(np.stack([np.cos(angle), np.sin(angle)], axis=1))
-
-
-def gains(field_nt: Array, signals: Array) -> Columns:
-    """D + diag(a) s(t) for each signal of (n,) or (n, s): d = -a_i B_i s along axis i.
-
-    With the gain left out, w = (I + D) B - b = A H + eps - diag(a) s B, so the disturbance is minus the gain's effect.
-    """
-    each = signals[None] if signals.ndim == 1 else signals.T
-    return Columns(axes=-each[:, :, None] * field_nt[None])
-
-
-AFTER_BIAS: Final = "of the field alone"
-"""Form of a gain that acts on the calibrated field: the bias arises behind what changes, and is not amplified."""
-
-
-def common_gain(field_nt: Array, signals: Array) -> Columns:
-    """``gains`` with one number for all three axes."""
-    return Columns(body=gains(field_nt, signals).axes)
-
-
-def joined(*parts: Columns) -> Columns:
-    """The columns of several parts of one form, one after another."""
-    if all(part.axes is not None for part in parts):
-        return Columns(axes=np.concatenate([part.axes for part in parts if part.axes is not None]))
-    return Columns(body=np.concatenate([part.body for part in parts if part.body is not None]))

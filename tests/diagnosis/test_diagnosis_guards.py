@@ -16,7 +16,8 @@ from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import COUNT, NOISE_NT, X, scene, spoiled
 

@@ -17,7 +17,8 @@ from magcal_service.diagnosis.problem import Problem, Term, free_numbers, is_col
 from magcal_service.diagnosis.screen import Candidate, _columns_of, _grid, _product, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
 GRID = np.array([1.0, 2.0, 4.0])

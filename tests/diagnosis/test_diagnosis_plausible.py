@@ -10,7 +10,8 @@ import pytest
 from magcal_service.diagnosis.plausible import WHOLE, within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Hypothesis
 from tests.physics.scenes import NOISE_NT, X, scene
 
 SIGNAL = np.sin(2.0 * np.pi * scene().time_s / 900.0)

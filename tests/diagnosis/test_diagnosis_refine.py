@@ -11,7 +11,8 @@ from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.refine import _allowed, _first_step, _last_step, refined
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from tests.physics.scenes import NOISE_NT, PERIOD_S, scene
 
 PROBLEM = Problem(scene(), NOISE_NT)

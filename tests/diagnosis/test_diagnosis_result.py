@@ -26,15 +26,8 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.where import direction, lines, span
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import (
-    Block,
-    Columns,
-    Finding,
-    Hypothesis,
-    Nonlinear,
-    along_axes,
-    value_of,
-)
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Finding, Hypothesis, Nonlinear, value_of
 from magcal_service.recordings.inspect.account import Account
 from tests.diagnosis.made_up import (
     FLOOR_NT,

@@ -17,7 +17,8 @@ from magcal_service.diagnosis.screen import Candidate, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from tests.diagnosis.made_up import (
     FLOOR_NT,
     OTHER,

@@ -18,7 +18,8 @@ from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.problem import Problem, Term
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 from tests.diagnosis.made_up import FLOOR_NT, OTHER, QUICK, SLOW, TIME_S, along, body_form, flown, searching
 from tests.physics.scenes import COUNT, NOISE_NT, PERIOD_S

@@ -15,7 +15,8 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate, free_
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics import effects
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import Columns, Effect, Hypothesis, Nonlinear, Values, value_of
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear, Values, value_of
 from tests.physics.scenes import NOISE_NT, X, arrays, scene, some_numbers, view
 
 NAMES = (

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers import instants
-from magcal_service.physics.interface import Columns, Hypothesis, Segments
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments
 
 COUNT, PERIOD_S, NOISE_NT, SIZE_NT = 3000, 2.0, 50.0, 150.0
 TIME_S = PERIOD_S * np.arange(float(COUNT))

@@ -13,8 +13,9 @@ from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Hypothesis, Segments
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments
 from tests.physics.scenes import COUNT, NOISE_NT, RATE_RAD_S, X, scene, spoiled
 
 TORQUER = effect_named("torquer")

@@ -17,6 +17,27 @@ def said(value: object, sigma: object, unit: str, *labels: tuple[str, ...]) -> S
     return Said(np.asarray(value, dtype=float), np.asarray(sigma, dtype=float), unit, labels)
 
 
+@pytest.mark.parametrize(
+    ("value", "sigma", "words"),
+    [
+        (12.3456, 0.1, "12.35"),
+        (12.3456, 0.3, "12.35"),
+        (12.3456, 1.0, "12.3"),
+        (12.3456, 12.0, "12"),
+        (-12.3456, 0.02, "-12.346"),
+        (12.3456, math.nan, "12.346"),
+        (12.3456, 0.0, "12.346"),
+        (0.00012345, 1e-6, "1.234e-04"),
+        (0.0, 1e-6, "0.0e+00"),
+        (1.0, 1e-6, "1.0000000e+00"),
+        (1.0, 1.1e-5, "1.000000"),
+        ([1.0, 2.0], [0.1, 1.0], "(1.00, 2.0)"),
+    ],
+)
+def test_numbers_have_as_many_digits_as_their_sigma_deserves(value: object, sigma: object, words: str) -> None:
+    assert str(said(value, sigma, "nT")) == words
+
+
 def test_every_number_of_a_list_is_said() -> None:
     assert said([1204.52, 3410.48, 5002.5], [0.5, 0.5, 0.5], "s").each == "1204.52, 3410.48 and 5002.50 s"
     assert said([10.0, 20.0], [math.nan, math.nan], "s").each == "10 and 20 s"

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers import torquing
-from magcal_service.physics.interface import Columns, Hypothesis, Segments, Sums
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments, Sums
 
 PERIOD_S, COUNT = 2.0, 600
 TIME_S = PERIOD_S * np.arange(float(COUNT))

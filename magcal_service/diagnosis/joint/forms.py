@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Hypothesis
 from magcal_service.physics.saying import labels_of
 
 START: Final = "start_"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.joint.forms import JointHypothesis, joined, joint
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
-from magcal_service.physics.interface import Columns
+from magcal_service.physics.columns import Columns
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

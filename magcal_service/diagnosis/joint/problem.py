@@ -15,7 +15,7 @@ from magcal_service.diagnosis.joint.forms import JointColumns, joint
 from magcal_service.diagnosis.joint.scene import JointScene, offsets_s
 from magcal_service.diagnosis.problem import Fit, Problem, Term, amplitude_tie, evaluate, free_numbers
 from magcal_service.model import Array
-from magcal_service.physics.interface import Columns
+from magcal_service.physics.columns import Columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from magcal_service.model import Array
+from magcal_service.physics.columns import Columns, joined
 from magcal_service.physics.drivers.temperature import Act
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
 _INSTANTS: Final = 96

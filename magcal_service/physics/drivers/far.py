@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
 STEP_S: Final = 60.0

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.change import instants
 from magcal_service.physics.drivers.temperature import Act
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Segments, Sums
+from magcal_service.physics.interface import Block, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments, Sums
 
 MOST_INSTANTS: Final = 6
 """More changes than six are a pattern, which a duty or a channel holds, or a course; a choice."""

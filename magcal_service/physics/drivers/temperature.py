@@ -9,7 +9,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import Direct, Term, direct
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, joined
+from magcal_service.physics.columns import Columns, joined
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)

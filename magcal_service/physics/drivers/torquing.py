@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Block, Columns, Hypothesis, Nonlinear, Segments, Sums, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments, Sums
 
 CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0])
 """Controllers measure, fire and pause in whole seconds; slower ones would not detumble."""

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 

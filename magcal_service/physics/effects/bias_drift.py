@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import Block, Effect, along_axes
+from magcal_service.physics.interface import Block, Effect
 
 EFFECT = Effect(
     name="bias_drift",

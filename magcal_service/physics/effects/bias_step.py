@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.change import step
 from magcal_service.physics.drivers.instants import several
-from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 

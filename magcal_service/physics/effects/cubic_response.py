@@ -9,7 +9,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
-from magcal_service.physics.interface import AFTER_BIAS, Block, Columns, Effect, Hypothesis
+from magcal_service.physics.columns import AFTER_BIAS, Columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 

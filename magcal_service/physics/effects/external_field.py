@@ -10,7 +10,8 @@ import numpy as np
 from magcal_service.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 INDUCED: Final = 0.27

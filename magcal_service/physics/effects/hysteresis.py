@@ -9,7 +9,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene

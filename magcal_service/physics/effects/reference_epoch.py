@@ -7,7 +7,8 @@ from typing import Final
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _YEAR_NS: Final = round(365.25 * 86400 * 1e9)

@@ -9,7 +9,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.smooth import smooth_course
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import AFTER_BIAS, gains
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import AFTER_BIAS, Block, Effect, Hypothesis, gains
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 

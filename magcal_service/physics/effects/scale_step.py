@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import AFTER_BIAS, common_gain, gains
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import AFTER_BIAS, Block, Effect, Hypothesis, Values, common_gain, gains, value_of
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

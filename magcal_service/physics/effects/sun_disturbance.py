@@ -8,7 +8,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Watched
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, along_axes
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
+from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import Block, Effect, Hypothesis, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_PER_K_NT: Final = 300.0

@@ -10,18 +10,9 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
+from magcal_service.physics.columns import AFTER_BIAS, Columns, common_gain, gains
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import (
-    AFTER_BIAS,
-    Block,
-    Columns,
-    Effect,
-    Hypothesis,
-    Values,
-    common_gain,
-    gains,
-    value_of,
-)
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_PER_K: Final = 0.01

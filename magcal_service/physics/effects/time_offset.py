@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.far import shifted
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 

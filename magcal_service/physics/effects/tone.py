@@ -8,16 +8,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
-from magcal_service.physics.interface import (
-    Block,
-    Columns,
-    Effect,
-    Hypothesis,
-    Nonlinear,
-    Values,
-    oscillation,
-    value_of,
-)
+from magcal_service.physics.columns import Columns, oscillation
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, Values, value_of
 from magcal_service.physics.scene.scene import Scene
 
 

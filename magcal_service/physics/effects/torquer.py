@@ -10,9 +10,10 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
+from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.drivers.pulses import pulses
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
-from magcal_service.physics.interface import Block, Columns, Effect, Hypothesis, Nonlinear, Values, along_axes
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, Values
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.sunlight import carried

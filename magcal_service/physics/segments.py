@@ -1,0 +1,87 @@
+"""Sums of columns over stretches of a recording, from which any choice of stretches is evaluated at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.physics.columns import Columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
+
+    Parameters
+    ----------
+    normal: (g, k, k) products of the columns with one another, each column of unit rms over the recording.
+    inside: (g, p, k) products of what is fitted anyway (orthonormal over the recording) with the columns.
+    right: (g, k) products of the columns with the residual [nT].
+    squares, count: sum of squares [nT^2] and number of rows of the residual whole.
+    """
+
+    normal: Array
+    inside: Array
+    right: Array
+    squares: float = 0.0
+    count: int = 0
+
+    @property
+    def running(self) -> Segments:
+        """Sums (g + 1, ...) over the first 0, 1 ... g stretches, for ``folded``."""
+
+        def summed(part: Array) -> Array:
+            return np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)])
+
+        normal, inside, right = summed(self.normal), summed(self.inside), summed(self.right)
+        return Segments(normal, inside, right, self.squares, self.count)
+
+    def folded(self, cuts: NDArray[np.intp]) -> Segments:
+        """From ``running`` sums those over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
+
+        ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
+        """
+
+        def between(part: Array) -> Array:
+            wide = part.reshape(len(part), int(np.prod(part.shape[1:])))
+            at = wide.take(cuts.ravel(), axis=0).reshape(*cuts.shape, wide.shape[1]).sum(axis=0)
+            return np.asarray(np.diff(at, axis=0).reshape(len(at) - 1, *part.shape[1:]))
+
+        return Segments(between(self.normal), between(self.inside), between(self.right))
+
+    @property
+    def alone(self) -> Segments:
+        """The same as if nothing else were fitted: quicker, and no smaller a normal matrix."""
+        return Segments(self.normal, self.inside[:, :0], self.right)
+
+    @property
+    def pairs(self) -> Segments:
+        """Each stretch with the next one (g - 1, ...)."""
+        normal, inside, right = (part[:-1] + part[1:] for part in (self.normal, self.inside, self.right))
+        return Segments(normal, inside, right)
+
+    def drop(self, chosen: Array) -> Array:
+        """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
+        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
+        return Segments(normal, inside, right).drops
+
+    @property
+    def drops(self) -> Array:
+        """Drop in squares (g,) [nT^2] by the columns switched on in each stretch alone."""
+        left = self.normal - np.swapaxes(self.inside, 1, 2) @ self.inside
+        trace = np.trace(self.normal, axis1=1, axis2=2) / self.normal.shape[1]
+        diagonal = np.einsum("mii->mi", left)
+        diagonal += (1e-6 * trace + 1e-9)[:, None]
+        return np.asarray(np.einsum("mk,mk->m", self.right, np.linalg.solve(left, self.right[:, :, None])[:, :, 0]))
+
+    @staticmethod
+    def _sum(chosen: Array, part: Array) -> Array:
+        return np.asarray((chosen @ part.reshape(len(part), -1)).reshape(len(chosen), *part.shape[1:]))
+
+
+Sums = Callable[[Columns, NDArray[np.intp]], Segments]
+"""From columns and the first rows of g stretches to their sums, for the residual that is being explained."""
