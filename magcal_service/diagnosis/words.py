@@ -8,7 +8,8 @@ from typing import Any, Final, Protocol
 
 from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.empirical import Modelled, unit_of
+from magcal_service.diagnosis.empirical.curves import unit_of
+from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.signals import UNLISTED

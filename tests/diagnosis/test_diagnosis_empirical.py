@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.empirical import ELAPSED, Modelled, _drivers, modelled
+from magcal_service.diagnosis.empirical.curves import ELAPSED, drivers_of
+from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import Kind
 from magcal_service.physics.scene.scene import Scene, Telemetry
@@ -151,9 +152,9 @@ def test_a_driver_with_values_never_seen_before_foretells_nothing() -> None:
 def test_off_orbit_a_place_within_a_field_is_no_driver() -> None:
     """A quadrotor's latitude follows its currents as well as anything; so does a field that hardly changes."""
     still = replace(flown(np.zeros((COUNT, 3))), in_orbit=False)
-    assert {name for name, _, _ in _drivers(still, with_sun=True)} == {
+    assert {name for name, _, _ in drivers_of(still, with_sun=True)} == {
         "computed:field_size",
         *(f"computed:field_{axes}" for axes in ("x", "y", "z", "xy", "xz", "yz")),
     }
     tiny = replace(still, magnitude_nt=40_000.0 + 190.0 * np.sin(TIME_S / 700.0))
-    assert "computed:field_size" not in {name for name, _, _ in _drivers(tiny, with_sun=True)}
+    assert "computed:field_size" not in {name for name, _, _ in drivers_of(tiny, with_sun=True)}

@@ -12,7 +12,7 @@ import pytest
 
 from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
-from magcal_service.diagnosis.empirical import Modelled
+from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.summary import summary

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_service import geomagnetic
 from magcal_service.diagnosis.diagnose import Diagnosis
-from magcal_service.diagnosis.empirical import unit_of
+from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.report.curves import Against, against, binned_rms, spectrum
 from magcal_service.diagnosis.report.drawing import (
     AFTER,

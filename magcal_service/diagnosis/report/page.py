@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
-from magcal_service.diagnosis.empirical import Modelled
+from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import curve_picture, pictures, track
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
