@@ -10,40 +10,34 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import zenoh
-from zenoh import ext, handlers
 
 from magcal_service.config.address import LinkAddress
-from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.joining import Joining, StreamName
-from magcal_service.links.presence import Presence, PresenceBoard, presence_of
+from magcal_service.links.presence import Presence, PresenceBoard
 from magcal_service.links.publishers import ask, stream_of, stream_of_token
 from magcal_service.links.rate_limit import RateLimit
 from magcal_service.links.states import BackOff, LinkEvent, LinkLife, LinkState
 from magcal_service.links.zenoh_log import DENIALS, watch
+from magcal_service.links.zenoh_session import ZenohSession, is_kept
 from magcal_service.links.zenoh_settings import ZenohSettings, exposures, has_rules
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
-from magcal_service.wire.keys import ROOT, encoding_of, group_of, key_of
-from magcal_service.wire.kinds import KINDS, Kind, kind_of
+from magcal_service.wire.keys import ROOT, key_of
+from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links.zenoh")
 
-_HEARTBEAT_S = 0.5  # an advanced publisher repeats its last number this long after a change, so the last one counts too
-_KEPT_RESULTS = ("estimate", "status")  # a late joiner gets the newest of these at once
 _FIRST_ATTEMPT_S = 1.0  # how long the constructor of a connecting link waits, so that most links are up when it returns
 
 _ASK_S = 1.0  # longest wait for the tokens of the daemons that are there
 _ASK_AGAIN_S = 0.05  # between two questions for them, twenty within that wait
-
-_RECOVERY = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
 
 
 class ZenohLink(Link):
@@ -80,11 +74,7 @@ class ZenohLink(Link):
         self._lock = threading.RLock()
         self._life = LinkLife()  # ``up`` and ``down`` count the other ends, see ``_connection``
         self._closed = threading.Event()  # wakes the keeper out of its pause
-        self._session: zenoh.Session | None = None
-        self._held: list[object] = []  # declarations live as long as they are referred to
-        self._publishers: dict[str, ext.AdvancedPublisher] = {}
-        self._announced: set[str] = set()
-        self._keys: dict[str, zenoh.KeyExpr] = {}
+        self._session: ZenohSession | None = None
         self._transports: set[str] = set()
         self._transports_lock = threading.Lock()
         if self._settings.listen:
@@ -121,12 +111,11 @@ class ZenohLink(Link):
                 return frozenset(found)
             self._closed.wait(_ASK_AGAIN_S)
 
-    def _served_now(self, session: zenoh.Session) -> set[str]:
+    def _served_now(self, session: ZenohSession) -> set[str]:
         found = set[str]()
         try:
-            for reply in session.liveliness().get(f"{ROOT}/*/alive/*", timeout=_ASK_S):
-                presence = None if reply.ok is None else presence_of(str(reply.ok.key_expr))
-                if presence is not None and presence.role is Role.SERVICE:
+            for presence in session.present(_ASK_S):
+                if presence.role is Role.SERVICE:
                     found.add(presence.craft)
         except zenoh.ZError as error:
             self._failed(error)
@@ -162,7 +151,7 @@ class ZenohLink(Link):
             return
         with self._lock:
             put = self._put(message, payload)
-        kept = _cached(kind_of(message))
+        kept = is_kept(kind_of(message))
         if not put or not (self.connected or self._settings.listen or kept):
             self._count("dropped")
             return
@@ -182,49 +171,16 @@ class ZenohLink(Link):
     def _put(self, message: Message, payload: bytes) -> bool:
         if self._session is None:
             return False
-        kind, key = kind_of(message), key_of(message)
         try:
-            self._announce(self._session, message.craft)
-            publisher = self._publisher(self._session, key, kind) if _cached(kind) else None
-            # Not express: each such message takes one of 16 places, so that a burst is dropped in silence when zenoh's
-            # own threads get no processor for 50 ms.  Without, it shares places, and is as quick where there is room.
-            if publisher is None:  # a publisher drops what it is given before it knows of a router's subscribers
-                self._session.put(self._declared(self._session, key), payload, encoding=encoding_of(kind))
-            else:
-                publisher.put(payload)
+            self._session.put(message, payload)
         except zenoh.ZError as error:
             self._failed(error)
             return False
         return True
 
-    def _publisher(self, session: zenoh.Session, key: str, kind: Kind) -> ext.AdvancedPublisher | None:
-        """The publisher of a kind that is kept for recovery and late joiners; None beyond the number of sources."""
-        if key not in self._publishers and len(self._publishers) < self.most_sources:
-            depth = self._settings.cache if group_of(kind) == "sample" else 1
-            self._publishers[key] = ext.declare_advanced_publisher(
-                session,
-                key,
-                encoding=encoding_of(kind),
-                cache=ext.CacheConfig(depth),
-                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S),
-                publisher_detection=True,
-            )
-        return self._publishers.get(key)
-
-    def _declared(self, session: zenoh.Session, key: str) -> zenoh.KeyExpr | str:
-        """A key that zenoh has looked up once: among a thousand craft it would be looked up for each message."""
-        if key not in self._keys and len(self._keys) < self.most_sources:
-            self._keys[key] = session.declare_keyexpr(key)
-        return self._keys.get(key, key)
-
-    def _announce(self, session: zenoh.Session, craft: str) -> None:
-        if craft not in self._announced and len(self._announced) < self.most_sources:
-            self._announced.add(craft)
-            self._held.append(session.liveliness().declare_token(Presence(craft, self.role, self._name()).key))
-
     def _name(self) -> str:
         session = self._session
-        return self._settings.name or ("" if session is None else str(session.zid())[:32])
+        return self._settings.name or ("" if session is None else session.name)
 
     # Receiving
 
@@ -239,12 +195,11 @@ class ZenohLink(Link):
             same_craft = key.startswith(f"{ROOT}/{message.craft}/")
             self._count("refused.wrong_key" if same_craft else "refused.wrong_craft")
             return None
-        if key not in self._keys and message.craft in self.crafts:
-            with (
-                self._lock
-            ):  # zenoh then knows where the next one of this key goes, even from a node without a publisher
+        session = self._session
+        if session is not None and not session.knows(key) and message.craft in self.crafts:
+            with self._lock:  # zenoh then knows where the next one of this key goes, even without a publisher here
                 if self._session is not None:
-                    self._declared(self._session, key)
+                    self._session.declare_key(key)
         return message
 
     def _arrived(self, sample: zenoh.Sample) -> None:
@@ -282,7 +237,8 @@ class ZenohLink(Link):
         if token.kind != zenoh.SampleKind.PUT:
             self._joining.gone(name)
         elif self._joining.shown(name, time.monotonic()):
-            ask(session, token.key_expr, self.history, partial(self._sent_again, name), partial(self._asked, name))
+            again, over = partial(self._sent_again, name), partial(self._asked, name)
+            ask(session.zenoh, token.key_expr, self.history, again, over)
 
     def _sent_again(self, name: StreamName, sample: zenoh.Sample) -> None:
         found = stream_of(sample)
@@ -323,7 +279,7 @@ class ZenohLink(Link):
             self._closed.wait(back_off.next_s())
 
     def _open(self) -> None:
-        session = zenoh.open(self._config)
+        session = ZenohSession(self._config, self._settings, self.role, self.most_sources)
         with self._lock:
             self._session = session
             try:
@@ -334,52 +290,23 @@ class ZenohLink(Link):
             if self._life.happens(LinkEvent.OPENED).to is LinkState.CLOSED:
                 self._drop_session()
 
-    def _declare(self, session: zenoh.Session) -> None:
-        self._held.append(session.info.declare_transport_events_listener(_direct(self._transport), history=True))
+    def _declare(self, session: ZenohSession) -> None:
+        session.follow_transports(self._transport)
         if self.role is Role.SERVICE:
-            self._prepare(session)
+            session.prepare(self.crafts)
         names = [f"{ROOT}/{craft}" for craft in sorted(self.crafts)]
         if not names or self._settings.listen:  # at a listening end, what is addressed to nobody is counted as well
             names = [f"{ROOT}/*"]
         for name in names:
-            self._held.extend(self._subscriptions(session, name))
-            presence = session.liveliness().declare_subscriber(f"{name}/alive/*", _direct(self._presence), history=True)
-            self._held.append(presence)
+            session.subscribe(name, self._arrived, self._publisher_seen)
+            session.follow_presence(name, self._presence)
         for craft in sorted(self.crafts):  # after the subscriptions: an end that is seen alive also receives
-            self._announce(session, craft)
-
-    def _prepare(self, session: zenoh.Session) -> None:
-        """Declare the publishers of all craft now: with a thousand craft each takes a millisecond, which a vector
-        would wait for."""
-        for craft in sorted(self.crafts):
-            for kind in KINDS:
-                if kind.name in _KEPT_RESULTS:
-                    self._publisher(session, f"{ROOT}/{craft}/{group_of(kind)}/{kind.name}/{RESERVED_SOURCE}", kind)
-
-    def _subscriptions(self, session: zenoh.Session, name: str) -> list[object]:
-        arrived = _direct(self._arrived)
-        if self.role is Role.SERVICE:
-            # At least the newest: to one that knows no number a publisher's heartbeat would bring all that it keeps.
-            history = _history(max(1, self._settings.history))
-            samples = ext.declare_advanced_subscriber(
-                session, f"{name}/sample/**", arrived, recovery=_RECOVERY, history=history
-            )
-            held: list[object] = [samples, session.declare_subscriber(f"{name}/command", arrived)]
-            if self._settings.history:
-                held.append(samples.detect_publishers(_direct(self._publisher_seen), history=True))
-            return held
-        results = ext.declare_advanced_subscriber(
-            session, f"{name}/result/**", arrived, recovery=_RECOVERY, history=_history(1)
-        )
-        held = [results, session.declare_subscriber(f"{name}/reply", arrived)]
-        if self.role is Role.VIEWER and self._settings.samples:
-            held.append(session.declare_subscriber(f"{name}/sample/**", arrived))
-        return held
+            session.announce(craft)
 
     def _failed(self, error: zenoh.ZError) -> None:
         """After a failed put: a session that has died is opened anew in the background."""
         session = self._session
-        if session is None or not session.is_closed() or not self._life.happens(LinkEvent.SESSION_ENDED).logged:
+        if session is None or not session.is_closed or not self._life.happens(LinkEvent.SESSION_ENDED).logged:
             return
         _log.warning("%s: the session died (%s); opening it again", self.address, str(error).partition(" at /")[0])
         self._drop_session()
@@ -387,25 +314,8 @@ class ZenohLink(Link):
 
     def _drop_session(self) -> None:
         session, self._session = self._session, None
-        self._held.clear()
-        self._publishers.clear()
-        self._announced.clear()
-        self._keys.clear()
-        if session is not None and not session.is_closed():
-            session.close()  # type: ignore[no-untyped-call]
+        if session is not None:
+            session.close()
         for other in tuple(self._transports):
             self._connection(other, up=False)
         self._board.clear()
-
-
-def _cached(kind: Kind) -> bool:
-    return group_of(kind) == "sample" or kind.name in _KEPT_RESULTS
-
-
-def _history(depth: int) -> ext.HistoryConfig:
-    return ext.HistoryConfig(detect_late_publishers=True, max_samples=depth)
-
-
-def _direct(callback: Callable[[Any], None]) -> Any:
-    """A callback on zenoh's own thread: a thread between them would keep the process alive at its end."""
-    return handlers.Callback(callback, indirect=False)

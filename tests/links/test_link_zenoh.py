@@ -235,7 +235,7 @@ def test_a_session_that_dies_is_opened_again(ends: ZenohEnds) -> None:
     flows(ends.node, ends.service, sample)
     session = cast(ZenohLink, ends.node)._session
     assert session is not None
-    session.close()  # type: ignore[no-untyped-call]
+    session.zenoh.close()  # type: ignore[no-untyped-call]
     flows(ends.node, ends.service, sample, first=1000)
     flows(ends.service, ends.node, vector)
 
@@ -408,7 +408,9 @@ def test_a_burst_of_vectors_on_a_busy_machine_arrives_whole(ends: ZenohEnds) -> 
 
 
 def test_more_sources_than_are_remembered_are_served_all_the_same(ends: ZenohEnds) -> None:
-    ends.node.most_sources = 5
+    session = cast(ZenohLink, ends.node)._session
+    assert session is not None
+    session.most = 5
     for number in range(20):
         ends.node.send(sample(0, source=f"mag-{number}"))
     assert len(gather(ends.service, 20)) == 20

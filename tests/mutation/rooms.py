@@ -62,7 +62,7 @@ ROOMS: Final = (
         "links",
         (f"{S}/links",),
         ("tests/links",),
-        tuple(f"{S}/links/{name}.py" for name in ("zenoh", "zenoh_log", "zenoh_settings")),
+        tuple(f"{S}/links/{name}.py" for name in ("zenoh", "zenoh_log", "zenoh_session", "zenoh_settings")),
     ),
     Room(
         "checkpoints",
