@@ -17,6 +17,7 @@ __all__ = [
     "Fault",
     "FileFault",
     "InputRefusedError",
+    "Lacking",
     "LinkAddressError",
     "LinkError",
     "MagcalError",
@@ -97,6 +98,15 @@ class FileFault(Fault):
 
     def __str__(self) -> str:
         return printable(f"{self.where}: {why_not(self.value)}; {self.accepted}")
+
+
+class Lacking(Fault):
+    """Something that an input does not hold, in words (``value``): nobody wrote a value there to be refused."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        return printable(f"{self.where}: {self.value}; {self.accepted}")
 
 
 _WHY_NOT = {

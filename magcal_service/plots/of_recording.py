@@ -11,11 +11,13 @@ import numpy as np
 from magcal_service import geomagnetic
 from magcal_service.diagnosis.report.drawing import DIVERGING
 from magcal_service.diagnosis.report.figures import coastlines
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, InputRefusedError, Lacking
 from magcal_service.model import STATE_NAMES, STATE_SIZE, Array, calibrate
+from magcal_service.offline import short_log
 from magcal_service.offline.apply import apply
+from magcal_service.offline.calibrate import calibrate as calibrate_whole
 from magcal_service.offline.given import Given
-from magcal_service.offline.replay import replay
+from magcal_service.offline.replay import Replay, replay
 from magcal_service.plots.paper import AFTER, BEFORE, COAST, QUIET, Sheet, thinned, time_axis
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
@@ -24,6 +26,9 @@ from magcal_service.wire.messages import Estimate, Frame, Verdict
 
 _SIGMAS: Final = 3.0
 """Sigmas of the limits that are drawn, as in the paper: 99.7 % of the errors lie inside."""
+
+ERRORS: Final = "errors"
+"""The one figure that needs a replay."""
 
 _TONES: Final = (1, 2)
 """Multiples of the spin's rate that a sensor's errors leave in |w|: bias at the first, scale and skew at the second."""
@@ -38,7 +43,8 @@ class Shown:
     recording: its usable rows, in order of time.
     calibrated_nt: w (n, 3) [nT], without the disturbances of a ``physics.toml`` that was given.
     reference_nt: |H| (n,) [nT], with its corrections where a ``physics.toml`` has any.
-    estimates: times (k,) [s], states (k, 9) and 1 sigma (k, 9) of the replay; empty where a result was given.
+    estimates: times (k,) [s], states (k, 9) and 1 sigma (k, 9) of the replay; empty where a result was given, or the
+        log was taken as one batch.
     spin_hz: rate of the spin [Hz], None where none is stated.
     """
 
@@ -69,16 +75,18 @@ class Shown:
 def shown(recording: Recording, given: Given | None) -> Shown:
     """Replay a recording, or take the nine errors of a result.
 
-    Raises ``InputRefusedError`` where the replay comes to no estimate, or the effects of a ``physics.toml`` cannot be
-    subtracted.
+    A log that is over before the filter starts is taken as one batch, as ``magcal calibrate`` takes it.
+
+    Raises ``InputRefusedError`` where the recording comes to no estimate, or the effects of a ``physics.toml`` cannot
+    be subtracted.
     """
     inspection = inspect(recording)
     spin = recording.descriptor.spin
     spin_hz = None if spin is None or not spin.rate_rpm else abs(spin.rate_rpm) / 60.0
     usable = inspection.usable.sorted_unique()
+    none: Array = np.zeros((0, STATE_SIZE))
+    over_time: tuple[Array, Array, Array] = (none[:, 0], none, none)
     if given is not None:
-        none = np.zeros((0, STATE_SIZE))
-        over_time = (np.zeros(0), none, none)
         if given.model is not None:
             return Shown(*_compensated(given, inspection), over_time, spin_hz)
         calibrated = calibrate(given.x, usable.field_body_nt)
@@ -90,11 +98,24 @@ def shown(recording: Recording, given: Given | None) -> Shown:
             found.append(message)
 
     result = replay(recording, inspection=inspection, sink=keep)
-    if result.verdict is Verdict.NOT_STARTED or not found:
-        accepted = "give the result to be shown by --with RESULT.json; magcal calibrate says why there is none"
-        raise InputRefusedError([Fault(f"{recording.name}: estimate", "none", accepted)])
-    calibrated = calibrate(result.x, usable.field_body_nt)
-    return Shown(usable, calibrated, usable.reference.magnitude_nt, _over_time(found), spin_hz)
+    started = bool(found) and result.verdict is not Verdict.NOT_STARTED
+    x, over_time = (result.x, _over_time(found)) if started else (_of_one_batch(recording, result), over_time)
+    calibrated = calibrate(x, usable.field_body_nt)
+    return Shown(usable, calibrated, usable.reference.magnitude_nt, over_time, spin_hz)
+
+
+def _of_one_batch(recording: Recording, result: Replay) -> Array:
+    """Nine errors (9,) of a log on which a replay did not start; raises ``InputRefusedError`` where there are none."""
+    why, start_s = result.remedy, result.pipeline.config.filter.start_s
+    if short_log.for_whole(result.inspection.to_replay, result.pipeline.config) is not None:
+        batch = calibrate_whole(recording)
+        if batch.verdict is not Verdict.NOT_STARTED:
+            return batch.x
+        ends = f"it ends before the filter starts ({start_s:g} s)"
+        why = f"{ends}, and is not enough as one batch: magcal calibrate says why"
+    others = ", ".join(name for name in FIGURES if name != ERRORS)
+    accepted = f"{why}; with another recording's result, --with RESULT.json, these can be drawn: {others}"
+    raise InputRefusedError([Lacking(recording.name, "no estimate to draw", accepted)])
 
 
 def _compensated(given: Given, inspection: Inspection) -> tuple[Recording, Array, Array]:
@@ -145,8 +166,8 @@ def errors(of: Shown) -> Sheet:
     """The nine errors over time inside their 3 sigma, each less its last value."""
     time_s, states, sigma = of.estimates
     if not len(time_s):
-        accepted = "the errors over time are those of a replay; leave --with out"
-        raise InputRefusedError([Fault("--figure", "errors with --with", accepted)])
+        accepted = "they are those of a replay, without --with, of a log that goes on after the start of the filter"
+        raise InputRefusedError([Lacking(f"--figure {ERRORS}", "no errors over time", accepted)])
     rows, (scale, unit) = thinned(len(time_s)), time_axis(float(time_s[-1]))
 
     def draw(figure: Any) -> None:
@@ -168,7 +189,7 @@ def track(of: Shown) -> Sheet:
     position = of.recording.position
     if position is None:
         accepted = "a recording with [position] is accepted"
-        raise InputRefusedError([Fault("--figure track", "no position", accepted)])
+        raise InputRefusedError([Lacking("--figure track", "no position", accepted)])
     times, km = of.recording.time_ns, position.km
     ecef = km if position.frame is Frame.ECEF else geomagnetic.ecef_from_eci(times, km)
     latitude, longitude, _ = geomagnetic.geodetic_from_ecef(np.asarray(ecef, dtype=np.float64))
@@ -224,7 +245,7 @@ def spectrum(of: Shown) -> Sheet:
 
 FIGURES: Final[dict[str, Callable[[Shown], Sheet]]] = {
     "before-after": before_after,
-    "errors": errors,
+    ERRORS: errors,
     "track": track,
     "spectrum": spectrum,
 }

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 import magcal_service as magcal
+from magcal_service.errors import InputRefusedError
 from magcal_service.offline.given import read_given
 from magcal_service.physics.apply.model_file import ModelTerm, text_of
 from magcal_service.plots.of_recording import before_after, errors, shown, spectrum
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
 from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet, save
+from magcal_service.residuals import rms
+from magcal_service.trust.reasons import REMEDIES
 from sim_sensor.recorder import record_simulation
 from sim_sensor.simulation import Simulation
 from tests.cli.cli_inputs import DESCRIPTOR, log_rows, run
@@ -43,6 +46,21 @@ def test_a_recording_is_shown_before_and_after(tmp_path: Path) -> None:
     assert nine[0].lines[0].get_ydata()[-1] == 0.0
     (axes,) = drawn(spectrum(of))
     assert [line.get_xdata()[0] for line in axes.lines[2:]] == pytest.approx([0.1, 0.2])
+
+
+def test_a_log_that_ends_before_the_filter_starts_is_drawn_as_one_batch() -> None:
+    time_s, field_nt, magnitude_nt = hand_turned(3)
+    of = shown(magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt, noise_nt=100.0), None)
+    assert rms(of.after) == pytest.approx(100.0, rel=0.1)
+    with pytest.raises(InputRefusedError, match="no errors over time; they are those of a replay"):
+        errors(of)
+
+
+def test_what_keeps_a_longer_log_from_an_estimate_is_said() -> None:
+    time_s, field_nt, magnitude_nt = hand_turned(3, seconds=140.0, around_z_only=1.0)
+    recording = magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt, noise_nt=100.0)
+    with pytest.raises(InputRefusedError, match=REMEDIES[magcal.replay(recording).reasons[0]]):
+        shown(recording, None)
 
 
 def test_a_result_is_shown_on_a_recording_and_by_itself(tmp_path: Path) -> None:
@@ -143,7 +161,11 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     for arguments, said in (
         ((log, "--out", "x.gif"), ".svg, .pdf, .png is accepted"),
         ((log, "--out", out, "--figure", "sphere"), "one of before-after, errors, track, spectrum is accepted"),
-        ((log, "--out", out), "magcal calibrate says why there is none"),
+        (
+            (log, "--out", out),
+            "ends before the filter starts (120 s), and is not enough as one batch: magcal calibrate",
+        ),
+        ((log, "--out", out), "--with RESULT.json, these can be drawn: before-after, track, spectrum"),
         ((tmp_path / "other.json", "--out", out), "a RECORDING.toml, a session .mcap"),
         ((tmp_path / "study.json", "--out", out), "this one has tables alone"),
         ((tmp_path / "half.json", "--out", out), "without 'curves'"),
