@@ -16,7 +16,7 @@ from magcal_service.errors import DecodeError
 from magcal_service.links.sequence import SequenceTracker, SourceRecord
 from magcal_service.links.states import LinkLife, LinkState
 from magcal_service.wire.codec import decode, encode
-from magcal_service.wire.messages import Message
+from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links")
 
@@ -104,7 +104,7 @@ class Link(abc.ABC):
 
     @property
     def strangers(self) -> tuple[str, ...]:
-        """Craft whose messages came within the last minute and are not served, the first of them."""
+        """Craft whose samples came within the last minute and are not served, the first of them."""
         since = time.monotonic() - _STRANGER_S
         return tuple(name for name, last_s in self._strangers.items() if last_s > since)
 
@@ -136,18 +136,19 @@ class Link(abc.ABC):
 
     def _accepted(self, message: Message) -> bool:
         if self.crafts and message.craft not in self.crafts:
-            self._note_stranger(message.craft)
+            self.counters["refused.unknown_craft"] += 1
+            if not isinstance(message, Command):  # who mistypes a command's craft is told so at his own end
+                self._note_stranger(message.craft)
             return False
         self._sequences.note(message)
         return True
 
     def _note_stranger(self, craft: str) -> None:
-        """Count a message of a craft that is not served; of the first such craft by name too."""
+        """Log the first such craft that is not served, and count its messages by name."""
         if craft not in self._strangers and len(self._strangers) < _MOST_STRANGERS:
             served = ", ".join(sorted(self.crafts))
             _log.warning("%s: messages of craft %r are refused; served: %s", self.address, craft, served)
             self._strangers[craft] = 0.0
-        self.counters["refused.unknown_craft"] += 1
         if craft in self._strangers:
             self._strangers[craft] = time.monotonic()
             self.counters[f"refused.unknown_craft.{craft}"] += 1

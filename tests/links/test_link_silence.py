@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
+from magcal_service.cli.asking import Desk
 from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link
@@ -154,6 +155,22 @@ def test_names_of_strangers_are_bounded_and_told_for_a_minute(monkeypatch: pytes
         node.send(stream(craft="craft2", seconds=1)[0])
         received(link)
         assert link.strangers == ("craft2",)
+
+
+def test_a_command_for_a_mistyped_craft_is_counted_and_told_to_nobody_else(caplog: pytest.LogCaptureFixture) -> None:
+    """Its sender hears which craft are served; a status, and the four names that it may tell, are for nodes."""
+    with (
+        open_link("loop:mistyped", Role.SERVICE, crafts=["demo"]) as link,
+        open_link("loop:mistyped", Role.NODE) as node,
+        open_link("loop:mistyped", Role.VIEWER, crafts=["dmeo"]) as viewer,
+    ):
+        Desk(viewer, "send").give("dmeo", "freeze")
+        received(link)
+        assert (link.counters["refused.unknown_craft"], link.counters["refused.unknown_craft.dmeo"]) == (1, 0)
+        assert (link.strangers, caplog.text) == ((), "")
+        node.send(stream(craft="dmeo", seconds=1)[0])
+        received(link)
+        assert (link.counters["refused.unknown_craft"], link.strangers) == (2, ("dmeo",))
 
 
 def received(link: Link) -> None:
