@@ -192,12 +192,3 @@ def igrf_eci_nt(times_utc_ns: Times, position_eci_km: Floats) -> Floats:
     """IGRF-14 main field (n, 3) [nT] in ECI at positions (n, 3) ECI [km]; domain and errors of ``igrf_ecef_nt``."""
     times = np.asarray(times_utc_ns, dtype=np.int64).reshape(-1)
     return eci_from_ecef(times, igrf_ecef_nt(times, ecef_from_eci(times, position_eci_km)))
-
-
-def igrf_ned_nt(times_utc_ns: Times, latitude_deg: Floats, longitude_deg: Floats, altitude_km: Floats) -> Floats:
-    """IGRF-14 main field (n, 3) [nT] north, east, down at geodetic latitude, longitude [deg], height [km], each (n,).
-
-    Domain and errors of ``igrf_ecef_nt``.
-    """
-    field_ecef_nt = igrf_ecef_nt(times_utc_ns, ecef_from_geodetic(latitude_deg, longitude_deg, altitude_km))
-    return ned_from_ecef(latitude_deg, longitude_deg, field_ecef_nt)

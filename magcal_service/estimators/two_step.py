@@ -40,7 +40,7 @@ from magcal_service.estimators.parts.start_gates import (
     Proposal,
     stopped_by,
 )
-from magcal_service.model import STATE_SIZE, Array, scalar_residual, state_of
+from magcal_service.model import STATE_SIZE, Array, mean_of_v, scalar_residual, state_of
 from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
@@ -155,7 +155,7 @@ class _Problem:
     def _cost(self, y: Array) -> float:
         """The published cost less a constant: what the gradient with the mean of v alone belongs to."""
         q = coefficients(y)
-        mean = 3.0 * (self._white_nt / SCALE_NT) ** 2 * self._sums.normal[9]
+        mean = mean_of_v((self._white_nt / SCALE_NT) ** 2) * self._sums.normal[9]
         return float(q @ self._sums.normal @ q - 2.0 * (q @ (self._sums.target + mean)) + self._tie @ y**2)
 
     def descended(self, y: Array) -> Array | None:

@@ -209,11 +209,3 @@ def _samples(
                 compensation.position(message)
             case TelemetrySample() if compensation is not None:
                 compensation.telemetry(message)
-
-
-def as_arrays(vectors: tuple[CalibratedVector, ...]) -> tuple[Array, Array]:
-    """w (n, 3) [nT] and the covariance's xx, xy, xz, yy, yz, zz (n, 6) [nT^2]."""
-    return (
-        np.array([one.field_body_nt for one in vectors]).reshape(-1, 3),
-        np.array([one.covariance_nt2 for one in vectors]).reshape(-1, 6),
-    )

@@ -29,11 +29,6 @@ class ActsOn(StrEnum):
         """Whether the reference is wrong rather than the sensor."""
         return self in (ActsOn.REFERENCE, ActsOn.REFERENCE_TIME)
 
-    @property
-    def is_live(self) -> bool:
-        """Whether its modelled disturbance can be subtracted sample by sample."""
-        return self is ActsOn.FIELD or self.is_reference
-
 
 class Watched(StrEnum):
     """What the watch over the model sees of an effect in the residual of a running filter."""

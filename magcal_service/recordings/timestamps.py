@@ -23,16 +23,6 @@ _ISO8601 = re.compile(
 )
 
 
-def seconds_to_ns(text: str) -> int | None:
-    """A decimal number of seconds to the nearest nanosecond; None where it is no finite number.
-
-    Parameters
-    ----------
-    text: such as ``"1692888249.25"`` or ``"1.5e3"``; surrounding blanks are allowed.
-    """
-    return decimal_to_ns(text, 9)
-
-
 def decimal_to_ns(text: str, decimals: int) -> int | None:
     """A decimal number of a unit that is 10**``decimals`` ns, to the nearest nanosecond; None where it is none."""
     text = text.strip()
@@ -103,7 +93,7 @@ def _zone_s(zone: str | None) -> int | None:
 
 
 def ns_to_seconds(time_ns: int) -> str:
-    """Nanoseconds as decimal seconds with nine places, the exact inverse of ``seconds_to_ns``."""
+    """Nanoseconds as decimal seconds with nine places, the exact inverse of ``decimal_to_ns`` with 9 decimals."""
     whole, rest = divmod(abs(time_ns), NS_PER_S)
     return f"{'-' if time_ns < 0 else ''}{whole}.{rest:09d}"
 

@@ -55,11 +55,6 @@ class WindowedLink(Link):
         self._on_the_way: dict[tuple[str, str, int], None] = {}
 
     @property
-    def on_the_way(self) -> int:
-        """Samples sent and neither answered nor given up."""
-        return len(self._on_the_way)
-
-    @property
     def state(self) -> LinkState:
         """Where the link stands that everything goes to."""
         return self.link.state

@@ -76,11 +76,6 @@ class Summary:
         """Whether the final errors could be computed."""
         return bool(self.rows) and not any(math.isnan(row.truth) for row in self.rows)
 
-    @property
-    def all_inside(self) -> bool:
-        """Whether all nine final errors lie within 3 sigma of a known truth."""
-        return self.truth_known and all(row.inside for row in self.rows)
-
     def text(self) -> str:
         """Plain text of at most 80 columns."""
         head = f"{'':4}{'unit':>5}{'estimate':>11}{'3 sigma':>10}"

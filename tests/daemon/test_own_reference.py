@@ -10,7 +10,7 @@ import pytest
 from magcal_service.config.settings import CraftConfig, ReferenceConfig, ReferenceModel, SensorConfig, SpinConfig
 from magcal_service.daemon.own_reference import reference_at
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.geomagnetic import ecef_from_eci, igrf_ned_nt
+from magcal_service.geomagnetic import ecef_from_eci
 from magcal_service.wire.messages import (
     Clock,
     Estimate,
@@ -23,6 +23,7 @@ from magcal_service.wire.messages import (
 )
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.main_field import igrf_ned_nt
 
 CRAFT = CraftConfig(
     "paper", SensorConfig(noise_nt=300.0), SpinConfig(rate_rpm=7.5), reference=ReferenceConfig(ReferenceModel.IGRF)

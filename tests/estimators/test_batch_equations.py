@@ -22,7 +22,8 @@ from magcal_service.estimators.parts.magnitude_sums import (
 )
 from magcal_service.estimators.parts.spin_window import Window, across_axis
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
-from magcal_service.model import calibrate, field_jacobian, measure, scalar_measurement, without_radial_noise
+from magcal_service.model import calibrate, field_jacobian, measure, without_radial_noise
+from tests.equations import scalar_measurement
 
 X = np.array([900.0, -1400.0, 2100.0, 0.05, -0.08, 0.11, 0.03, -0.04, 0.06])
 PRIOR = np.array([30_000.0] * 3 + [0.2] * 6)

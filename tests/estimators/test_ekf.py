@@ -11,7 +11,8 @@ from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConf
 from magcal_service.estimators.ekf import Ekf
 from magcal_service.estimators.interface import Estimator, StateEstimate
 from magcal_service.estimators.scalar_ukf import ScalarUkf
-from magcal_service.model import Array, predicted_scalar, scalar_jacobian, scalar_measurement
+from magcal_service.model import Array
+from tests.equations import predicted_scalar, scalar_jacobian, scalar_measurement
 from tests.estimators.method_data import PAPER_NOISE_NT, paper_field, play
 
 RUNS = 8

@@ -21,8 +21,9 @@ from magcal_service.estimators.plkf import Plkf
 from magcal_service.estimators.rate_aided import RateAided, _RateNoise, rotation
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.two_step import Solution, TwoStep, correlation_of, two_step
-from magcal_service.model import calibrate, field_jacobian, measure, predicted_scalar, scalar_residual
+from magcal_service.model import calibrate, field_jacobian, measure, scalar_residual
 from magcal_service.ticks.assembler import Tick
+from tests.equations import predicted_scalar
 
 X = np.array([900.0, -1400.0, 2100.0, 0.05, -0.08, 0.11, 0.03, -0.04, 0.06])
 PRIOR = np.array([30_000.0] * 3 + [0.2] * 6)

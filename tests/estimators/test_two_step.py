@@ -20,9 +20,10 @@ from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.sliding_batch import SlidingBatch
 from magcal_service.estimators.two_step import Solution, TwoStep, published, two_step
-from magcal_service.model import Array, measure, predicted_scalar, scalar_measurement
+from magcal_service.model import Array, measure
 from magcal_service.studies.bounds import bound_sigma
 from magcal_service.ticks.assembler import Tick
+from tests.equations import predicted_scalar, scalar_measurement
 from tests.estimators.method_data import NEAR_NORMAL, PAPER_NOISE_NT, PAPER_X, nees, paper_field, play, sigmas_off
 
 PRIOR = prior_sigma(FilterConfig())

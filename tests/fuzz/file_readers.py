@@ -27,7 +27,7 @@ from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session_arrays import session_recording
 from magcal_service.recordings.session_files import recover
 from magcal_service.recordings.state_text import state_as_text
-from magcal_service.recordings.timestamps import iso8601_to_ns, seconds_to_ns
+from magcal_service.recordings.timestamps import decimal_to_ns, iso8601_to_ns
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import KINDS, kind_of
 from sim_sensor.scenario import resolve
@@ -47,7 +47,7 @@ def run_json(data: bytes) -> Hashable:
 def run_times(data: bytes) -> Hashable:
     """A time is nanoseconds or none."""
     text = data.decode(errors="replace")
-    values = iso8601_to_ns(text), seconds_to_ns(text)
+    values = iso8601_to_ns(text), decimal_to_ns(text, 9)
     assert all(value is None or isinstance(value, int) for value in values)
     return values[0] is None, values[1] is None
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from magcal_service import geomagnetic as geo
 from magcal_service.errors import InputRefusedError
+from tests.main_field import igrf_ned_nt
 
 HERE = Path(__file__).parent
 DAY_NS = 86400 * 10**9
@@ -49,7 +50,7 @@ def test_against_igrf14syn_geocentric() -> None:
 
 def test_against_igrf14syn_geodetic() -> None:
     date, altitude, colatitude, longitude, north, east, down, _ = np.loadtxt(HERE / "igrf14_geodetic.txt").T
-    got = geo.igrf_ned_nt(decimal_year_ns(date), 90.0 - colatitude, longitude, altitude)
+    got = igrf_ned_nt(decimal_year_ns(date), 90.0 - colatitude, longitude, altitude)
     np.testing.assert_allclose(got, np.stack([north, east, down], axis=-1), rtol=0.0, atol=0.3)
 
 
@@ -66,7 +67,7 @@ def test_against_wmm2025_of_pygeomag() -> None:
         for a, b, t in zip(latitude, longitude, years, strict=True)
     ]
     theirs = np.array([(r.x, r.y, r.z) for r in results])
-    ours = geo.igrf_ned_nt(decimal_year_ns(years), latitude, longitude, np.full(200, 612.0))
+    ours = igrf_ned_nt(decimal_year_ns(years), latitude, longitude, np.full(200, 612.0))
     assert np.sqrt(np.mean((ours - theirs) ** 2)) < 8.0
     assert np.max(np.abs(ours - theirs)) < 30.0
 

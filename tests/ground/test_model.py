@@ -19,16 +19,14 @@ from magcal_service.model import (
     largest_variance,
     mean_of_v,
     measure,
-    predicted_scalar,
     scalar_innovation_value,
-    scalar_jacobian,
-    scalar_measurement,
     scalar_residual,
     state_of,
     variance_of_v,
     vector_jacobian,
     without_radial_noise,
 )
+from tests.equations import predicted_scalar, scalar_jacobian, scalar_measurement
 
 TABLE_1 = np.array([5000.0, 3000.0, 4000.0, 0.05, 0.10, 0.05, 0.05, 0.05, 0.05])
 

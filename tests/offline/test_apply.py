@@ -15,7 +15,7 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import InputRefusedError
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import Array
-from magcal_service.offline.apply import apply, as_arrays
+from magcal_service.offline.apply import apply
 from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.given import read_given
 from magcal_service.offline.replay import craft_of
@@ -47,6 +47,10 @@ def result(flight: Path) -> Path:
     return path
 
 
+def vectors_nt(vectors: tuple[CalibratedVector, ...]) -> Array:
+    return np.array([one.field_body_nt for one in vectors]).reshape(-1, 3)
+
+
 def live(
     recording: Recording, pipeline: Pipeline, x: Array, covariance: Array, noise_nt: float
 ) -> list[CalibratedVector]:
@@ -69,7 +73,7 @@ def test_it_gives_the_vectors_that_the_daemon_would(flight: Path, result: Path) 
     jsonschema.validate(json.loads(result.read_text()), schema(CALIBRATION))
     np.testing.assert_array_equal(given.x, truth.x)  # nothing is lost in the file
     np.testing.assert_array_equal(given.covariance, truth.covariance)
-    np.testing.assert_allclose(as_arrays(applied)[0], truth.apply(recording.field_body_nt), rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(vectors_nt(applied), truth.apply(recording.field_body_nt), rtol=0.0, atol=1e-8)
 
 
 def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
@@ -84,7 +88,7 @@ def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
     published = live(recording, Pipeline(craft), given.x, given.covariance, craft.sensor.noise_nt or 0.0)
     assert [one.field_body_nt for one in applied.vectors] == [one.field_body_nt for one in published]
     plain = np.linalg.norm(given.apply(recording.field_body_nt), axis=1) - recording.reference.magnitude_nt
-    left = np.linalg.norm(as_arrays(applied.vectors)[0], axis=1) - recording.reference.magnitude_nt
+    left = np.linalg.norm(vectors_nt(applied.vectors), axis=1) - recording.reference.magnitude_nt
     assert np.sqrt(np.mean(left**2)) < 1.1 * (craft.sensor.noise_nt or 0.0) < np.sqrt(np.mean(plain**2))
     np.testing.assert_array_equal(given.x, HOT_X)
     blind = apply(given, inspect(replace(recording, channels={})))

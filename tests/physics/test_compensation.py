@@ -13,7 +13,6 @@ from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.apply.compensation import Compensation
-from magcal_service.physics.apply.forward import effects_on
 from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
 from magcal_service.physics.catalogue import effect_named
@@ -31,6 +30,7 @@ from magcal_service.wire.messages import (
 from sim_sensor.scenario import Scenario
 from tests.physics.given_scene import X, flight
 from tests.physics.live_models import NOISE_NT, THERMAL, craft, hot, last_estimate, model_of, physics, stream
+from tests.physics.modelled import effects_on
 from tests.physics.test_model_file import drawn, forms, ids
 
 UNITS = {"temperature": "degC", "current": "A", "magnetic moment": "A m2", "angular rate": "rad/s", "counts": "counts"}

@@ -11,12 +11,13 @@ import pytest
 from magcal_service.errors import ConfigError
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import Empirical, Kind, hats
-from magcal_service.physics.apply.forward import DriverMissingError, effects_on
+from magcal_service.physics.apply.forward import DriverMissingError
 from magcal_service.physics.apply.model_file import ModelError, PhysicsModel, parse_model, text_of
 from magcal_service.physics.drivers.computed import COMPUTED, driver_values
 from sim_sensor.simulation import Simulation
 from tests.physics.given_scene import flight
 from tests.physics.live_models import model_of
+from tests.physics.modelled import effects_on
 from tests.physics.test_model_file import model
 from tests.physics.test_simulated_physics import cold
 

@@ -11,12 +11,12 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import d_matrix
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.empirical import Empirical, Kind
-from magcal_service.physics.apply.forward import effects_on
 from magcal_service.physics.apply.model_file import ModelSpin
 from magcal_service.physics.drivers.computed import COMPUTED, driver_values
 from magcal_service.wire.messages import TelemetrySample, Vector
 from tests.physics.given_scene import X, flight
 from tests.physics.live_models import craft, hot, last_estimate, model_of, physics, stream
+from tests.physics.modelled import effects_on
 from tests.physics.test_compensation import feed
 from tests.physics.test_empirical import BIAS, FIELD
 

@@ -11,7 +11,7 @@ import pytest
 
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.model import Array
-from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind, effects_on
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind
 from magcal_service.physics.apply.model_file import (
     ModelError,
     ModelSpin,
@@ -25,6 +25,7 @@ from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.wire.messages import Clock
 from tests.physics.given_scene import ROWS, X, cut, flight
+from tests.physics.modelled import effects_on
 
 
 @cache

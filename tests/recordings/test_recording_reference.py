@@ -7,6 +7,7 @@ from magcal_service.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 from magcal_service.wire.messages import Frame
+from tests.main_field import igrf_ned_nt
 from tests.recordings.recording_logs import MAGNETOMETER, REFERENCE, descriptor, row, write_log
 
 IGRF = '[reference]\nmodel = "igrf"\n'
@@ -77,7 +78,7 @@ def test_the_model_reference_is_the_local_field_turned_into_inertial_axes(
 
     latitude, longitude, altitude = (np.array([value]) for value in where)
     times = np.array([TIME_S * 10**9])
-    local_nt = geomagnetic.igrf_ned_nt(times, latitude, longitude, altitude)
+    local_nt = igrf_ned_nt(times, latitude, longitude, altitude)
     expected_nt = geomagnetic.eci_from_ecef(times, geomagnetic.ecef_from_ned(latitude, longitude, local_nt))
     reference = read_recording(igrf_log(tmp_path, place(*where))).reference
     assert reference.frame is Frame.ECI

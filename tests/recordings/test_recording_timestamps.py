@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_service.recordings.timestamps import iso8601_to_ns, ns_to_iso8601, ns_to_seconds, seconds_to_ns
+from magcal_service.recordings.timestamps import decimal_to_ns, iso8601_to_ns, ns_to_iso8601, ns_to_seconds
 
 INT64 = st.integers(-(2**63) + 1, 2**63 - 1)
 EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
@@ -13,7 +13,7 @@ EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
 @given(INT64)
 def test_seconds_written_and_read_are_the_same_nanosecond(time_ns: int) -> None:
-    assert seconds_to_ns(ns_to_seconds(time_ns)) == time_ns
+    assert decimal_to_ns(ns_to_seconds(time_ns), 9) == time_ns
 
 
 @given(INT64)
@@ -23,7 +23,7 @@ def test_iso8601_written_and_read_is_the_same_nanosecond(time_ns: int) -> None:
 
 @given(st.decimals(min_value=-(10**9), max_value=10**9, allow_nan=False, allow_infinity=False, places=14))
 def test_seconds_are_rounded_to_the_nearest_nanosecond(value: object) -> None:
-    assert seconds_to_ns(f"{value:f}") == round(Fraction(str(value)) * 10**9)
+    assert decimal_to_ns(f"{value:f}", 9) == round(Fraction(str(value)) * 10**9)
 
 
 @given(st.datetimes(datetime.datetime(1700, 1, 1), datetime.datetime(2250, 1, 1), timezones=st.just(datetime.UTC)))
@@ -33,13 +33,13 @@ def test_iso8601_agrees_with_the_standard_library(instant: datetime.datetime) ->
 
 @given(st.floats(-1e9, 1e9))
 def test_every_way_python_writes_a_float_is_read(value: float) -> None:
-    assert seconds_to_ns(repr(value)) == round(Fraction(repr(value)) * 10**9)
+    assert decimal_to_ns(repr(value), 9) == round(Fraction(repr(value)) * 10**9)
 
 
 @given(st.text(max_size=30))
 def test_no_text_raises(text: str) -> None:
-    for parse in (seconds_to_ns, iso8601_to_ns):
-        assert parse(text) is None or isinstance(parse(text), int)
+    for ns in (decimal_to_ns(text, 9), iso8601_to_ns(text)):
+        assert ns is None or isinstance(ns, int)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_what_is_no_instant_is_none(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["", "nan", "inf", "1_000", "0x10", "1.2.3", "1e9999", "--1", "1,5", "१"])
 def test_what_is_no_number_of_seconds_is_none(text: str) -> None:
-    assert seconds_to_ns(text) is None
+    assert decimal_to_ns(text, 9) is None
 
 
 @pytest.mark.parametrize(
@@ -101,4 +101,4 @@ def test_what_is_no_number_of_seconds_is_none(text: str) -> None:
     ],
 )
 def test_seconds_forms_are_read_exactly(text: str, time_ns: int) -> None:
-    assert seconds_to_ns(text) == time_ns
+    assert decimal_to_ns(text, 9) == time_ns

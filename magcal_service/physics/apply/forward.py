@@ -100,28 +100,3 @@ def followed(curve: Empirical, scene: Scene) -> Array:
     if values is None:
         raise DriverMissingError(f"{NAME}: driver {curve.driver!r} is not there")
     return values
-
-
-def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
-    """What a model's effects and curves add on a scene.
-
-    Parameters
-    ----------
-    scene: with ``calibrated_nt`` and ``clean_field_nt`` by the model's nine errors, as ``recordings.scene_of.cleaned``
-        makes them.
-    model: from ``physics.toml``.
-
-    Returns (d, m): body field (n, 3) and growth of the reference's magnitude (n,) [nT], as in ``physics.interface``.
-    Raises DriverMissingError, MisfitError.
-    """
-    body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
-    placed = at_origin(scene, model)
-    for term in model.terms:
-        field, growth = bind(term, placed).disturbance()
-        body += field
-        magnitude += growth
-    for curve in model.empirical:
-        field, growth = curve.disturbance(followed(curve, placed), placed.clean_field_nt)
-        body += field
-        magnitude += growth
-    return body, magnitude

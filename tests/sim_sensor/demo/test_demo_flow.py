@@ -75,7 +75,7 @@ def test_every_answered_sample_is_counted() -> None:
     for sequence in range(40):
         link.send(sample(sequence))
     link.wait_for_room()
-    assert (link.counters["samples"], link.counters["answered"], link.on_the_way) == (40, 40, 0)
+    assert (link.counters["samples"], link.counters["answered"], len(link._on_the_way)) == (40, 40, 0)
 
 
 def test_an_overtaken_sample_counts_as_unanswered_and_frees_its_place() -> None:
@@ -90,7 +90,7 @@ def test_a_far_end_that_never_answers_does_not_block_for_ever() -> None:
     link = WindowedLink(FarEnd(deaf_to=frozenset(range(9))), 4, ignore, patience_s=0.02)
     for sequence in range(9):
         link.send(sample(sequence))
-    assert (link.counters["unanswered"], link.on_the_way) == (8, 1)
+    assert (link.counters["unanswered"], len(link._on_the_way)) == (8, 1)
 
 
 def test_other_messages_do_not_wait_for_room() -> None:
