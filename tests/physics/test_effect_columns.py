@@ -262,6 +262,26 @@ def test_a_temperature_that_is_inferred_has_odds_against_it_where_one_was_record
     assert grids[1].tolist() == [0.0, 300.0, 900.0, 2400.0]
 
 
+@pytest.mark.parametrize("effect", ["thermal_bias", "thermal_scale"])
+def test_what_settles_may_be_warming_up_where_no_temperature_was_recorded(effect: str) -> None:
+    """In light and shadow as in a full sun; the same curve as that of a drift that relaxes, but for its constant."""
+    assert all(variant != "settling" for _, variant in forms(effect))
+    bare = replace(scene(), channels={})
+    dawn = replace(bare, position_ecef_km=None)
+    assert dawn.lit is None
+    for one in (bare, dawn):
+        name = next(v for d, v in forms(effect, one) if d == "inferred:temperature" and v.endswith("settling"))
+        found = forms(effect, one)["inferred:temperature", name]
+        assert [number.name for number in found.nonlinear] == ["time_constant_s"]
+    start = np.array([10.0, 20.0, 30.0])
+    settling = forms("thermal_bias", bare)["inferred:temperature", "settling"]
+    decay = np.exp(-bare.time_s / 900.0)
+    assert sizes(settling) == {"start_nt_swing": (3,)}
+    assert added(settling, start, 900.0) == pytest.approx(np.outer(decay, start))
+    relaxing = forms("bias_drift", bare)["none", "relaxing"]
+    assert added(relaxing, -start, 900.0) + start == pytest.approx(np.outer(decay, start))
+
+
 def test_currents_add_their_field_by_circuit() -> None:
     found = forms("current_loop")
     panels, battery = scene().channels["current"].values, scene().channels["battery"].values

@@ -46,6 +46,8 @@ EFFECT = Effect(
         "The bias of {nt_per_k.place} changes by {nt_per_k.signed} with {driver}, the most of the three.",
         "The bias of {nt_swing.place} swings by {nt_swing.signed} from shadow to light, the most of the three, "
         "following {driver} with a time constant of {time_constant_s.size}.",
+        "The bias of {start_nt_swing.place} is {start_nt_swing.signed} off at the start, the most of the three, and "
+        "settles with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=lambda term: direct_by_temperature(term, "nt_per_k"),

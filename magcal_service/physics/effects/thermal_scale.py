@@ -79,6 +79,10 @@ EFFECT = Effect(
         "{driver} with a time constant of {time_constant_s.size}.",
         "The gain of {swing.place} {swing.falls} by {swing.percent} from shadow to light, the most of the three, "
         "following {driver} with a time constant of {time_constant_s.size}.",
+        "The gain of all axes is {start_swing_common.percent} off at the start and settles with a time constant of "
+        "{time_constant_s.size}, as a sensor does that warms up or cools down.",
+        "The gain of {start_swing.place} is {start_swing.percent} off at the start, the most of the three, and settles "
+        "with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

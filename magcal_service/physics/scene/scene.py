@@ -293,9 +293,9 @@ class Scene:
             self.keep("skin", drive)
         answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
         self.keep("answer", answer)
-        return answer, self._decay(tau_s)
+        return answer, self.settling(tau_s)
 
-    def _decay(self, tau_s: float) -> Array:
+    def settling(self, tau_s: float) -> Array:
         """What is left (n,) of a temperature at the start: of the recording, or of a stream that begins elsewhere."""
         if self.memory is None or not self.memory.begins_anew:
             return np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
