@@ -102,13 +102,13 @@ def test_effect_is_found(effect: str) -> None:
 
 @pytest.mark.parametrize("effect", sorted(SEEDS))
 def test_effect_keeps_quiet(effect: str) -> None:
-    """It is not named at all in clean cases, nor first where another effect is at work."""
+    """It is not named at all in clean cases, nor first where another effect is at work that it is told apart from."""
     for seed in CLEAN:
         assert effect not in {entry.effect for entry in outcome("none", seed).entries}
     loud = []
     for other, seed in SEEDS.items():
         first = outcome(other, seed).first
-        if other != effect and first is not None and first.effect == effect:
+        if other != effect and first is not None and first.effect == effect and other not in first.members:
             loud.append(other)
     assert loud == []
 

@@ -589,7 +589,10 @@ def test_a_model_with_a_degree_gets_that_form_alone_and_one_without_the_years() 
 
 
 def test_the_ring_current_adds_along_the_dipoles_axis_with_what_it_induces() -> None:
-    """A uniform field, and 0.27 of a dipole's at the ground, falling with the cube of the distance (Olsen 2006)."""
+    """A uniform field, and 0.27 of it as a dipole's at the ground's equator, falling with r^3 (Olsen 2006).
+
+    Its induced part adds at the equator and takes away over the pole: what conducts lets less through its surface.
+    """
     assert scene().dipole_eci is not None
     assert scene().position_eci_km is not None
     assert scene().reference_eci_nt is not None
@@ -597,12 +600,13 @@ def test_the_ring_current_adds_along_the_dipoles_axis_with_what_it_induces() -> 
     assert found is not None
     axis, place = scene().dipole_eci, scene().position_eci_km
     radius = np.linalg.norm(place, axis=1)[:, None]
-    # potential of the induced dipole: 0.27 / 2 a^3 (m . r) / r^3; its field is minus the gradient, as the ring's is m
+    # potential: -(m . r) of the ring and -0.27 a^3 (m . r) / r^3 of what it induces; the field is minus the gradient
     up = place / radius
-    cosine = np.einsum("ni,ni->n", axis, up)[:, None]
-    induced = 0.27 * (6371.2 / radius) ** 3 * (3.0 * cosine * up - axis) / 2.0
+    along = np.einsum("ni,ni->n", axis, up)[:, None]
+    outward = (1.0 - 2.0 * 0.27 * (6371.2 / radius) ** 3) * along
+    tangential = (1.0 + 0.27 * (6371.2 / radius) ** 3) * (axis - along * up)
     direction = scene().reference_eci_nt / scene().magnitude_nt[:, None]
-    assert found == pytest.approx(np.einsum("ni,ni->n", axis + induced, direction))
+    assert found == pytest.approx(np.einsum("ni,ni->n", outward * up + tangential, direction))
     nowhere = ring_current(replace(scene(), position_ecef_km=None))
     assert nowhere == pytest.approx(np.einsum("ni,ni->n", axis, direction))
     assert ring_current(replace(scene(), reference_eci_nt=None)) is None
@@ -621,6 +625,11 @@ def test_a_storm_is_a_polynomial_in_time_that_ends_with_its_recording() -> None:
         expected = ring * sum(a * p for a, p in zip(amplitudes, legendre[: order + 1], strict=True))
         assert grown(found["none", variant], amplitudes) == pytest.approx(expected), variant
         assert found["none", variant].constants == ({"middle_s": middle, "span_s": span} if order else {})
+    axis = scene().dipole_eci
+    assert axis is not None
+    assert scene().reference_eci_nt is not None
+    bare = np.einsum("ni,ni->n", axis, scene().reference_eci_nt) / scene().magnitude_nt
+    assert grown(found["none", "uniform, changing"], [1.0, 2.0]) == pytest.approx(bare * (1.0 + 2.0 * t))
     given = forms("external_field", replace(scene(), given={"middle_s": 1000.0, "span_s": 2000.0}))
     share = np.clip((TIME_S - 1000.0) / 1000.0, -1.0, 1.0)
     assert grown(given["none", "changing"], [1.0, 1.0]) == pytest.approx(ring * (1.0 + share))

@@ -85,7 +85,7 @@ def ring_current(ecef_km: Floats) -> Floats:
     radius = np.linalg.norm(ecef_km, axis=1)[:, None]
     up = ecef_km / radius
     dipole = (3.0 * (up @ _DIPOLE_ECEF)[:, None] * up - outer) * (_RADIUS_KM / radius) ** 3
-    return outer - 0.135 * dipole
+    return outer - 0.27 * dipole
 
 
 def model_error(

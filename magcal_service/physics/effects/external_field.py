@@ -15,11 +15,19 @@ from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 INDUCED: Final = 0.27
-"""Induced over inducing field at the Earth's surface for the ring current: Q1 of Olsen et al. 2006 (CHAOS)."""
+"""Induced over inducing field at the Earth's surface and the dipole's equator, both to the north there: Q1 of Olsen et
+al. 2006 (CHAOS).  A perfect conductor up to the surface, which no field enters, has 0.5."""
+
+UNIFORM: Final = "uniform"
+"""Form without the induced part: what changes within the hour, and what was modelled as no more."""
 
 
-def ring_current(scene: Scene) -> Array | None:
-    """(n,) growth of |H| per nT of uniform field along the dipole axis (towards north), induced part included."""
+def ring_current(scene: Scene, induced: float = INDUCED) -> Array | None:
+    """(n,) growth of |H| per nT of uniform field along the dipole axis (towards north), with an induced dipole's.
+
+    In a potential a q (r / a + Q1 (a / r)^2) cos(theta), theta from the axis, the uniform field is -q along the axis,
+    and the induced one is Q1 q (a / r)^3 (3 cos(theta) up - axis): it adds to the uniform one at the equator.
+    """
     if scene.reference_eci_nt is None or scene.dipole_eci is None:
         return None
     field = np.array(scene.dipole_eci)
@@ -27,15 +35,19 @@ def ring_current(scene: Scene) -> Array | None:
         radius = np.linalg.norm(scene.position_eci_km, axis=1)[:, None]
         up = scene.position_eci_km / radius
         axial = np.einsum("ni,ni->n", up, scene.dipole_eci)[:, None]
-        field = field + INDUCED * (IGRF_RADIUS_KM / radius) ** 3 * (1.5 * axial * up - 0.5 * scene.dipole_eci)
+        field = field + induced * (IGRF_RADIUS_KM / radius) ** 3 * (scene.dipole_eci - 3.0 * axial * up)
     direction = scene.reference_eci_nt / scene.magnitude_nt[:, None]
     return np.asarray(np.einsum("ni,ni->n", field, direction))
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    column = ring_current(scene)
-    if column is None:
-        return
+    for column, form in ((ring_current(scene), ""), (ring_current(scene, 0.0), UNIFORM)):
+        if column is not None and (form == "" or scene.position_eci_km is not None):
+            yield from _courses(scene, column, form)
+
+
+def _courses(scene: Scene, column: Array, form: str) -> Iterator[Hypothesis]:
+    """Polynomials in time of a column (n,)."""
     middle_s = scene.constant("middle_s", float(scene.time_s.mean()))
     span_s = scene.constant("span_s", max(float(np.ptp(scene.time_s)), 1.0))
     share = (scene.time_s - middle_s) / span_s * 2.0
@@ -53,7 +65,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             "none",
             lambda _, made=made: made,  # type: ignore[misc]
             blocks,
-            variant,
+            ", ".join(filter(None, (form, variant))),
             constants=constants if order else {},
         )
 
@@ -62,7 +74,7 @@ EFFECT = Effect(
     name="external_field",
     acts_on=ActsOn.REFERENCE,
     title="currents above the craft: the ring current",
-    equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials in time",
+    equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials; or m alone",
     units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s"},
     in_orbit_only=True,
     prior=(5.0, 500.0),
