@@ -46,9 +46,10 @@ def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
 
 
 def _instant_sigma(fit: Fit, term: Term, number: int) -> float:
-    """1 sigma of a change time [s]: how far it may move, to either side, before that costs two noise variances.
+    """1 sigma of a change time [s] about the one that was found: of its likelihood over all times, all else as fitted.
 
-    A change that shows in few directions cannot be told in time while the field points elsewhere.
+    A change is known to a sample where it stands out of the noise at once, to seconds where it does not, and not at all
+    while the field points where it does not show; two such times, far apart, may be as likely.
     """
     changed = []
     for instant in (-np.inf, np.inf):
@@ -57,14 +58,18 @@ def _instant_sigma(fit: Fit, term: Term, number: int) -> float:
         rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
         assert rows is not None
         changed.append(rows @ term.amplitudes)
-    times, at_s = fit.problem.row_time_s, float(term.theta[number])
-    spent = np.cumsum((changed[0] - changed[1]) ** 2)
-    row = int(np.searchsorted(times, at_s))
-    before = float(spent[row - 1]) if row else 0.0
-    allowed = 2.0 * fit.rms_nt**2
-    first, last = np.searchsorted(spent, [before - allowed, before + allowed])
-    last = min(int(last), len(times) - 1)
-    return max(0.34 * fit.problem.scene.period_s, at_s - float(times[first]), float(times[last]) - at_s)
+    each = fit.problem.rows_per_sample
+    times, at_s = fit.problem.scene.time_s, float(term.theta[number])
+    jump = (changed[0] - changed[1]).reshape(len(times), each)
+    residual, row = fit.residual.reshape(len(times), each), int(np.searchsorted(times, at_s))
+    # costs [nats] of taking the jump from the rows after it, one after another, and of giving it to those before
+    later = ((residual + 0.5 * jump) * jump).sum(axis=1)[row:] / fit.rms_nt**2
+    earlier = ((0.5 * jump - residual) * jump).sum(axis=1)[:row][::-1] / fit.rms_nt**2
+    cost = np.concatenate([np.cumsum(earlier)[::-1], [0.0], np.cumsum(later)])[1:-1]  # before the first row, ..., after
+    middle, width = 0.5 * (times[1:] + times[:-1]), np.diff(times)
+    weight = width * np.exp(cost.min() - cost)
+    square = (middle - at_s) ** 2 + width**2 / 12.0
+    return math.sqrt(float(weight @ square) / float(weight.sum()))
 
 
 def _most(block: Block) -> tuple[float, float] | None:

@@ -11,7 +11,7 @@ import pytest
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.parameters import parameters_of
-from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
@@ -73,15 +73,19 @@ def step_at(instant_s: float) -> Fit:
 
 
 def test_an_instant_is_as_sure_as_the_step_is_visible_there() -> None:
-    """1 sigma reaches as far as the step's own square takes to make up two noise variances, and not farther."""
+    """1 sigma is that of the squares that the step leaves at every other instant, evaluated one by one."""
     fit = step_at(4000.0)
     sigma = float(parameters_of(fit, 0, effect_named("scale_step"))["at_s"].sigma)
-    rows = fit.problem.rows(fit.terms[0].hypothesis.columns(np.array([-np.inf])), fit.unit)
-    assert rows is not None
-    signal, times = rows @ fit.terms[0].amplitudes, fit.problem.scene.time_s
-    near = np.abs(times - 4000.0) < sigma - 4.0
-    assert float((signal[near] ** 2).sum()) < 4.0 * fit.rms_nt**2 + 1e-9
-    assert sigma >= 0.34 * 4.0
+    instants = 3998.0 + 4.0 * np.arange(-100, 101)
+    (term,) = fit.terms
+    left = [
+        evaluate(fit.problem, fit.x, [replace(term, theta=np.array([at_s]))], derivatives=False).residual
+        for at_s in instants
+    ]
+    cost = 0.5 * (np.array(left) ** 2).sum(axis=1) / fit.rms_nt**2
+    weight = np.exp(cost.min() - cost)
+    square = weight @ ((instants - 4000.0) ** 2 + 16.0 / 12.0) / weight.sum()
+    assert sigma == pytest.approx(float(np.sqrt(square)), rel=0.05)
 
 
 def searched(disturbance_nt: Array) -> tuple[Search, Fit]:

@@ -263,13 +263,12 @@ def test_a_temperature_that_is_inferred_has_odds_against_it_where_one_was_record
 
 
 @pytest.mark.parametrize("effect", ["thermal_bias", "thermal_scale"])
-def test_what_settles_may_be_warming_up_where_no_temperature_was_recorded(effect: str) -> None:
-    """In light and shadow as in a full sun; the same curve as that of a drift that relaxes, but for its constant."""
-    assert all(variant != "settling" for _, variant in forms(effect))
+def test_what_settles_may_be_a_sensor_that_warms_up(effect: str) -> None:
+    """Beside a thermometer elsewhere, and without light; the curve of a drift that relaxes, but for its constant."""
     bare = replace(scene(), channels={})
     dawn = replace(bare, position_ecef_km=None)
     assert dawn.lit is None
-    for one in (bare, dawn):
+    for one in (scene(), bare, dawn):
         name = next(v for d, v in forms(effect, one) if d == "inferred:temperature" and v.endswith("settling"))
         found = forms(effect, one)["inferred:temperature", name]
         assert [number.name for number in found.nonlinear] == ["time_constant_s"]
