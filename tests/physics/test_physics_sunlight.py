@@ -7,7 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
 
+from magcal_service.geomagnetic import geodetic_from_ecef
 from magcal_service.model import Array
 from magcal_service.physics.scene.sunlight import carried, first_order, hold_over_nan, sun_eci, sunlit
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci
@@ -53,6 +55,45 @@ def test_shadow_is_flat_at_the_poles() -> None:
     limb = 6378.137 * (1.0 - 1.0 / 298.257)
     place = np.array([[-3000.0, 0.0, limb], [-3000.0, limb, 0.0]])
     assert sunlit(place, sun) == pytest.approx([0.5, 0.0], abs=1e-4)
+
+
+@pytest.mark.parametrize("radius_km", [6800.0, 42164.0])
+@pytest.mark.parametrize("month", [0, 3, 6])
+def test_half_of_the_sun_is_seen_where_its_ray_touches_the_ellipsoid(radius_km: float, month: int) -> None:
+    """Edges found by bisection on inclined orbits: the ray to the Sun's middle comes down to a height of 0 km.
+
+    The height is the geodetic one of places along the ray, the least of them by scipy, to 20 m.
+    """
+    utc_s = 1_735_689_600.0 + month * 30.44 * 86400.0
+    sun = sun_eci(np.array([utc_s]))
+    rng = np.random.default_rng(month)
+    found = 0
+    for _ in range(12):
+        first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+
+        def place(angle: float, first: Array = first, second: Array = second) -> Array:
+            return np.asarray(radius_km * (np.cos(angle) * first + np.sin(angle) * second))
+
+        def dark(angle: float) -> bool:
+            return bool(sunlit(place(angle)[None], sun)[0] < 0.5)
+
+        midnight = float(np.arctan2(-second @ sun[0], -first @ sun[0]))
+        if not dark(midnight):
+            continue
+        for side in (-1.0, 1.0):
+            inside, outside = midnight, midnight + side * 0.5 * np.pi
+            for _ in range(50):
+                middle = 0.5 * (inside + outside)
+                inside, outside = (middle, outside) if dark(middle) else (inside, middle)
+            edge = place(inside)
+
+            def height_km(way_km: float, edge: Array = edge) -> float:
+                return float(geodetic_from_ecef((edge + way_km * sun[0])[None])[2][0])
+
+            least = minimize_scalar(height_km, bounds=(0.0, 2.0 * radius_km), method="bounded", options={"xatol": 1e-3})
+            assert float(least.fun) == pytest.approx(0.0, abs=0.02)
+            found += 1
+    assert found >= 2
 
 
 def uneven(seed: int, count: int) -> Array:

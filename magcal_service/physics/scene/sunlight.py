@@ -20,8 +20,8 @@ _DAY_S = 86400.0
 _J2000_S = 946_728_000.0
 """2000-01-01T12:00 UTC, in seconds since 1970: where the elements of the Sun are counted from."""
 
-_POLAR_SHRINK = 1.0 / (1.0 - 1.0 / 298.257)
-"""Equatorial over polar radius of the Earth (WGS 84)."""
+_ROUND = np.array([1.0, 1.0, 1.0 / (1.0 - 1.0 / 298.257223563)])
+"""Stretch of the axes that makes a sphere of the Earth: equatorial over polar radius along z (WGS 84)."""
 
 _PENUMBRA_RAD = 0.00465
 """The Sun's radius as seen from the Earth [rad]: 16 arc minutes."""
@@ -58,10 +58,12 @@ def sun_eci(utc_s: Array, ahead_rad: float = 0.0) -> Array:
 def sunlit(position_eci_km: Array, sun: Array) -> Array:
     """Share of sunlight (n,), 1 in light, 0 in shadow, linear through the penumbra.
 
-    The Earth's flattening is taken by stretching z; the edge is then right to about a second in low orbit.
+    The Earth's flattening is taken by stretching z, of places and of the rays alike: a ray that touches the ellipsoid
+    then touches a sphere.  What the air bends and takes up is left out.
     """
-    stretched = position_eci_km * np.array([1.0, 1.0, _POLAR_SHRINK])
-    along = np.einsum("ni,ni->n", stretched, sun)
+    stretched, ray = position_eci_km * _ROUND, sun * _ROUND
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    along = np.einsum("ni,ni->n", stretched, ray)
     across = np.sqrt(np.maximum((stretched**2).sum(axis=1) - along**2, 0.0))
     radius = WGS84_A_KM
     width = np.maximum(np.abs(along), 1.0) * _PENUMBRA_RAD
