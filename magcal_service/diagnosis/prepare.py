@@ -95,12 +95,60 @@ def prepare(
     forms: that the residual may have.
     stride: every so many-th row is taken; None: as many as a diagnosis takes.
     """
+    used = _used(recording, effects, stride)
+    attitude = recorded_attitude(used.recording)
+    scene = cleaned(used.scene, used.x)
+    aimed = None if scene.in_orbit or Form.AIMED not in forms else in_body(used.recording, scene, attitude)
+    room = None if aimed is not None or Form.ROOM not in forms else _room(scene, attitude)
+    scene, spin, alone = _turning(used.recording, scene, attitude)
+    sun = sun_seen(scene, np.linalg.norm(calibrate(used.x, scene.field_nt), axis=1) - scene.magnitude_nt)
+    if sun is not None:
+        scene = replace(scene, sun_ahead_deg=sun.ahead_deg)
+    largest_nt = {effect.name: effect.prior[1] for effect in effects}
+    baseline = _baseline(scene, used, largest_nt, aimed, room)
+    form = Form.AIMED if aimed is not None else Form.SCALAR if room is None else Form.ROOM
+    nominal = used.recording.descriptor.spin
+    view = View(
+        baseline.problem.scene,
+        baseline.residual,
+        used.level_nt,
+        spin,
+        None if nominal is None else np.array(nominal.axis),
+        None if nominal is None else nominal.rate_rad_s,
+        used.recording.descriptor.magnetometer.noise_nt,
+        alone,
+    )
+    return Prepared(used.recording, baseline.problem, baseline, spin, view, used.left_out, used.findings, form, sun)
+
+
+@dataclass(frozen=True, eq=False)
+class _Used:
+    """The rows that are used.
+
+    Parameters
+    ----------
+    recording, scene: of them.
+    x: nine errors (9,) to begin with.
+    level_nt: the noise as stated, or what is white in the residual.
+    findings, left_out: as in ``Prepared``.
+    """
+
+    recording: Recording
+    scene: Scene
+    x: Array
+    level_nt: float
+    findings: Mapping[str, Finding]
+    left_out: Mapping[str, int]
+
+
+def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None) -> _Used:
+    """The rows without those that are too many, spikes or spoiled; all of them where hardly any would be left."""
     usable, thinned = _usable(recording, stride)
     noise_nt = recording.descriptor.magnetometer.noise_nt
     scene = scene_of(usable)
     x = baseline_start(scene, noise_nt)
-    level = noise_nt or _white(scene, x)
-    findings, spoiled = _sample_findings(scene, x, level, noise_nt, effects)
+    level_nt = noise_nt or _white(scene, x)
+    findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
     spikes = _spikes(scene, x) & ~spoiled
     keep = ~(spikes | spoiled)
     if np.count_nonzero(keep) < 10 * STATE_SIZE:
@@ -110,47 +158,39 @@ def prepare(
         usable = usable.select(keep)
         scene = scene_of(usable)
         x = baseline_start(scene, noise_nt)
-        level = noise_nt or _white(scene, x)
-    attitude = recorded_attitude(usable)
-    scene = cleaned(scene, x)
-    aimed = None if scene.in_orbit or Form.AIMED not in forms else in_body(usable, scene, attitude)
-    room = None if aimed is not None or Form.ROOM not in forms else _room(scene, attitude)
-    spin = None if attitude is not None else _spin(usable, scene)
-    if attitude is not None and attitude[0] is Axes.ECI:
-        scene = replace(scene, body_from_eci=attitude[1])
-    elif spin is not None:
-        scene = replace(scene, body_from_eci=spin.body_from_eci)
-    alone = None if attitude is not None or spin is not None else _turn_alone(usable, scene)
+        level_nt = noise_nt or _white(scene, x)
+    return _Used(usable, scene, x, level_nt, findings, left_out)
+
+
+def _turning(
+    recording: Recording, scene: Scene, attitude: tuple[Axes, Array] | None
+) -> tuple[Scene, SpinSolution | None, Turn | None]:
+    """The scene with the craft's turn, recorded or solved; the spin, or the turn about its axis alone, as solved."""
+    if attitude is not None:
+        return (replace(scene, body_from_eci=attitude[1]) if attitude[0] is Axes.ECI else scene), None, None
+    spin = _spin(recording, scene)
+    if spin is not None:
+        return replace(scene, body_from_eci=spin.body_from_eci), spin, None
+    alone = _turn_alone(recording, scene)
     if alone is not None:
         rate = np.gradient(alone.phase_rad, scene.time_s)
         scene = replace(scene, turning_rad_s=rate[:, None] * alone.axis_body)
-    sun = sun_seen(scene, np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
-    if sun is not None:
-        scene = replace(scene, sun_ahead_deg=sun.ahead_deg)
-    largest_nt = {effect.name: effect.prior[1] for effect in effects}
+    return scene, None, alone
+
+
+def _baseline(
+    scene: Scene, used: _Used, largest_nt: Mapping[str, float], aimed: Array | None, room: Array | None
+) -> Fit:
+    """The nine errors alone, in the form of residual that there is; of vectors on a scene free of noise."""
+    level_nt, x = used.level_nt, used.x
     if aimed is not None:
-        baseline = _aimed_baseline(scene, level, largest_nt, aimed, x)
+        fit = _aimed_baseline(scene, level_nt, largest_nt, aimed, x)
     elif room is not None:
-        baseline = solve(Problem(scene, level, room, largest_nt), np.concatenate([x, _room_field(scene, room)]))
+        fit = solve(Problem(scene, level_nt, room, largest_nt), np.concatenate([x, _room_field(scene, room)]))
     else:
-        error = FieldError.of(scene, max(level, _white(scene, x)))
-        baseline = solve(Problem(scene, level, None, largest_nt, error), x)
-    if baseline.problem.is_vector:
-        baseline = _quiet(baseline)
-    problem, scene = baseline.problem, baseline.problem.scene
-    form = Form.AIMED if aimed is not None else Form.SCALAR if room is None else Form.ROOM
-    nominal = usable.descriptor.spin
-    view = View(
-        scene,
-        baseline.residual,
-        level,
-        spin,
-        None if nominal is None else np.array(nominal.axis),
-        None if nominal is None else nominal.rate_rad_s,
-        noise_nt,
-        alone,
-    )
-    return Prepared(usable, problem, baseline, spin, view, left_out, findings, form, sun)
+        error = FieldError.of(scene, max(level_nt, _white(scene, x)))
+        fit = solve(Problem(scene, level_nt, None, largest_nt, error), x)
+    return _quiet(fit) if fit.problem.is_vector else fit
 
 
 def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float], reference: Array, x: Array) -> Fit:

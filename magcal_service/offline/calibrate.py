@@ -24,7 +24,7 @@ from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
-from magcal_service.recordings.inspect.inspection import inspect
+from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
@@ -210,14 +210,34 @@ def calibrate(
     elif entry.estimates_matrix and entry.takes_wide_prior:
         short = short_log.for_whole(inspection.to_replay, craft)
     result = replay(recording, short or craft, inspection=inspection, prior=prior)
-    pipeline = result.pipeline
-    state = pipeline.estimator.estimate()
-    craft = pipeline.config
+    return _calibration(recording, inspection, result, _judged(usable, result, as_one_batch=short is not None))
+
+
+@dataclass(frozen=True, slots=True)
+class _Judgement:
+    """What the whole recording makes of a replay; ``whole`` where it was taken as one batch."""
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    residuals: Residuals
+    whole: short_log.Whole | None
+
+    @property
+    def whole_log(self) -> str:
+        """What can be said of a log that was taken as one batch; empty where it was not, or its fault is another."""
+        whole = self.whole
+        return whole.remedy if whole is not None and (whole.doubts or self.verdict is not Verdict.DOUBTFUL) else ""
+
+
+def _judged(usable: Recording, result: Replay, *, as_one_batch: bool) -> _Judgement:
+    """The verdict of a replay's last tick, with what only the whole recording shows."""
+    craft = result.pipeline.config
     residuals = residuals_of(usable, result, craft)
     reasons = list(result.reasons)
     reasons += [reason for reason in _whole_recording(residuals, craft) if reason not in reasons]
     whole = None
-    if short is not None:
+    if as_one_batch:
+        state = result.pipeline.estimator.estimate()
         whole = short_log.judged(usable, craft, state, has_started=result.verdict is not Verdict.NOT_STARTED)
         reasons = [*whole.doubts, *(reason for reason in reasons if reason not in whole.doubts)]
         reasons.sort(key=_UNFINISHED.__contains__)
@@ -225,15 +245,21 @@ def calibrate(
     doubted = Reason.STRUCTURED_RESIDUAL in reasons or bool(whole and whole.doubts)
     if verdict in (Verdict.TRUSTED, Verdict.CONVERGING) and doubted:
         verdict = Verdict.DOUBTFUL
+    return _Judgement(verdict, tuple(reasons), residuals, whole)
+
+
+def _calibration(recording: Recording, inspection: Inspection, result: Replay, judgement: _Judgement) -> Calibration:
+    pipeline, whole = result.pipeline, judgement.whole
+    state = pipeline.estimator.estimate()
     return Calibration(
         method=pipeline.estimator.name,
         x=state.x,
         covariance=state.covariance if whole is None else whole.factor * state.covariance,
-        verdict=verdict,
-        reasons=tuple(reasons),
+        verdict=judgement.verdict,
+        reasons=judgement.reasons,
         samples=len(recording),
         ticks=pipeline.ticks.counters["ticks"],
-        residuals=residuals,
+        residuals=judgement.residuals,
         counters=dict(pipeline.ticks.counters + pipeline.counters),
         model_doubt=result.model_doubt,
         rows=inspection.account,
@@ -241,7 +267,7 @@ def calibrate(
         protection_nt=pipeline.trust.protection_nt,
         protection_by=pipeline.trust.protection_by,
         source=recording.source,
-        whole_log=whole.remedy if whole is not None and (whole.doubts or verdict is not Verdict.DOUBTFUL) else "",
+        whole_log=judgement.whole_log,
     )
 
 

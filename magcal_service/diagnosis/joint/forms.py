@@ -136,36 +136,24 @@ def joined(
     solo: the recording that it is a form of, where it is one of a single recording.
     said: added to the variant; ``EACH_ITS_OWN`` makes every amplitude, not only start states, the recording's own.
     """
-    is_own = said == EACH_ITS_OWN
     acting = [number for number, part in enumerate(parts) if part is not None]
-    blocks: list[Block] = []
-    own: set[str] = set()
-    index: list[list[int]] = [[] for _ in parts]
-    at = 0
-    for block in label.blocks:
-        several = (is_own or block.name.startswith(START)) and len(parts) > 1
-        for place, number in enumerate(acting):
-            first = at + place * block.size if several else at
-            index[number] += range(first, first + block.size)
-        blocks.append(_of_each(block, [names[number] for number in acting]) if several else block)
-        own |= {block.name} if is_own or block.name.startswith(START) else set()
-        at += blocks[-1].size
-    numbers = tuple(np.array(one, dtype=np.intp) for one in index)
+    own = frozenset(block.name for block in label.blocks if said == EACH_ITS_OWN or block.name.startswith(START))
+    blocks, index = _laid_out(label.blocks, own if len(parts) > 1 else frozenset(), acting, names)
     shift = offsets[acting[0]]
     nonlinear = tuple(
         replace(number, grid=number.grid + shift) if number.role == "instant" else number for number in label.nonlinear
     )
-    size, given, samples = at, tuple(parts), tuple(counts)
+    size, given, samples = sum(block.size for block in blocks), tuple(parts), tuple(counts)
 
     def columns(theta: Array) -> Columns:
         made = [None if part is None else part.columns(found.theta_of(k, theta)) for k, part in enumerate(given)]
-        return JointColumns(parts=tuple(made), index=numbers, counts=samples, size=size)
+        return JointColumns(parts=tuple(made), index=index, counts=samples, size=size)
 
     found = JointHypothesis(
         effect=label.effect,
         driver=label.driver,
         columns=columns,
-        blocks=tuple(blocks),
+        blocks=blocks,
         variant=", ".join(filter(None, (label.variant, said))),
         nonlinear=nonlinear,
         constants=label.constants,
@@ -175,14 +163,34 @@ def joined(
         is_whole=label.is_whole,
         base=label.label,
         parts=given,
-        index=numbers,
-        own=frozenset(own),
+        index=index,
+        own=own,
         solo=solo,
         names=tuple(names),
         counts=samples,
         offsets=tuple(offsets),
     )
     return found
+
+
+def _laid_out(
+    blocks: Sequence[Block], several: frozenset[str], acting: Sequence[int], names: Sequence[str]
+) -> tuple[tuple[Block, ...], tuple[NDArray[np.intp], ...]]:
+    """The blocks one after another, those named in ``several`` once for each acting recording.
+
+    Returns them, and for each recording where its amplitudes are; nowhere for one on which nothing acts.
+    """
+    laid: list[Block] = []
+    index: list[list[int]] = [[] for _ in names]
+    at = 0
+    for block in blocks:
+        is_several = block.name in several
+        for place, number in enumerate(acting):
+            first = at + place * block.size if is_several else at
+            index[number] += range(first, first + block.size)
+        laid.append(_of_each(block, [names[number] for number in acting]) if is_several else block)
+        at += laid[-1].size
+    return tuple(laid), tuple(np.array(one, dtype=np.intp) for one in index)
 
 
 def _of_each(block: Block, names: Sequence[str]) -> Block:
