@@ -17,10 +17,10 @@ from magcal_service.cli.common import (
     beside_json,
     executor_of,
     methods_text,
+    print_asked,
     refuse_executor,
     refuse_unwritable,
     source_lines,
-    tell,
     verdict_text,
     write_json,
 )
@@ -74,7 +74,9 @@ def _calibrate_each(options: argparse.Namespace) -> int:
         raise ConfigError(faults)
     method = find_method(options.method or DEFAULT_METHOD)
     executor = executor_of(options)
-    return tell(calibrate_each(options.recordings, method.name, options.craft, options.out, executor, options.source))
+    return print_asked(
+        calibrate_each(options.recordings, method.name, options.craft, options.out, executor, options.source)
+    )
 
 
 def _calibrate_one(options: argparse.Namespace) -> int:

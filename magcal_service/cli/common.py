@@ -213,8 +213,8 @@ _LARGEST_TOML: Final = 1 << 20  # 1 MiB, as the readers take
 _LONGEST_NAME: Final = 4096  # of a path, as the kernel takes
 
 
-def tell(asked: Asked) -> int:
-    """Print what was said of each of many recordings, faults on stderr; the exit code of them together."""
+def print_asked(asked: Asked) -> int:
+    """Print the table of many recordings, faults on stderr; the exit code of them together."""
     print("\n".join(asked.table()))
     if asked.faults:
         print("\n".join(asked.faults), file=sys.stderr)

@@ -16,8 +16,8 @@ from magcal_service.cli.common import (
     Parser,
     add_executor,
     executor_of,
+    print_asked,
     refuse_executor,
-    tell,
 )
 from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
@@ -55,7 +55,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     if options.separately:
         from magcal_service.diagnosis.separately import diagnose_each
 
-        return tell(
+        return print_asked(
             diagnose_each(options.recordings, options.simulation, options.craft, options.out, executor_of(options))
         )
     refuse_executor(options, "it is for many recordings at once: add --separately")

@@ -146,11 +146,11 @@ def _served(source: Source, options: argparse.Namespace) -> int:
         stopped = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, stopped.set)
-        await serve(source, options.port, offer, _tell, stopped)
+        await serve(source, options.port, offer, _print_address, stopped)
 
     asyncio.run(until_stopped())
     return DONE
 
 
-def _tell(url: str) -> None:
+def _print_address(url: str) -> None:
     print(f"{url} (Ctrl-C ends it)", flush=True)

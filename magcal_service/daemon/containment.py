@@ -15,10 +15,10 @@ from magcal_service.wire.messages import Message
 log = logging.getLogger("magcal")
 
 _LONGEST: Final = 160
-"""Characters of an error that are told; the log has all of it."""
+"""Characters of an error that are published; the log has all of it."""
 
 
-def told(error: Exception) -> str:
+def in_a_line(error: Exception) -> str:
     """An error in one printable line."""
     line = " ".join(f"{type(error).__name__}: {error}".split())
     return "".join(one for one in line if one.isprintable())[:_LONGEST]
@@ -54,7 +54,7 @@ class contained:  # noqa: N801  a context manager that is called, as those of co
 
     def _begin_anew(self, error: Exception) -> None:
         pipeline = self._pipeline
-        cause = f"{told(error)}, while {self._doing}"
+        cause = f"{in_a_line(error)}, while {self._doing}"
         kind = f"{type(error).__name__}, while {self._doing}"
         pipeline.failures[kind] += 1
         times = pipeline.failures[kind]

@@ -101,10 +101,10 @@ class Service:
         self.limit: CommandLimit | None = None
         self._commander = Commander(checkpoints, self.shut_down)
         self._ending = False
-        self._alone = ""  # why nobody is at the other end, as it was told last
+        self._alone = ""  # why nobody is at the other end, as it was logged last
         self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
-        self._left_out: set[str] = set()  # craft of which it was told that messages are left out
+        self._left_out: set[str] = set()  # craft of which it was reported that messages are left out
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
         self._round = StatusRound()
@@ -188,7 +188,7 @@ class Service:
 
     def log_health(self) -> None:
         """Log how the daemon and each craft are."""
-        with self._telling("health"):
+        with self._reporting("health"):
             log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
 
     def tell_overload(self) -> None:
@@ -198,13 +198,13 @@ class Service:
             self._report([own.event("overloaded" if begun else "overload_over", cause)])
 
     @contextmanager
-    def _telling(self, what: str) -> Iterator[None]:
-        """Within, a defect of what only tells of the craft costs that telling: logged, and counted as ``untold``."""
+    def _reporting(self, what: str) -> Iterator[None]:
+        """Within, an error in what only reports on the craft costs that report: logged, and counted as ``untold``."""
         try:
             yield
         except Exception:
             self.counters["untold"] += 1
-            log.exception("%s could not be told", what)
+            log.exception("%s could not be reported", what)
 
     def save(self) -> bool:
         """Write a checkpoint of every craft that has taken samples since its last one; whether any was written."""
@@ -302,7 +302,7 @@ class Service:
         if self.recorder is not None:
             self.recorder.add(message)
         if self.outputs is not None:
-            with self._telling("a message to a further link"):
+            with self._reporting("a message to a further link"):
                 self.outputs.send(message)
 
     def _note(self, estimate: Estimate) -> None:
@@ -324,7 +324,7 @@ class Service:
         self._tell_daemon()
 
     def _tell_daemon(self) -> None:
-        """Renew what is told once for all craft."""
+        """Renew what is reported once for all craft."""
         self._tell_alone()
         self._publish_metrics()
         self.rows.flush()
@@ -341,7 +341,7 @@ class Service:
     def _publish_metrics(self) -> None:
         if self.metrics is not None:
             others = sum(self._others(), Counter(self.counters))
-            with self._telling("metrics"):
+            with self._reporting("metrics"):
                 self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
 
     def _others(self) -> list[Counter[str]]:
@@ -349,7 +349,7 @@ class Service:
         return [part.counters for part in (self.recorder, self.checkpoints, self.outputs) if part is not None]
 
     def _publish_status(self, pipeline: Pipeline) -> None:
-        with contained(pipeline, "telling its status"):
+        with contained(pipeline, "publishing its status"):
             self._send(self._status(pipeline))
 
     def _status(self, pipeline: Pipeline) -> Status:
@@ -392,7 +392,7 @@ class Service:
         closed = sum(pipeline.ticks.closed for pipeline in self.pipelines.values())
         if closed > self._fed[1] or accepted == self._fed[0]:
             text = ""
-            with self._telling("the state of the craft"):
+            with self._reporting("the state of the craft"):
                 text = "; ".join(f"{name}: {pipeline.summary()}" for name, pipeline in self.pipelines.items())
             notify.notify(notify.WATCHDOG, notify.status(text))
         self._fed = (accepted, closed)

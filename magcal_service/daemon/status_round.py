@@ -11,13 +11,13 @@ AT_ONCE: Final = 8
 
 
 class StatusRound:
-    """The craft that are still to tell their status in this round."""
+    """The craft that are still to publish their status in this round."""
 
     def __init__(self) -> None:
         self._left: deque[str] = deque()
 
     def begin(self, crafts: Iterable[str]) -> None:
-        """Begin a round, unless one is under way: a daemon that has too much to do tells its status less often."""
+        """Begin a round, unless one is under way: a daemon that has too much to do publishes it less often."""
         if not self._left:
             self._left.extend(crafts)
 

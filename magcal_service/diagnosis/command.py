@@ -84,8 +84,10 @@ class Made:
     lines: tuple[str, ...]
 
 
-def run(request: Request, tell: Callable[[str], None]) -> Outcome:
-    """Do it all; ``tell`` hears of each step.  What an earlier run has left is removed once the input is accepted.
+def run(request: Request, progress: Callable[[str], None]) -> Outcome:
+    """Do it all; ``progress`` is called at each step.
+
+    What an earlier run has left is removed once the input is accepted.
 
     Raises ``InputRefusedError`` where the recording, the scenario or the folder is refused, ``ExtraMissingError``
     without what the report is drawn with.
@@ -95,16 +97,16 @@ def run(request: Request, tell: Callable[[str], None]) -> Outcome:
     accepted = _accepted(request)
     earlier = earlier_files(request.out)
     remove(earlier)
-    made = _made(request, accepted, tell)
+    made = _made(request, accepted, progress)
     files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
     lines += removed_line(request.out, earlier, files)
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 
 
-def make(request: Request, tell: Callable[[str], None]) -> Made:
-    """Everything but to write the files; ``tell`` hears of each step.  Raises as ``run``."""
-    return _made(request, _accepted(request), tell)
+def make(request: Request, progress: Callable[[str], None]) -> Made:
+    """Everything but to write the files; ``progress`` is called at each step.  Raises as ``run``."""
+    return _made(request, _accepted(request), progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,10 +126,10 @@ def _accepted(request: Request) -> _Accepted:
     return _Accepted(recording, inspection, simulation)
 
 
-def _made(request: Request, accepted: _Accepted, tell: Callable[[str], None]) -> Made:
+def _made(request: Request, accepted: _Accepted, progress: Callable[[str], None]) -> Made:
     recording, inspection = accepted.recording, accepted.inspection
-    diagnosis = diagnose(recording, accepted.simulation, progress=tell, inspection=inspection)
-    tell("writing the results")
+    diagnosis = diagnose(recording, accepted.simulation, progress=progress, inspection=inspection)
+    progress("writing the results")
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
     origin = _origin(request, *recording.descriptor.files)

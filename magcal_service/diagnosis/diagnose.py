@@ -124,7 +124,7 @@ def diagnose(
     simulation_x: nine errors (9,) of the simulation to compare with; None: the forward model as calibrated on the
         first half of the recording.
     effects: the catalogue; a test may pass its own.
-    progress: told what is being done.
+    progress: is called with what is being done.
     inspection: what was found on the recording, where that is known already.
     """
     began = time.monotonic()
@@ -225,7 +225,7 @@ def _modelled(
 def _other_findings(
     prepared: Prepared, fit: Fit, effects: tuple[Effect, ...], coloured: bool
 ) -> tuple[dict[str, Finding], SpinSolution | None]:
-    """Effects in attitude and noise, with the field's effects taken off; those in the samples are there already."""
+    """Effects in attitude and noise, with the field's effects subtracted; those in the samples are there already."""
     findings = dict(prepared.findings)
     view, scene = prepared.view, prepared.problem.scene
     spin = prepared.spin

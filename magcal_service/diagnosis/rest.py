@@ -41,7 +41,7 @@ class Rest:
     Parameters
     ----------
     before: under the nine errors alone.
-    after: beside the names.  Errors of the field model last too, and are not taken off: beside a mismatch that is not
+    after: beside the names.  Errors of the field model last too, and are not subtracted: beside a mismatch that is not
         far larger nobody can tell what a name leaves.
     sigma: 1 sigma of ``after``, were there nothing.
     is_free: whether nothing but its own shape speaks for one of the names.

@@ -1,7 +1,7 @@
 """The search of a diagnosis, under the noise that the recording needs.
 
-In the form of residual that says most; with the field model's errors as large as they have to be; and with the memory
-of the noise taken off where it has one.
+In the form of residual that says most; with the field model's errors as large as they have to be; and on a residual
+whitened by the memory of its noise where it has one.
 """
 
 from __future__ import annotations
@@ -136,9 +136,9 @@ def _settled(prepared: Prepared, problem: Problem) -> Prepared:
 
 
 def with_memory(prepared: Prepared, search: Search, explained: Explained, progress: Progress) -> End:
-    """What stands, with the memory of the noise taken off where it has one.
+    """What stands, on a residual whitened by the memory of its noise where it has one.
 
-    It stays on where a recorded driver would go with it: what the blocks bear out of a record is no noise.
+    It is not whitened where a recorded driver would go with it: what the blocks bear out of a record is no noise.
     """
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
@@ -146,7 +146,7 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     coefficients = _memory(prepared, search.problem, explained.fit)
     if not len(coefficients):
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
-    progress("the noise has a memory: once more with it taken off")
+    progress("the noise is correlated: once more on the whitened residual")
     quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
     again, again_left = _standing(quiet, baseline, again, phase, lower)

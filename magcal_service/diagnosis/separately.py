@@ -12,7 +12,7 @@ from magcal_service.diagnosis.report.frame import check_packages
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors, simulation_file
 from magcal_service.many.executor import Executor
-from magcal_service.offline.each import Asked, Told, ask_each
+from magcal_service.offline.each import Answer, Asked, ask_each
 from magcal_service.offline.result_files import DIAGNOSIS
 
 
@@ -29,19 +29,19 @@ def diagnose_each(
     if simulation is not None:
         simulation_errors(simulation)
         scenario = simulation_file(simulation).absolute()
-    question = partial(_told, None if scenario is None else str(scenario), craft)
+    question = partial(_answered, None if scenario is None else str(scenario), craft)
     return ask_each("diagnose", question, paths, out, executor, *([] if scenario is None else [scenario]))
 
 
-def _told(simulation: str | None, craft: str | None, path: Path) -> Told:
+def _answered(simulation: str | None, craft: str | None, path: Path) -> Answer:
     own = Path(path.stem)  # of the command in the report, which is the same wherever the results go
-    made = make(Request(path, own, simulation, craft), tell=lambda step: None)
+    made = make(Request(path, own, simulation, craft), progress=lambda step: None)
     diagnosis = made.diagnosis
     content = json.loads(made.contents[DIAGNOSIS])
     seconds = content.pop("seconds")
     names = ", ".join(f"{entry.effect} {entry.probability:.3f}" for entry in made.found)
     reasons = [str(reason) for reason in diagnosis.reasons]
-    return Told(
+    return Answer(
         trusted=diagnosis.trusted,
         verdict=str(diagnosis.verdict),
         says="; ".join(filter(None, (names, ", ".join(reasons)))),

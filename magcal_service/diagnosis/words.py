@@ -256,7 +256,7 @@ def driver_in_words(driver: str) -> str:
 
 
 def modelled_sentence(modelled: Modelled) -> str:
-    """What has no name as curves: over what, how much they take off, and where they may be used."""
+    """What has no name as curves: over what, by how much they lower the residual, and where they may be used."""
     before_nt, after_nt = modelled.held_out_rms_nt
     curves = listed([curve_in_words(curve) for curve in modelled.curves])
     takes = "takes" if len(modelled.curves) == 1 else "take"

@@ -20,10 +20,10 @@ from magcal_service.wire.messages import Command, Message
 
 _log = logging.getLogger("magcal.links")
 
-_MOST_STRANGERS = 4  # told by name: enough for a mistyped one, and no list that a peer could fill
+_MOST_STRANGERS = 4  # reported by name: enough for a mistyped one, and no list that a peer could fill
 
 _STRANGER_S = 60.0
-"""How long after its last message a craft that is not served is told in statuses [s]; its counter stays."""
+"""How long after its last message a craft that is not served is reported in statuses [s]; its counter stays."""
 
 
 class Role(StrEnum):
@@ -109,7 +109,7 @@ class Link(abc.ABC):
         return tuple(name for name, last_s in self._strangers.items() if last_s > since)
 
     def served(self) -> frozenset[str] | None:
-        """Craft that daemons at the other ends serve now; None where the link does not tell.  May take a second."""
+        """Craft that daemons at the other ends serve now; None where the link cannot know.  May take a second."""
         return None
 
     @property

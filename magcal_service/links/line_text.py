@@ -17,27 +17,27 @@ _SHOWN: Final = 60  # characters of a line
 class TextWatch:
     """Bytes of a line in, what is wrong with them out.
 
-    ``told`` quotes a line of the text that comes instead of frames; empty where none does.
+    ``warning`` quotes a line of the text that comes instead of frames; empty where none does.
     """
 
     def __init__(self) -> None:
-        self.told = ""
+        self.warning = ""
         self._frames = self._bytes = self._text = 0
         self._newest = b""
 
     def feed(self, data: bytes, frames: int) -> bool:
-        """Take what was read, and how many frames were found so far; whether ``told`` is new."""
+        """Take what was read, and how many frames were found so far; whether ``warning`` is new."""
         if frames != self._frames:
-            self._frames, self._bytes, self._text, self._newest, self.told = frames, 0, 0, b"", ""
+            self._frames, self._bytes, self._text, self._newest, self.warning = frames, 0, 0, b"", ""
             return False
         self._bytes += len(data)
         self._text += sum(byte in _TEXT for byte in data)
         self._newest = (self._newest + data)[-_ENOUGH_BYTES:]
         lines = self._newest.replace(b"\r", b"\n").split(b"\n")
-        if self.told or self._bytes < _ENOUGH_BYTES or len(lines) < 2 or self._text < _TEXT_SHARE * self._bytes:
+        if self.warning or self._bytes < _ENOUGH_BYTES or len(lines) < 2 or self._text < _TEXT_SHARE * self._bytes:
             return False
         shown = max(lines, key=len)[:_SHOWN].decode("ascii", "replace")
-        self.told = (
+        self.warning = (
             f"text comes instead of frames, such as {shown!r}: a node has to send frames, which the header in "
             "deploy/firmware makes; nothing of it is used"
         )

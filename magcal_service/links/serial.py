@@ -174,8 +174,8 @@ class SerialLink(Link):
             self._died(OSError("the device is gone"))
         messages = [message for message in self._decoder.feed(data) if self._for_us(message)]
         if self._text.feed(data, self.counters["frames"]):
-            _log.warning("%s: %s", self.address, self._text.told)
-        self.warnings = (self._text.told,) if self._text.told else ()
+            _log.warning("%s: %s", self.address, self._text.warning)
+        self.warnings = (self._text.warning,) if self._text.warning else ()
         return messages
 
     def _wait(self, port: serial.Serial, wait_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""Which effects of ``physics.toml`` were taken off the samples of a replay, of how many, and why not of the others."""
+"""Effects of ``physics.toml`` subtracted from the samples of a replay: from how many, and why not from the others."""
 
 from __future__ import annotations
 

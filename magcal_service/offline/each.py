@@ -24,7 +24,7 @@ _WORST: Final = (_FAILED, _REFUSED, _NOT_TRUSTED, _TRUSTED)
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Answer:
     """What came of one recording.
 
     Parameters
@@ -68,13 +68,13 @@ class Asked:
         ]
         counts = Counter(row["exit"] for row in self.rows)
         words = {_TRUSTED: "trusted", _NOT_TRUSTED: "not to be trusted", _REFUSED: "refused", _FAILED: "failed"}
-        told = [f"{counts[code]} {word}" for code, word in words.items() if counts[code]]
-        counted = f"{len(self.rows)} recordings: {', '.join(told)}"
+        shares = [f"{counts[code]} {word}" for code, word in words.items() if counts[code]]
+        counted = f"{len(self.rows)} recordings: {', '.join(shares)}"
         return [*(line.rstrip() for line in lines), counted, *self.remarks]
 
 
 def ask_each(
-    what: str, question: Callable[[Path], Told], paths: Sequence[Path], out: Path, executor: Executor, *more: Path
+    what: str, question: Callable[[Path], Answer], paths: Sequence[Path], out: Path, executor: Executor, *more: Path
 ) -> Asked:
     """Put a question to each recording; its files are in a folder of ``out`` as soon as it is answered.
 
@@ -113,9 +113,9 @@ def ask_each(
 
 def _row(outcome: Outcome) -> dict[str, Any]:
     if isinstance(outcome, Done):
-        told: Told = outcome.value
-        code = _TRUSTED if told.trusted else _NOT_TRUSTED
-        return {"exit": code, "verdict": told.verdict, "says": told.says, **told.more}
+        answer: Answer = outcome.value
+        code = _TRUSTED if answer.trusted else _NOT_TRUSTED
+        return {"exit": code, "verdict": answer.verdict, "says": answer.says, **answer.more}
     if isinstance(outcome, Refused):
         lines = outcome.text.splitlines()
         return {"exit": outcome.exit_code, "verdict": "refused", "says": lines[0], "faults": lines}

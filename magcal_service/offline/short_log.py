@@ -94,20 +94,20 @@ def judged(recording: Recording, craft: CraftConfig, estimate: StateEstimate, *,
     factor, independent = spread(residual, craft.sensor.noise_nt)
     if share > _NOISE_SHARE:
         accepted = f"at most {100 * _NOISE_SHARE:g} % is accepted: {REMEDIES[Reason.STRUCTURED_RESIDUAL]}"
-        told = f"the residual is {level:.0f} nT, {100 * share:.1f} % of the field; {accepted}"
-        return Whole(factor, (Reason.NOISE_TOO_HIGH,), told)
+        remedy = f"the residual is {level:.0f} nT, {100 * share:.1f} % of the field; {accepted}"
+        return Whole(factor, (Reason.NOISE_TOO_HIGH,), remedy)
     if independent < _FEWEST_INDEPENDENT:
-        told = (
+        remedy = (
             f"neighbours in the residual agree, so that of {len(residual)} samples {independent:.0f} are independent; "
             f"at least {_FEWEST_INDEPENDENT:g} are needed: turn the sensor on one spot, far from iron and cables, in "
             "all directions"
         )
-        return Whole(factor, (Reason.STRUCTURED_RESIDUAL,), told)
-    told = (
+        return Whole(factor, (Reason.STRUCTURED_RESIDUAL,), remedy)
+    remedy = (
         f"the log is over before anything could be checked against it: {independent:.0f} independent samples, taken as "
         f"one batch, give the sigmas; trusted needs {craft.trust.min_ticks} s and a field that changes"
     )
-    return Whole(factor, (), told)
+    return Whole(factor, (), remedy)
 
 
 def _why_none(field_nt: Array, magnitude_nt: Array, craft: CraftConfig) -> str:

@@ -3,7 +3,7 @@
 This table is the promise; ``tests/daemon/test_pipeline_modes.py`` runs each row through a pipeline and checks
 it, or names the test that does, and ``docs/degraded-modes.md`` is written from it
 (``python -m magcal_service.trust.modes``).  In no mode is a vector overstated: it is withheld, or its covariance is the
-prior's or grows, or its verdict says ``doubtful``, or its protection level is told.
+prior's or grows, or its verdict says ``doubtful``, or its protection level is published.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ def markdown() -> str:
         "What is published when something is missing or wrong, for a craft that was trusted before. The table is that",
         "of [`modes.py`](../magcal_service/trust/modes.py), and `tests/daemon/test_pipeline_modes.py` runs each row",
         "through a pipeline, or names the test that plays it. In no mode is a vector overstated: it is withheld, or",
-        "its covariance is the prior's or grows, or its verdict says `doubtful`, or its protection level is told.",
+        "its covariance is the prior's or grows, or its verdict says `doubtful`, or its protection level is published.",
         "",
         "| mode | when | vectors | covariance | verdict | reason | counted as | over with |",
         "|---|---|---|---|---|---|---|---|",

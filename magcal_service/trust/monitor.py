@@ -49,7 +49,7 @@ class _Levels:
     aliasing_turn: Final = 0.04  # of a turn, distance of the phase step from 0 or a half
     noise_share: Final = 0.05  # noise over |H|; the covariance is found short beyond it
     magnitude_spread: Final = 0.005  # of |H| over its median, by ``ReferenceSense``
-    noise_ratio: Final = (0.6, 1.6)  # of the noise seen to the noise told; 300 residuals give it to 4 %: seldom
+    noise_ratio: Final = (0.6, 1.6)  # of the noise seen to the noise stated; 300 residuals give it to 4 %: seldom
     held_factor: Final = 1.1  # samples to a reading; one repeat in ten is no sensor that holds its readings
     silent_s: Final = 60.0  # without a reference or with a stuck sensor
     coverage_ticks: Final = 12_000  # two orbits: by then every direction has occurred that will
@@ -173,7 +173,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return seen
 
     def _misstated_noise_nt(self) -> float:
-        """What the noise is, where ``sensor.noise_nt`` is told far too small or too large [nT]; 0 where it is not.
+        """What the noise is, where ``sensor.noise_nt`` is stated far too small or too large [nT]; 0 where it is not.
 
         Too small by the white part of the residual, which no missing physics raises; too large by all of it.
         """

@@ -180,7 +180,7 @@ async def _guarded(request: web.Request, handler: _Handler) -> web.StreamRespons
     return response
 
 
-async def serve(source: Source, port: int, offer: Offer, told: Callable[[str], None], stopped: asyncio.Event) -> None:
+async def serve(source: Source, port: int, offer: Offer, served: Callable[[str], None], stopped: asyncio.Event) -> None:
     """Serve the page until ``stopped`` is set.
 
     Parameters
@@ -188,7 +188,7 @@ async def serve(source: Source, port: int, offer: Offer, told: Callable[[str], N
     source: not started yet; it is stopped at the end.
     port: on 127.0.0.1; 0 for one that is free.
     offer: what is served beside the page itself.
-    told: is called with the page's address when it is served.
+    served: is called with the page's address once it is.
 
     Raises ``InputRefusedError`` for a port that is taken.
     """
@@ -202,7 +202,7 @@ async def serve(source: Source, port: int, offer: Offer, told: Callable[[str], N
             accepted = f"{why}; give another one, or 0 for one that is free"
             raise InputRefusedError([Fault("--port", port, accepted)]) from None
         source.start()
-        told(f"http://{ADDRESS}:{runner.addresses[0][1]}/")
+        served(f"http://{ADDRESS}:{runner.addresses[0][1]}/")
         await stopped.wait()
     finally:
         await asyncio.to_thread(source.stop)

@@ -61,7 +61,7 @@ def live_page(source: Source, port: int) -> Iterator[str]:
     async def until_left() -> None:
         stopped = asyncio.Event()
         handles.set_result((asyncio.get_running_loop(), stopped))
-        await serve(source, port, Offer(), told=address.set_result, stopped=stopped)
+        await serve(source, port, Offer(), served=address.set_result, stopped=stopped)
 
     def run() -> None:
         try:

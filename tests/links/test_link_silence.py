@@ -37,7 +37,7 @@ def test_text_is_recognised_and_quoted_once(line: bytes) -> None:
     for byte in line * (800 // len(line)):
         told += watch.feed(bytes([byte]), 0)
     assert told == 1
-    assert f"text comes instead of frames, such as {line.strip().decode()[:60]!r}: " in watch.told
+    assert f"text comes instead of frames, such as {line.strip().decode()[:60]!r}: " in watch.warning
 
 
 def test_frames_noise_and_a_few_letters_are_no_text() -> None:
@@ -55,7 +55,7 @@ def test_a_frame_ends_what_was_said_of_text() -> None:
     watch = TextWatch()
     assert watch.feed(NMEA * 10, 0)
     assert not watch.feed(b"\0", 1)
-    assert watch.told == ""
+    assert watch.warning == ""
     assert watch.feed(NMEA * 10, 1)
 
 

@@ -1,4 +1,4 @@
-"""Live compensation: what a model holds is taken off as samples come, and what cannot be is said."""
+"""Live compensation: what a model holds is subtracted from each sample, and what cannot be is said."""
 
 from __future__ import annotations
 

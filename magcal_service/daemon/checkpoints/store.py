@@ -15,7 +15,7 @@ from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.magnetometers import label
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, StateStore, config_digest, utc_s
-from magcal_service.daemon.containment import contained, told
+from magcal_service.daemon.containment import contained, in_a_line
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.errors import InputRefusedError
@@ -112,7 +112,7 @@ class Checkpoints:
             return str(error)
         except Exception as error:  # a state that a defect has written, or that meets one: the one before may do
             log.exception("%s: a checkpoint could not be restored", config.name)
-            return told(error)
+            return in_a_line(error)
 
     @staticmethod
     def _restored(config: CraftConfig, checkpoint: Checkpoint) -> Pipeline:

@@ -1,4 +1,4 @@
-"""Overload as it is told: which craft lose messages in the link's queue, since when, and how many."""
+"""Overload as it is reported: which craft lose messages in the link's queue, since when, and how many."""
 
 from __future__ import annotations
 

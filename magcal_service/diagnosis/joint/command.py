@@ -56,8 +56,10 @@ class JointOutcome:
     lines: tuple[str, ...]
 
 
-def run_together(request: JointRequest, tell: Callable[[str], None]) -> JointOutcome:
-    """Do it all; ``tell`` hears of each step.  What an earlier run has left is removed once the input is accepted.
+def run_together(request: JointRequest, progress: Callable[[str], None]) -> JointOutcome:
+    """Do it all; ``progress`` is called at each step.
+
+    What an earlier run has left is removed once the input is accepted.
 
     Raises ``InputRefusedError`` where a recording, their number or the folder is refused, ``ExtraMissingError`` without
     what the report is drawn with.
@@ -67,8 +69,8 @@ def run_together(request: JointRequest, tell: Callable[[str], None]) -> JointOut
     gathered = gather(request.recordings, request.craft)
     earlier = earlier_files(request.out)
     remove(earlier)
-    diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=tell, assumed=gathered.assumed)
-    tell("writing the results")
+    diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=progress, assumed=gathered.assumed)
+    progress("writing the results")
     contents = {
         DIAGNOSIS: as_json(diagnosis),
         REPORT: report(diagnosis, _origin(request, gathered)),

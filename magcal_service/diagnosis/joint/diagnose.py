@@ -145,7 +145,7 @@ def diagnose_together(
     ----------
     inspections, names: two or more recordings with what was found on each, and a name for each.
     effects: the catalogue; a test may pass its own.
-    progress: told what is being done.
+    progress: is called with what is being done.
     assumed: what the caller has to take for granted, as ``gather`` says it.
     """
     began = time.monotonic()

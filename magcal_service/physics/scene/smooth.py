@@ -19,8 +19,8 @@ _RATIOS: Final = np.concatenate([[0.0], np.geomspace(1.0, 1e10, 41)])
 """Variances of noise over those of second differences: no noise at all, to a course that bends once in 300 samples."""
 
 _MOST_TAKEN: Final = 1.3
-"""Times the noise that changes from sample to sample, what may be taken off: more is a course with jumps or kinks, as
-between sessions, that no smooth one follows.  White noise has 1 to a few per cent."""
+"""Times the noise that changes from sample to sample, what may be smoothed away: more is a course with jumps or kinks,
+as between sessions, that no smooth one follows.  White noise has 1 to a few per cent."""
 
 _FEWEST: Final = 32
 """Samples below which nothing is told of a channel's noise."""

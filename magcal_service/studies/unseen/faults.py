@@ -89,7 +89,7 @@ def other_axis(sent: Sent) -> None:
     sent.config = reconfigured(sent.config, spin={"axis": (0.05, 0.0, 0.99875)})
 
 
-def told(factor: float) -> Callable[[Sent], None]:
+def noise_misstated(factor: float) -> Callable[[Sent], None]:
     """The noise is stated wrongly, by a factor."""
 
     def spoil(sent: Sent) -> None:

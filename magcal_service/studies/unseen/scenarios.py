@@ -21,10 +21,10 @@ from magcal_service.studies.unseen.faults import (
     corrupted,
     dead,
     held_readings,
+    noise_misstated,
     other_axis,
     spin,
     stuck,
-    told,
     turned_axes,
 )
 from magcal_service.studies.unseen.flight import Sent
@@ -327,8 +327,8 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         "wrong_sense": Scenario(Group.SETTINGS, "the spin's sense is stated wrongly", spin(-1.0), spinning=True),
         "wrong_rate": Scenario(Group.SETTINGS, "the spin's rate is stated 5 % too high", spin(1.05), spinning=True),
         "wrong_axis": Scenario(Group.SETTINGS, "the spin's axis is stated 3 deg off", other_axis, spinning=True),
-        "noise_third": Scenario(Group.SETTINGS, "noise_nt is a third of the noise", told(1.0 / 3.0)),
-        "noise_thrice": Scenario(Group.SETTINGS, "noise_nt is three times the noise", told(3.0)),
+        "noise_third": Scenario(Group.SETTINGS, "noise_nt is a third of the noise", noise_misstated(1.0 / 3.0)),
+        "noise_thrice": Scenario(Group.SETTINGS, "noise_nt is three times the noise", noise_misstated(3.0)),
     }
 )
 """Every scenario, by name."""
