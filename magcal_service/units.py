@@ -32,6 +32,18 @@ class LengthUnit(StrEnum):
 
     KM = "km"
     M = "m"
+    CM = "cm"
+    MM = "mm"
+    FT = "ft"
+
+
+class AngleUnit(StrEnum):
+    """Units of a latitude and a longitude; receivers and autopilots keep them in whole parts of a degree."""
+
+    DEG = "deg"
+    RAD = "rad"
+    E7 = "1e-7 deg"
+    E6 = "1e-6 deg"
 
 
 FIELD_NT: Mapping[FieldUnit, float] = MappingProxyType(
@@ -46,8 +58,15 @@ FIELD_NT: Mapping[FieldUnit, float] = MappingProxyType(
 )
 """Nanotesla per unit."""
 
-LENGTH_KM: Mapping[LengthUnit, float] = MappingProxyType({LengthUnit.KM: 1.0, LengthUnit.M: 1e-3})
+LENGTH_KM: Mapping[LengthUnit, float] = MappingProxyType(
+    {LengthUnit.KM: 1.0, LengthUnit.M: 1e-3, LengthUnit.CM: 1e-5, LengthUnit.MM: 1e-6, LengthUnit.FT: 3.048e-4}
+)
 """Kilometres per unit."""
+
+ANGLE_DEG: Mapping[AngleUnit, float] = MappingProxyType(
+    {AngleUnit.DEG: 1.0, AngleUnit.RAD: 180.0 / math.pi, AngleUnit.E7: 1e-7, AngleUnit.E6: 1e-6}
+)
+"""Degrees per unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +113,7 @@ CHANNEL_UNITS: Mapping[str, ChannelUnit] = MappingProxyType(
         **_family("counts", "counts", {"counts": 1.0}),
         **_family("pressure", "Pa", {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "mbar": 1e2, "bar": 1e5}),
         **_family("field", "nT", {unit.value: factor for unit, factor in FIELD_NT.items()}),
-        **_family("length", "km", {"km": 1.0, "m": 1e-3}),
+        **_family("length", "km", {unit.value: factor for unit, factor in LENGTH_KM.items()}),
         **_family("speed", "km/s", {"km/s": 1.0, "m/s": 1e-3}),
         **_family("acceleration", "m/s2", {"m/s2": 1.0, "g": 9.80665}),
         **_family("time", "s", {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}),

@@ -8,7 +8,7 @@ from typing import Final
 
 from magcal_service.typed_toml.keys import choice, number, section, text
 from magcal_service.typed_toml.record import Reading, read_record
-from magcal_service.units import LengthUnit
+from magcal_service.units import AngleUnit, LengthUnit
 from magcal_service.wire.messages import Frame
 
 _GEODETIC = 2  # columns: latitude and longitude
@@ -43,9 +43,10 @@ def _check_altitude(reading: Reading, name: str, _: AltitudeColumn | None) -> No
 
 @dataclass(frozen=True, slots=True)
 class GeodeticPosition:
-    """Latitude and longitude columns [deg], and the altitude: either one constant [km] or a column."""
+    """Latitude and longitude columns and their unit, and the altitude: either one constant [km] or a column."""
 
     columns: tuple[str, ...]
+    unit: AngleUnit = choice(AngleUnit, AngleUnit.DEG)
     altitude_km: float | None = number(None, -10.0, 1e5, unit="km")
     altitude: AltitudeColumn | None = section(AltitudeColumn, None, check=_check_altitude)
 

@@ -37,7 +37,7 @@ from magcal_service.recordings.table import (
 )
 from magcal_service.recordings.time_cells import time_parser
 from magcal_service.recordings.timestamps import MAX_TIME_NS
-from magcal_service.units import FIELD_NT, LENGTH_KM
+from magcal_service.units import ANGLE_DEG, FIELD_NT, LENGTH_KM
 from magcal_service.wire.messages import Frame
 
 _MAX_CHANNEL = 1e18  # as on the wire
@@ -204,7 +204,7 @@ class RowArrays:
     def _geodetic(self, spec: GeodeticPosition) -> tuple[FloatArray, Codes]:
         from magcal_service.geomagnetic import ecef_from_geodetic
 
-        degrees, codes = self._vectors(spec.columns, 1.0)
+        degrees, codes = self._vectors(spec.columns, ANGLE_DEG[spec.unit])
         altitude_km = np.full(len(codes), spec.altitude_km or 0.0)
         if spec.altitude is not None:
             altitude, altitude_codes = self._vectors((spec.altitude.column,), LENGTH_KM[spec.altitude.unit])

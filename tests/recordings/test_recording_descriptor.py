@@ -216,7 +216,7 @@ REFUSED = {
         "exactly one of",
     ),
     "altitude unit": (
-        descriptor('[position]\ncolumns = ["lat", "lon"]\naltitude = {column = "alt", unit = "ft"}\n'),
+        descriptor('[position]\ncolumns = ["lat", "lon"]\naltitude = {column = "alt", unit = "miles"}\n'),
         "position.altitude.unit",
         "km, m",
     ),

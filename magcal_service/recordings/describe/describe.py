@@ -14,6 +14,7 @@ from magcal_service.recordings.describe.draft import Answers, Draft, Question
 from magcal_service.recordings.describe.expected import expected_nt
 from magcal_service.recordings.describe.layout import Layout, find_layout
 from magcal_service.recordings.describe.magnetometer import find_magnetometers
+from magcal_service.recordings.describe.order_by_field import doubt_order
 from magcal_service.recordings.describe.place import Place, find_place
 from magcal_service.recordings.describe.reference import find_reference
 from magcal_service.recordings.describe.sample import read_sample
@@ -101,6 +102,7 @@ def _fill(draft: Draft) -> None:
     draft.reserved |= {c.number for one in magnetometers for c in one.triple.columns}
     find_reference(draft, groups, magnetometers, times, place)
     warn_of_unit(draft, magnetometers, model_nt)
+    doubt_order(draft, times, place, magnetometers)
     _leave_out_position(draft, place)
     platform = draft.answers.get("platform.kind")
     if platform is not None:

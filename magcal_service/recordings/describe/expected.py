@@ -10,7 +10,7 @@ import numpy.typing as npt
 from magcal_service import geomagnetic
 from magcal_service.errors import MagcalError
 from magcal_service.recordings.describe.place import Place
-from magcal_service.recordings.describe.times import Times
+from magcal_service.recordings.describe.times_found import Times
 
 FloatArray = npt.NDArray[np.float64]
 

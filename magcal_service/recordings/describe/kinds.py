@@ -21,6 +21,8 @@ _BY_UNIT: Final = {
     "mA m2": Kind.TORQUER,
     "km": Kind.POSITION,
     "m": Kind.POSITION,
+    "cm": Kind.POSITION,
+    "mm": Kind.POSITION,
     "km/s": Kind.VELOCITY,
     "m/s": Kind.VELOCITY,
 }

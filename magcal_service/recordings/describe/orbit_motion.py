@@ -34,21 +34,42 @@ def orbit_height_km(latitude_deg: FloatArray, longitude_deg: FloatArray, time_s:
     The orbit's angle per second gives its size by Kepler's third law.  Within 5 km for a low orbit of an eccentricity
     below 0.002 and rows over an hour; an eccentric one is off by its radius times the eccentricity at worst.
     """
-    good = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & np.isfinite(time_s)
-    rows = np.flatnonzero(good)[np.argsort(time_s[good], kind="stable")]
-    latitude, longitude, time = latitude_deg[rows], longitude_deg[rows], time_s[rows]
+    place, time = _directions(latitude_deg, longitude_deg, time_s)
     if len(time) < 2:
         return None
-    geocentric = np.arctan((1.0 - _E2) * np.tan(np.radians(latitude)))
-    inertial = np.radians(longitude) + EARTH_RAD_S * (time - time[0])
-    across = np.cos(geocentric)
-    place = np.column_stack([across * np.cos(inertial), across * np.sin(inertial), np.sin(geocentric)])
     first, later, step = _pieces(time)
     if len(first) < 2:
         return None
     cosine = np.clip((place[first] * place[later]).sum(axis=1), -1.0, 1.0)
     rate = float(np.arccos(cosine).sum() / step.sum())
     return None if rate <= 0.0 else float((MU_KM3_S2 / rate**2) ** (1.0 / 3.0)) - _RADIUS_KM
+
+
+def unsteady_plane(latitude_deg: FloatArray, longitude_deg: FloatArray, time_s: FloatArray) -> float | None:
+    """How much the plane swings that a craft's place and a later one span: 0 in an orbit; None where rows are too few.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg, time_s: (n,) geodetic, and seconds; NaN where there is none.
+    """
+    place, time = _directions(latitude_deg, longitude_deg, time_s)
+    first, later, _ = _pieces(time) if len(time) > 1 else (None, None, None)
+    if first is None or later is None or len(first) < _FEWEST:
+        return None
+    return _unsteady(place[first], place[later])
+
+
+def _directions(
+    latitude_deg: FloatArray, longitude_deg: FloatArray, time_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Directions (k, 3) from the Earth's centre in axes that do not turn, and their times (k,) in order."""
+    good = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & np.isfinite(time_s)
+    rows = np.flatnonzero(good)[np.argsort(time_s[good], kind="stable")]
+    latitude, longitude, time = latitude_deg[rows], longitude_deg[rows], time_s[rows]
+    geocentric = np.arctan((1.0 - _E2) * np.tan(np.radians(latitude)))
+    inertial = np.radians(longitude) + EARTH_RAD_S * (time - time[:1])
+    across = np.cos(geocentric)
+    return np.column_stack([across * np.cos(inertial), across * np.sin(inertial), np.sin(geocentric)]), time
 
 
 def frame_of_way(position_km: FloatArray, time_s: FloatArray) -> str:

@@ -10,26 +10,32 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.recordings.describe.altitude import ORBITAL_KM_S, find_altitude
 from magcal_service.recordings.describe.columns import Column, Log, Triple
 from magcal_service.recordings.describe.draft import NO, Draft, Question, answered
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.orbit_motion import frame_of_way, orbit_height_km
-from magcal_service.recordings.describe.times import Times
-from magcal_service.recordings.describe.vocabulary import ALTITUDE, LATITUDE, LONGITUDE, Kind, frame_of
+from magcal_service.recordings.describe.over_ground import (
+    EARTH_KM,
+    NEEDED,
+    ground_speed_km_s,
+    is_place,
+    moves_as_orbit,
+    other_way_round,
+)
+from magcal_service.recordings.describe.place_unit import Degrees, in_degrees
+from magcal_service.recordings.describe.time_check import doubt_by_way
+from magcal_service.recordings.describe.times_found import Times
+from magcal_service.recordings.describe.vocabulary import LATITUDE, LONGITUDE, Kind, frame_of
+from magcal_service.units import LENGTH_KM, AngleUnit, LengthUnit
 
 FloatArray = npt.NDArray[np.float64]
 
-_EARTH_KM: Final = 6371.0  # mean radius of the Earth
-_ORBIT_KM_S: Final = (5.6, 8.2)
-"""Ground speed of a low orbit: hardly anything else that a log holds moves so."""
-
 _FASTEST_KM_S: Final = 12.0  # nothing near the Earth goes faster
-_AIR_KM_S: Final = 0.6  # and no aircraft than this
 _RADIUS_KM: Final = (6330.0, 60000.0)  # from the polar ice to beyond the geostationary ring
 _LOW_KM: Final = (120.0, 2500.0)  # heights of a low orbit
 _NO_LATITUDE: Final = "a latitude of"
-_STRIDE: Final = 8  # rows that a speed is taken over
-_NEEDED: Final = 8  # steps that a speed is judged by
+_CENTRED: Final = (LengthUnit.KM, LengthUnit.M, LengthUnit.CM, LengthUnit.MM)  # no two make the same radius possible
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,24 +76,12 @@ def find_place(draft: Draft, times: Times | None, groups: list[Triple]) -> Place
         return None
     chosen = draft.columns("position.columns", (2, 3))
     if chosen is not None and len(chosen) == 2:
-        return _geodetic(draft, times, chosen[0], chosen[1], answered("position.columns"))
+        degrees = in_degrees(draft, chosen[0], chosen[1], times)
+        return _geodetic(draft, times, degrees, answered("position.columns"))
     if chosen is not None:
         x, y, z = chosen
         return _cartesian(draft, times, Triple((x, y, z), "", x.words), answered("position.columns"))
     return _by_names(draft, times) or _cartesian_by_names(draft, times, groups) or _by_motion(draft, times)
-
-
-def ground_speed_km_s(latitude_deg: FloatArray, longitude_deg: FloatArray, times: Times, log: Log) -> FloatArray:
-    """Speeds over the ground [km/s] over some rows each, so that stamps in whole seconds do not count."""
-    stride = _STRIDE if len(latitude_deg) > 8 * _STRIDE else 1
-    lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
-    early, late = slice(None, -stride), slice(stride, None)
-    chord = np.sin((lat[late] - lat[early]) / 2) ** 2
-    chord += np.cos(lat[late]) * np.cos(lat[early]) * np.sin((lon[late] - lon[early]) / 2) ** 2
-    distance = 2.0 * _EARTH_KM * np.arcsin(np.sqrt(np.clip(chord, 0.0, 1.0)))
-    step = times.seconds[late] - times.seconds[early]
-    good = np.isfinite(distance) & (step > 0) & (log.block[late] == log.block[early])
-    return np.asarray(distance[good] / step[good], dtype=np.float64)
 
 
 def _one(log: Log, words: set[str]) -> list[Column]:
@@ -98,25 +92,36 @@ def _by_names(draft: Draft, times: Times | None) -> Place | None:
     latitudes, longitudes = _one(draft.log, LATITUDE), _one(draft.log, LONGITUDE)
     if not latitudes or not longitudes:
         return None
-    latitude, longitude = latitudes[0], longitudes[0]
+    degrees = in_degrees(draft, latitudes[0], longitudes[0], times)
+    latitude, longitude = degrees.columns
+    doubt_by_way(draft, times, latitude, longitude)
     fault = _no_place(latitude, longitude, draft.log, times)
+    exchanged = fault.startswith(_NO_LATITUDE) and not _no_place(longitude, latitude, draft.log, times)
+    by_plane = other_way_round(latitude, longitude, draft.log, times)
+    if by_plane:
+        fault, exchanged = by_plane, True
     if not fault:
         moving = _moving_pair(draft.log, times, besides=(latitude.number, longitude.number))
-        if moving is None or _in_orbit((latitude, longitude), draft.log, times):
-            return _geodetic(draft, times, latitude, longitude, "")
+        if moving is None or moves_as_orbit(latitude.values, longitude.values, draft.log, times):
+            return _geodetic(draft, times, degrees, "")
         fault = "other columns move over the ground as a craft in orbit does, and these do not"
-    swapped = fault.startswith(_NO_LATITUDE) and not _no_place(longitude, latitude, draft.log, times)
-    moving = (longitude, latitude) if swapped else _moving_pair(draft.log, times)
+    return _doubted(draft, times, degrees, fault, exchanged=exchanged)
+
+
+def _doubted(draft: Draft, times: Times | None, degrees: Degrees, fault: str, *, exchanged: bool) -> Place | None:
+    """Ask for the columns where the header's are not believed and others are likelier."""
+    latitude, longitude = degrees.columns
+    moving = (longitude, latitude) if exchanged else _moving_pair(draft.log, times)
     says = f"the header calls {latitude.label} and {longitude.label} a position, but {fault}"
     draft.said.append(f"position: not believed: {says}")
-    if moving is not None:
-        value = ",".join(draft.names(moving))
-        why = "the same two the other way round" if swapped else "these move over the ground as a craft in orbit does"
-        asks = f"{says}: the header seems to name the wrong columns. Which are latitude and longitude?"
-        draft.ask(Question("position.columns", asks, ((value, why),), value))
-        draft.doubted = True
-        return None if swapped else _asked(moving)
-    return None
+    if moving is None:
+        return None
+    value = ",".join(draft.names(moving))
+    why = "the same two the other way round" if exchanged else "these move over the ground as a craft in orbit does"
+    asks = f"{says}: the header seems to name the wrong columns. Which are latitude and longitude?"
+    draft.ask(Question("position.columns", asks, ((value, why),), value))
+    draft.doubted = not exchanged
+    return _asked(moving) if moves_as_orbit(moving[0].values, moving[1].values, draft.log, times) else None
 
 
 def _asked(pair: tuple[Column, Column]) -> Place:
@@ -136,11 +141,6 @@ def likely_height(place: Place, times: Times | None) -> tuple[tuple[str, str], .
     return ((f"{height:.0f}", "that of a round orbit that moves so"),)
 
 
-def _still(values: FloatArray) -> bool:
-    good = values[np.isfinite(values)]
-    return not good.size or float(np.ptp(good)) == 0.0
-
-
 def _no_place(latitude: Column, longitude: Column, log: Log, times: Times | None) -> str:
     """Why two columns are no latitude and longitude in degrees; empty where they can be."""
     lat, lon = latitude.values, longitude.values
@@ -149,14 +149,12 @@ def _no_place(latitude: Column, longitude: Column, log: Log, times: Times | None
     for column in (latitude, longitude):
         if column.unit not in {"", "deg"}:
             return f"the name says {column.unit}, and degrees are needed"
-    if float(np.nanmax(np.abs(lat))) > 90.0 or float(np.nanmax(np.abs(lon))) > 360.0:
-        most = float(np.nanmax(np.abs(lat)))
-        scaled = "; are they in 1e-7 degrees? the log has to hold degrees" if most > 1e6 else ""
-        return f"{_NO_LATITUDE} {most:.7g} is none in degrees{scaled}"
+    if not is_place(lat, lon):
+        return f"{_NO_LATITUDE} {float(np.nanmax(np.abs(lat))):.7g} is none in degrees"
     if times is None:
         return ""
     speeds = ground_speed_km_s(lat, lon, times, log)
-    if speeds.size >= _NEEDED and float(np.quantile(speeds, 0.75)) > _FASTEST_KM_S:
+    if speeds.size >= NEEDED and float(np.quantile(speeds, 0.75)) > _FASTEST_KM_S:
         return f"they would move at {float(np.median(speeds)):.3g} km/s"
     return ""
 
@@ -169,21 +167,9 @@ def _moving_pair(log: Log, times: Times | None, besides: tuple[int, ...] = ()) -
         for lat, lon in ((first, second), (second, first)):
             if {lat.number, lon.number} <= set(besides) or not (lat.numeric and lon.numeric):
                 continue
-            if _in_orbit((lat, lon), log, times):
-                return lat, lon
+            if moves_as_orbit(lat.values, lon.values, log, times):
+                return (lon, lat) if other_way_round(lat, lon, log, times) else (lat, lon)
     return None
-
-
-def _in_orbit(pair: tuple[Column, Column], log: Log, times: Times | None) -> bool:
-    """Whether two columns, as latitude and longitude, move over the ground as a craft in a low orbit."""
-    latitude, longitude = (column.values for column in pair)
-    if times is None or _still(latitude) or _still(longitude):
-        return False
-    if np.nanmax(np.abs(latitude)) > 90.0 or np.nanmax(np.abs(longitude)) > 360.0:
-        return False
-    speeds = ground_speed_km_s(latitude, longitude, times, log)
-    inside = (speeds > _ORBIT_KM_S[0]) & (speeds < _ORBIT_KM_S[1])
-    return speeds.size >= 4 * _NEEDED and float(np.mean(inside)) > 0.9
 
 
 def _by_motion(draft: Draft, times: Times | None) -> Place | None:
@@ -200,19 +186,24 @@ def _by_motion(draft: Draft, times: Times | None) -> Place | None:
     return None
 
 
-def _geodetic(draft: Draft, times: Times | None, latitude: Column, longitude: Column, by: str) -> Place:
+def _geodetic(draft: Draft, times: Times | None, degrees: Degrees, by: str) -> Place:
+    latitude, longitude = degrees.columns
     speed = None
     if times is not None:
         speeds = ground_speed_km_s(latitude.values, longitude.values, times, draft.log)
-        speed = float(np.median(speeds)) if speeds.size >= _NEEDED else None
+        speed = float(np.median(speeds)) if speeds.size >= NEEDED else None
         speed = float(speeds.mean()) if speed == 0.0 else speed  # a receiver that is slower than the rows
     moves = "" if speed is None else f", moving at {speed:.3g} km/s"
     why = by or f"the names say latitude and longitude, and the numbers are degrees of such{moves}"
     draft.put("position", "columns", draft.names((latitude, longitude)))
     draft.conclude("position.columns", f"{latitude.label}, {longitude.label}", why)
-    in_orbit = None if speed is None else speed > 3.0
+    if degrees.unit is not AngleUnit.DEG:
+        draft.put("position", "unit", degrees.unit.value)
+        draft.conclude("position.unit", degrees.unit, degrees.why)
+    in_orbit = None if speed is None else speed > ORBITAL_KM_S
     numbers: tuple[int, ...] = (latitude.number, longitude.number)
-    altitude = _altitude(draft, speed)
+    parts = degrees.unit in {AngleUnit.E7, AngleUnit.E6}
+    altitude = find_altitude(draft, times, speed, parts=parts)
     if isinstance(altitude, tuple):
         column, height = altitude
         numbers = (*numbers, column)
@@ -221,73 +212,10 @@ def _geodetic(draft: Draft, times: Times | None, latitude: Column, longitude: Co
     return Place(numbers, in_orbit, latitude.values, longitude.values, height, altitude_open=height is None)
 
 
-def _altitude(draft: Draft, speed: float | None) -> float | tuple[int, float | None] | None:
-    """Put the altitude into the draft; its median [km], with its column where it has one; None where it is open."""
-    answer = draft.answers.get("position.altitude_km")
-    if answer is not None:
-        value = _number("position.altitude_km", answer)
-        draft.put("position", "altitude_km", value)
-        draft.conclude("position.altitude_km", f"{value:g}", answered("position.altitude_km"))
-        return value
-    chosen = draft.columns("position.altitude", (1,))
-    columns = chosen or _one(draft.log, ALTITUDE) or [c for c in _one(draft.log, {"h"}) if c.unit in {"km", "m"}]
-    if not columns:
-        return None
-    column = columns[0]
-    unit, why = _length_unit(column, speed)
-    said = draft.answers.get("position.altitude.unit")
-    if said is not None:
-        unit, why = said, answered("position.altitude.unit")
-    if not unit:
-        candidates = tuple((one, "") for one in ("km", "m"))
-        most = float(np.nanmedian(column.values))
-        asks = f"in which unit is the altitude {column.label} (about {most:.6g})? {why}"
-        draft.ask(Question("position.altitude.unit", asks, candidates, "m"))
-        return column.number, None
-    draft.put("position", "altitude", {"column": draft.name(column), "unit": unit})
-    draft.conclude("position.altitude", f"{column.label} in {unit}", why)
-    return column.number, float(np.nanmedian(column.values)) * (1e-3 if unit == "m" else 1.0)
-
-
-def _length_unit(column: Column, speed: float | None) -> tuple[str, str]:
-    """The unit of an altitude, and why; empty where names and numbers leave it open, or differ."""
-    most = float(np.nanmedian(column.values)) if np.isfinite(column.values).any() else 0.0
-    possible = []
-    if speed is None or speed > 3.0:
-        possible += [unit for unit, factor in (("km", 1.0), ("m", 1e-3)) if 120.0 <= most * factor <= 60000.0]
-    if speed is None or speed <= _AIR_KM_S:
-        possible += [unit for unit, factor in (("km", 1.0), ("m", 1e-3)) if -0.5 <= most * factor <= 45.0]
-        if speed is not None and most > 45.0:
-            possible = ["m"] if most < 45000.0 else []
-        elif speed is not None and column.unit == "" and most < 10.0:
-            possible = ["m"] if float(np.ptp(column.values[np.isfinite(column.values)])) > 0.5 else possible
-    moves = "" if speed is None else f" at {speed:.3g} km/s over the ground"
-    if column.unit in possible:
-        return column.unit, f"the name says {column.unit}, and {most:.5g} {column.unit} can be{moves}"
-    if column.unit:
-        return "", f"the name says {column.unit}, but {most:.5g} {column.unit} cannot be{moves}"
-    distinct = list(dict.fromkeys(possible))
-    if len(distinct) == 1 and speed is not None:
-        return distinct[0], f"the name says altitude, and{moves} only {most:.5g} {distinct[0]} can be"
-    return "", "neither its name nor its numbers decide"
-
-
-def _number(key: str, text: str) -> float:
-    try:
-        value = float(text.removesuffix("km").strip())
-    except ValueError:
-        value = float("nan")
-    if not -10.0 <= value <= 1e5:
-        raise InputRefusedError(
-            [Fault(f"--answer {key}", text, "kilometres above the ellipsoid are accepted, such as 415")]
-        )
-    return value
-
-
 def _cartesian_by_names(draft: Draft, times: Times | None, groups: list[Triple]) -> Place | None:
     for triple in groups:
         kind, unit = kind_of_triple(triple), _cartesian_unit(triple)
-        if unit and (kind is Kind.POSITION or (kind is Kind.UNKNOWN and unit == "m")):  # km could be a field in nT
+        if unit and (kind is Kind.POSITION or (kind is Kind.UNKNOWN and unit != "km")):  # km could be a field in nT
             return _cartesian(draft, times, triple, "")
     return None
 
@@ -297,21 +225,18 @@ def _cartesian_unit(triple: Triple) -> str:
     if not len(good):
         return ""
     radius = np.sqrt((good**2).sum(axis=1))
-    units = [
-        u
-        for u, f in (("km", 1.0), ("m", 1e-3))
-        if np.quantile(radius, 0.02) * f > _RADIUS_KM[0] and np.quantile(radius, 0.98) * f < _RADIUS_KM[1]
-    ]
+    shortest, longest = (float(q) for q in np.quantile(radius, (0.02, 0.98)))
+    units = [u for u in _CENTRED if _RADIUS_KM[0] < shortest * LENGTH_KM[u] and longest * LENGTH_KM[u] < _RADIUS_KM[1]]
     return units[0] if len(units) == 1 and triple.unit in {"", units[0]} else ""
 
 
 def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Place | None:
-    unit = draft.answers.get("position.unit") or _cartesian_unit(triple)
+    unit = _told_length(draft.answers.get("position.unit")) or _cartesian_unit(triple)
     radius = float(np.nanmedian(np.sqrt((triple.values**2).sum(axis=1))))
     frame = draft.answers.get("position.frame") or frame_of(triple.words)
     if not unit:
         asks = f"in which unit are {triple.label}? they are {radius:.6g} from the Earth's centre"
-        draft.ask(Question("position.unit", asks, (("km", ""), ("m", "")), "km"))
+        draft.ask(Question("position.unit", asks, tuple((one.value, "") for one in _CENTRED), "km"))
         return None
     by_way = "" if frame or times is None else frame_of_way(triple.values, times.seconds)
     if by_way:
@@ -327,7 +252,14 @@ def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Pl
     draft.put("position", "unit", unit)
     draft.put("position", "frame", frame)
     draft.conclude("position.columns", f"{triple.label} in {unit}, {frame}", why)
-    km = triple.values * (1e-3 if unit == "m" else 1.0)
+    km = triple.values * LENGTH_KM[LengthUnit(unit)]
     numbers = tuple(column.number for column in triple.columns)
-    high = radius * (1e-3 if unit == "m" else 1.0) > _EARTH_KM + 120.0
+    high = radius * LENGTH_KM[LengthUnit(unit)] > EARTH_KM + _LOW_KM[0]
     return Place(numbers, high, cartesian_km=km, frame=frame)
+
+
+def _told_length(answer: str | None) -> str:
+    if answer is not None and answer not in list(LengthUnit):
+        accepted = f"{' '.join(LengthUnit)} are accepted for three coordinates"
+        raise InputRefusedError([Fault("--answer position.unit", answer, accepted)])
+    return answer or ""

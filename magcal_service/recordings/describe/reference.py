@@ -16,7 +16,7 @@ from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
 from magcal_service.recordings.describe.place import Place, likely_height
 from magcal_service.recordings.describe.reference_unit import reference_unit, warn_outside
-from magcal_service.recordings.describe.times import Times
+from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.recordings.reference_spec import MAX_FIELD_NT
 from magcal_service.units import FIELD_NT, FieldUnit

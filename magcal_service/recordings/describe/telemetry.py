@@ -13,7 +13,7 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.kinds import kind_of_triple
-from magcal_service.recordings.describe.times import Times
+from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
 from magcal_service.typed_toml import nearest
 from magcal_service.units import CHANNEL_UNITS

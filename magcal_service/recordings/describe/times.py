@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from operator import eq
 from typing import Final
 
@@ -15,36 +13,18 @@ from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe import dates
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.time_check import agrees, stated_rates
 from magcal_service.recordings.describe.time_forms import ROLLOVERS, joined, of_columns
 from magcal_service.recordings.describe.time_forms import forms as all_forms
 from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, as_told, is_named, repeated, rises
+from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.timestamps import iso8601_to_ns
 
 FloatArray = npt.NDArray[np.float64]
 
-_RATE: Final = re.compile(
-    r"(?:rate|freq\w*|fs)\b[^0-9\n]{0,24}([0-9]+(?:\.[0-9]+)?)\s*(?:hz|sps|samples)", re.IGNORECASE
-)
-
 _FEW_SHARED: Final = 0.2  # of the shared stamps: a column that repeats so much less is the finer time
 _TEN_BITS: Final = 1024  # weeks
 _SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
-
-
-@dataclass(frozen=True, slots=True)
-class Times:
-    """The sampled rows' times.
-
-    Parameters
-    ----------
-    seconds: (n,) Unix seconds where ``absolute``, else since some start; NaN where there is none.
-    absolute: whether the date is known.
-    columns: numbers of the columns that they are from.
-    """
-
-    seconds: FloatArray
-    absolute: bool
-    columns: tuple[int, ...] = ()
 
 
 def find_times(draft: Draft) -> Times | None:
@@ -59,6 +39,8 @@ def find_times(draft: Draft) -> Times | None:
     sure = sorted((form for form in forms if form.sure), key=lambda form: form.rank)
     if sure:
         _say_repeats(draft, sure[0])
+        if not agrees(draft, sure[0], forms):
+            return None
         return _take(draft, sure[0], sure[0].why)
     if forms:
         _ask_form(draft, forms)
@@ -88,7 +70,7 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
         draft.conclude("time.start", start, answered("time.start"))
     offset = (_instant("time.start", start) if start is not None else 0.0) or 0.0
     numbers = tuple(column.number for column in form.columns)
-    return Times(form.times + offset, form.absolute or start is not None, numbers)
+    return Times(form.times + offset, form.absolute or start is not None, numbers, form.format)
 
 
 def _say_repeats(draft: Draft, form: Form) -> None:
@@ -160,7 +142,10 @@ def _by_answer(draft: Draft) -> Times | None:
     form, pattern = answers.get("time.format"), answers.get("time.pattern")
     if columns is None and form is None and pattern is None:
         return None
-    forms = all_forms(log) if columns is None else [one for one in of_columns(tuple(columns)) if one is not None]
+    forms = all_forms(log)
+    if columns is not None:
+        together = [one for one in forms if one.columns == tuple(columns) and len(columns) > 1]
+        forms = together + of_columns(tuple(columns))
     wanted = [f for f in forms if (form in {None, f.format}) and (pattern in {None, f.pattern})]
     wanted.sort(key=lambda one: (not one.sure, one.rank))
     key = next(k for k in ("time.pattern", "time.format", "time.column") if answers.get(k) or k == "time.column")
@@ -170,6 +155,9 @@ def _by_answer(draft: Draft) -> Times | None:
     if wanted:
         _ask_form(draft, wanted)
         return None
+    likeliest = min((one for one in forms if one.sure), key=lambda one: one.rank, default=None)
+    if columns is None and likeliest is not None:
+        columns = list(likeliest.columns)
     if columns is not None and len(columns) == 1 and form is not None:
         told = as_told(columns[0], form)
         if told is not None:
@@ -207,8 +195,7 @@ def _put_rate(draft: Draft, rate_hz: float, why: str) -> Times:
 
 def _by_rate(draft: Draft) -> Times | None:
     """Rows that come evenly, where a line of the preamble says how fast."""
-    text = "\n".join(draft.log.layout.preamble)
-    rates = {float(rate) for rate in _RATE.findall(text)}
+    rates = stated_rates(draft.log)
     if len(rates) == 1 and min(rates) >= _SLOWEST_HZ:
         return _put_rate(draft, rates.pop(), "no column is a time, and the lines before the rows state the rate")
     asks = "no column is a time by its name and numbers; how many rows come in a second, evenly?"

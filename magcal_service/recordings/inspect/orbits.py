@@ -99,7 +99,7 @@ def _is_orbit(height_km: float, rate: float, close: tuple[float, float] = _AGREE
 
 def _height_units(height_km: float, rate: float) -> list[str]:
     """What the height may be written in, so that it goes with the motion."""
-    guesses = (("km", 1e3), ("m", 1e-3), ("miles", 1.609344e3), ("feet", 3.048e-4))
+    guesses = (("km", 1e3), ("m", 1e-3), ("miles", 1.609344e3), ("ft", 3.048e-4))
     found = [name for name, factor in guesses if _is_orbit(height_km * factor, rate, _CLOSE)]
     if _is_orbit(height_km - EARTH_KM, rate, _CLOSE):
         found.append("the distance from the Earth's centre")
