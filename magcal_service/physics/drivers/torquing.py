@@ -146,29 +146,7 @@ def _detumbling(scene: Scene, effect: str) -> Hypothesis:
         on = (into < share) & (scene.time_s >= first_s) & (scene.time_s < last_s)
         return along_axes(dipole * on[:, None])
 
-    def proposals(sums: Sums) -> Array:
-        firsts = np.searchsorted(scene.time_s, edges[:-1])
-        lead_s = float(LEADS_S[1])
-        tried: list[tuple[float, tuple[float, float, float], Segments]] = []
-        for period_s in numbers[0].grid.tolist():
-            count = int(np.clip(round(period_s / scene.period_s), 2, _PHASES))
-            for phase in np.arange(count) / count:
-                dipole, into = _pulsed(scene, period_s, float(phase), lead_s)
-                for share in _SHARES.tolist():
-                    segments = sums(along_axes(dipole * (into < share)[:, None]), firsts)
-                    whole = float(segments.drop(np.ones((1, _PARTS)))[0])
-                    tried.append((whole, (period_s, share, float(phase)), segments))
-        tried.sort(key=lambda trial: -trial[0])
-        parts = _parts()
-        found = []
-        for whole, numbers_found, segments in tried[:_MOST]:
-            drops = segments.drop(parts)
-            best = int(np.argmax(drops))
-            used = np.flatnonzero(parts[best]) if drops[best] > whole else np.arange(_PARTS)
-            found.append([*numbers_found, lead_s, edges[used[0]], edges[used[-1] + 1]])
-            found.append([*numbers_found, lead_s, edges[0], edges[-1]])
-        return np.array(found)
-
+    periods = numbers[0].grid
     block = Block("detumbling_nt", "nT", (3, 3), labels=(_COILS, AXES))
     variant = "sign of dB/dt on a duty"
     return Hypothesis(
@@ -180,8 +158,33 @@ def _detumbling(scene: Scene, effect: str) -> Hypothesis:
         numbers,
         odds=7.0,
         largest_nt=LARGEST_NT,
-        proposals=proposals,
+        proposals=lambda sums: _detumbling_tried(scene, periods, edges, sums),
     )
+
+
+def _detumbling_tried(scene: Scene, periods: Array, edges: Array, sums: Sums) -> Array:
+    """Numbers (q, 6) of the patterns that lower the squares most, each for its best part and for all of the time."""
+    firsts = np.searchsorted(scene.time_s, edges[:-1])
+    lead_s = float(LEADS_S[1])
+    tried: list[tuple[float, tuple[float, float, float], Segments]] = []
+    for period_s in periods.tolist():
+        count = int(np.clip(round(period_s / scene.period_s), 2, _PHASES))
+        for phase in np.arange(count) / count:
+            dipole, into = _pulsed(scene, period_s, float(phase), lead_s)
+            for share in _SHARES.tolist():
+                segments = sums(along_axes(dipole * (into < share)[:, None]), firsts)
+                whole = float(segments.drop(np.ones((1, _PARTS)))[0])
+                tried.append((whole, (period_s, share, float(phase)), segments))
+    tried.sort(key=lambda trial: -trial[0])
+    parts = _parts()
+    found = []
+    for whole, numbers_found, segments in tried[:_MOST]:
+        drops = segments.drop(parts)
+        best = int(np.argmax(drops))
+        used = np.flatnonzero(parts[best]) if drops[best] > whole else np.arange(_PARTS)
+        found.append([*numbers_found, lead_s, edges[used[0]], edges[used[-1] + 1]])
+        found.append([*numbers_found, lead_s, edges[0], edges[-1]])
+    return np.array(found)
 
 
 def _parts() -> Array:
@@ -222,33 +225,7 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         made = _held(scene, into * period_s, hold_s)
         return along_axes(scene.calibrated_nt[made] * (into < share)[:, None])
 
-    def proposals(sums: Sums) -> Array:
-        w = scene.calibrated_nt
-        body = np.zeros((6, len(scene), 3))
-        for number, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-            body[number, :, i] = w[:, j]
-            body[number, :, j] = w[:, i]
-        width = max(_SEGMENT_S, scene.period_s)
-        firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
-        segments = sums(Columns(body=body), firsts)
-        times = scene.time_s[firsts] + 0.5 * width - middle_s
-
-        def table(of: Segments, among: NDArray[np.intp]) -> Array:
-            running = of.running
-            return np.array([running.folded(_cuts(times, float(periods[row]))).drop(_ON) for row in among])
-
-        rough = table(segments.alone, np.arange(len(periods))).max(axis=1)
-        among = np.argsort(rough)[::-1][: max(len(periods) // _FULLY, _FEWEST_FULLY)]
-        drops = table(segments, among)
-        best = np.argsort(drops.max(axis=1))[::-1][:_MOST]
-        found = []
-        for row in best.tolist():
-            share, slot = _ON_NUMBERS[int(np.argmax(drops[row]))]
-            found += [
-                [periods[among[row]], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in numbers[3].grid.tolist()
-            ]
-        return np.array(found)
-
+    holds = numbers[3].grid
     block = Block("dumping", "1", (3, 3), labels=(_ALONG, AXES))
     variant = "momentum dumped at intervals"
     yield Hypothesis(
@@ -260,8 +237,35 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         numbers,
         {"middle_s": middle_s},
         largest_nt=LARGEST_NT,
-        proposals=proposals,
+        proposals=lambda sums: _dumping_tried(scene, periods, holds, middle_s, sums),
     )
+
+
+def _dumping_tried(scene: Scene, periods: Array, holds: Array, middle_s: float, sums: Sums) -> Array:
+    """Numbers (q, 4) of the intervals and slots that lower the squares most, with every hold."""
+    w = scene.calibrated_nt
+    body = np.zeros((6, len(scene), 3))
+    for number, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        body[number, :, i] = w[:, j]
+        body[number, :, j] = w[:, i]
+    width = max(_SEGMENT_S, scene.period_s)
+    firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
+    segments = sums(Columns(body=body), firsts)
+    times = scene.time_s[firsts] + 0.5 * width - middle_s
+
+    def table(of: Segments, among: NDArray[np.intp]) -> Array:
+        running = of.running
+        return np.array([running.folded(_cuts(times, float(periods[row]))).drop(_ON) for row in among])
+
+    rough = table(segments.alone, np.arange(len(periods))).max(axis=1)
+    among = np.argsort(rough)[::-1][: max(len(periods) // _FULLY, _FEWEST_FULLY)]
+    drops = table(segments, among)
+    best = np.argsort(drops.max(axis=1))[::-1][:_MOST]
+    found = []
+    for row in best.tolist():
+        share, slot = _ON_NUMBERS[int(np.argmax(drops[row]))]
+        found += [[periods[among[row]], share / _SLOTS, slot / _SLOTS, hold_s] for hold_s in holds.tolist()]
+    return np.array(found)
 
 
 def _cuts(times_s: Array, period_s: float) -> NDArray[np.intp]:
