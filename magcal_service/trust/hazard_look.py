@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -87,11 +87,16 @@ class Look:
     level: the protection level.
     seen: the hazard with the largest evidence beyond the alarm; None where there is none.
     evidence: the largest of all, in units of the alarm's.
+    levels: of each hazard by itself, at each time or in each form (h,) [nT]: of steps at the beginning of each block of
+        time but the first, gains by axis; one that has just occurred, and cannot have been seen, is in none.
+    ages: of those blocks [ticks].
     """
 
     level: Level
     seen: Hazard | None
     evidence: float
+    levels: Mapping[Hazard, Array]
+    ages: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +128,7 @@ def look(data: Accumulated, settings: TrustConfig) -> Look | None:
     raised = _raised(data)
     jacobian = field_jacobian(data.newest[:, 1:4]) * sums.UNIT
     level = Level(settings.disturbance_nt, Hazard.BIAS_STEP)  # a step that has just occurred
+    levels: dict[Hazard, Array] = {}
     seen, evidence = None, 0.0
     for group in _groups(data, rest, settings.disturbance_nt):
         columns = group.squares.shape[-1]
@@ -132,10 +138,11 @@ def look(data: Accumulated, settings: TrustConfig) -> Look | None:
             seen = group.hazard if evidence > 1.0 else None
         noncentrality = raised * smallest_seen(ALARM_NATS, columns, samples)
         visible = group.squares * (samples / square)
-        off_nt = float(worst(visible, noncentrality, group.largest, jacobian @ group.errors).max())
+        levels[group.hazard] = worst(visible, noncentrality, group.largest, jacobian @ group.errors)
+        off_nt = float(levels[group.hazard].max())
         if not off_nt <= level.nt:
             level = Level(min(off_nt, MAX_RESULT_FIELD_NT), group.hazard)
-    return Look(level, seen, evidence)
+    return Look(level, seen, evidence, levels, _ages(data))
 
 
 def _groups(data: Accumulated, rest: Array, own_nt: float) -> Iterator[_Group]:
@@ -165,8 +172,7 @@ def _steps(data: Accumulated, own_nt: float, relative_nt: float) -> Iterator[_Gr
     """Steps of the bias, and of each axis' gain by itself, at the beginning of each block but the first."""
     seen, products = sums.steps_seen(np.array(data.blocks))
     response = np.array(data.steps[1:])
-    ages = np.cumsum(data.sizes[::-1])[::-1][1:] * CHUNK
-    old = ages >= hazards.STEP_SEEN_TICKS
+    old = _ages(data) >= hazards.STEP_SEEN_TICKS
     largest_nt = np.where(old, hazards.STEP_NT, own_nt)
     largest_gain_nt = np.where(old, hazards.GAIN_STEP * sums.FAR_NT, relative_nt)
     biases = response[:, :, BIAS] - np.eye(STATE_SIZE)[:, BIAS]
@@ -179,6 +185,12 @@ def _steps(data: Accumulated, own_nt: float, relative_nt: float) -> Iterator[_Gr
         np.repeat(largest_gain_nt, 3),
         gains.swapaxes(1, 2).reshape(-1, 1, STATE_SIZE, 1),
     )
+
+
+def _ages(data: Accumulated) -> Array:
+    """Of each block but the first [ticks]."""
+    ages: Array = np.cumsum(data.sizes[::-1])[::-1][1:] * CHUNK
+    return ages
 
 
 def _raised(data: Accumulated) -> float:

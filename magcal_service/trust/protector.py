@@ -19,7 +19,7 @@ from magcal_service.model import STATE_SIZE, Array, largest_variance
 from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_sums as sums
-from magcal_service.trust.hazard_look import CHUNK, LOOK_CHUNKS, Accumulated, look
+from magcal_service.trust.hazard_look import CHUNK, LOOK_CHUNKS, Accumulated, Look, look
 from magcal_service.trust.hazards import Hazard
 from magcal_service.trust.protection import Level
 
@@ -275,8 +275,15 @@ class Protector(Stateful, ProtectorMemory):
     # Looks
 
     def _look(self) -> None:
-        """Test every hazard, and work out what would not have been seen."""
-        newest = np.array(self._directions)
+        """Test every hazard, and keep what would not have been seen."""
+        found = self.looked()
+        if found is not None:
+            self.level, self.seen, self.evidence = found.level, found.seen, found.evidence
+
+    def looked(self) -> Look | None:
+        """A look at the sums as they stand, the newest whole chunk the last in them; None while there are none."""
+        if not self._sizes:
+            return None
         data = Accumulated(
             total=self._sums,
             used=self._used,
@@ -284,13 +291,11 @@ class Protector(Stateful, ProtectorMemory):
             blocks=self._blocks,
             steps=self._steps,
             response=self._response,
-            newest=newest,
+            newest=np.array(self._directions),
             memory=self._memory,
             spin_rad_s=self._spin_rad_s,
         )
-        found = look(data, self.config.trust)
-        if found is not None:
-            self.level, self.seen, self.evidence = found.level, found.seen, found.evidence
+        return look(data, self.config.trust)
 
 
 def _information(estimate: StateEstimate) -> Array:

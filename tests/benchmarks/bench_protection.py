@@ -1,19 +1,23 @@
-"""What protection levels cost, and how seldom their test is wrong.
+"""What protection levels cost, how seldom their test is wrong, and how loose they are.
 
     python -m tests.benchmarks.bench_protection cost
     python -m tests.benchmarks.bench_protection false-alarms --flights 40
+    python -m tests.benchmarks.bench_protection just-below --json docs/results/just-below.json
 
 The first gives each tick of the paper's flight to the filter and to two monitors in turn, one with protection levels
 and one without.  The second flies the paper's craft at drawn spin directions with nothing wrong, and prints the largest
-evidence of a flight beside the alarm.
+evidence of a flight beside the alarm.  The third looks for the largest size of each hazard that is not seen, and prints
+the level over the error there (``just_below``).
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -28,6 +32,8 @@ from magcal_service.trust.protection import alarm_gain
 from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.benchmarks.just_below import GIVEN, cases, medians, row_of, search
+from tests.benchmarks.results import write
 
 FLIGHT_S = 9000.0
 NOISES_NT = (20.0, 100.0, 300.0)
@@ -104,12 +110,38 @@ def false_alarms(flights: int) -> None:
     print(f"false alarms a year by the threshold: at most {hazard_look.FALSE_PER_YEAR:g}")
 
 
+def just_below(names: list[str], path: Path | None) -> None:
+    """Print, and write, the level over the error of each hazard at its largest unseen size.
+
+    Rows that the file has of other cases stay: the searches may be made one hazard at a time.
+    """
+    kept = json.loads(path.read_text(encoding="utf-8"))["figures"]["rows"] if path is not None and path.exists() else []
+    rows = {tuple(row[key] for key in ("hazard", "motion", "noise_nt")): row for row in kept}
+    for case in cases(names):
+        found = search(case)
+        if found is None:
+            print(f"{case.hazard} {case.motion} {case.noise_nt:g} nT: seen at every size", flush=True)
+            continue
+        row = rows[str(case.hazard), str(case.motion), case.noise_nt] = row_of(found)
+        print(", ".join(f"{key} {_said(value)}" for key, value in row.items()), flush=True)
+        write(path, {"rows": list(rows.values()), "over_all": medians(list(rows.values()))})
+    print("\n".join(f"{name}: {_said(value)}" for name, value in medians(list(rows.values())).items()))
+
+
+def _said(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "false-alarms"))
+    parser.add_argument("what", choices=("cost", "false-alarms", "just-below"))
     parser.add_argument("--flights", type=int, default=30, help="flights for the false alarms (default 30)")
+    parser.add_argument("--hazard", action="append", default=[], choices=list(GIVEN), help="only this one")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="where the figures of just-below go")
     options = parser.parse_args()
     if options.what == "cost":
         cost()
+    elif options.what == "just-below":
+        just_below(options.hazard, options.json)
     else:
         false_alarms(options.flights)

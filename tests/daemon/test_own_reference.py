@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from magcal_service.config.reader import load_config
 from magcal_service.config.settings import CraftConfig, ReferenceConfig, ReferenceModel, SensorConfig, SpinConfig
 from magcal_service.daemon.own_reference import reference_at
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.service import Service
 from magcal_service.geomagnetic import ecef_from_eci
+from magcal_service.links import Role, open_link
+from magcal_service.trust.modes import MODES, Mode
+from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import (
     Clock,
     Estimate,
@@ -19,6 +27,7 @@ from magcal_service.wire.messages import (
     Message,
     PositionSample,
     ReferenceSample,
+    Status,
     Verdict,
 )
 from sim_sensor.scenario_reader import load_scenario
@@ -91,3 +100,61 @@ def test_what_gives_no_field_is_counted_by_its_reason(wrong: Message, counted: s
     pipeline.handle(wrong)
     assert pipeline.counters[counted] == 1
     assert pipeline.ticks.references.newest(Clock.UTC)[0] == AT.time_ns  # type: ignore[index]
+
+
+def placed(first_s: int, end_s: int, *, positions: bool) -> Iterator[Message]:
+    """The paper's flight at 1 Hz, a position before each sample or none; no field."""
+    simulation = Simulation(load_scenario("paper"), 12, 1200.0)
+    samples = [message for message in simulation.messages() if isinstance(message, MagnetometerSample)]
+    for sample in samples[first_s:end_s]:
+        if positions:
+            (place,) = simulation.truth.orbit.position_eci_km(np.array([sample.time_ns])).tolist()
+            common = {"craft": "paper", "sequence": sample.sequence, "time_ns": sample.time_ns}
+            yield replace(AT, position_km=tuple(place), **common)
+        yield sample
+
+
+def test_a_daemon_without_positions_recovers_when_they_come(tmp_path: Path) -> None:
+    """None for 100 s, then one a second: it is trusted.  None for 90 s: as the page says.  They come again: trusted."""
+    path = tmp_path / "magcal.toml"
+    path.write_text(
+        """
+        version = 1
+        [[craft]]
+        name = "paper"
+        [craft.sensor]
+        noise_nt = 300.0
+        [craft.spin]
+        rate_rpm = 7.5
+        [craft.reference]
+        model = "igrf"
+        [craft.trust]
+        protection_nt = 100000.0  # trusted soon after its start
+        sigma_bias_nt = 1000.0
+        sigma_D = 0.05
+        """
+    )
+    with open_link("loop:places", Role.SERVICE) as end, open_link("loop:places", Role.NODE) as node:
+        service = Service(load_config(path), end)
+
+        def flown(first_s: int, end_s: int, *, positions: bool) -> tuple[Verdict, tuple[str, ...], int, Counter[str]]:
+            """The verdict in the status then, the reasons behind it, the ticks, and what it counts."""
+            for message in placed(first_s, end_s, positions=positions):
+                service.handle(message)
+            service.publish_status()
+            status = [message for message in node.receive(1.0) if isinstance(message, Status)][-1]
+            counted = Counter(status.counters)
+            return status.verdict, service.pipelines["paper"].trust.reasons, counted["ticks"], counted
+
+        verdict, reasons, ticks, _ = flown(0, 100, positions=False)
+        assert (verdict, ticks) == (Verdict.NOT_STARTED, 0)
+        assert Reason.NO_REFERENCE in reasons
+        verdict, reasons, _, before = flown(100, 1000, positions=True)
+        assert (verdict, reasons) == (Verdict.TRUSTED, ())
+        row = MODES[Mode.NO_POSITION]
+        verdict, reasons, _, after = flown(1000, 1090, positions=False)
+        assert (verdict, row.reason in reasons) == (row.verdict, True)
+        assert after[row.counter] > before[row.counter]
+        verdict, reasons, ticks, _ = flown(1090, 1200, positions=True)
+        assert (verdict, reasons) == (Verdict.TRUSTED, ())
+        assert ticks > 1000

@@ -82,6 +82,17 @@ def test_the_alarm_is_where_chance_is_as_small_as_told(columns: int) -> None:
     assert smallest_seen(20.0, columns, 100) > 1.1 * many
 
 
+def test_the_level_is_that_of_the_hazard_with_the_largest_of_its_own() -> None:
+    monitor, _ = unspoiled()
+    look, level = monitor.protector.looked(), monitor.protector.level
+    assert look is not None
+    assert level is not None
+    assert set(look.levels) == set(Hazard)
+    assert level.nt == look.levels[level.by].max() == max(levels.max() for levels in look.levels.values())
+    assert look.ages.shape == look.levels[Hazard.BIAS_STEP].shape
+    assert (np.diff(look.ages) < 0.0).all()
+
+
 def test_a_level_holds_every_amplitude_that_is_unseen_and_possible_and_little_more() -> None:
     rng = np.random.default_rng(5)
     for _ in range(20):

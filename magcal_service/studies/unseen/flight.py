@@ -126,8 +126,14 @@ def begin(motion: Motion, noise_nt: float, duration_s: int, seed: np.random.Seed
     )
 
 
-def hear(sent: Sent) -> Heard:
-    """Send it all through the daemon's pipeline: each second the reference, then the sample."""
+def hear(sent: Sent, ends: Callable[[float, Pipeline], bool] | None = None) -> Heard:
+    """Send it all through the daemon's pipeline: each second the reference, then the sample.
+
+    Parameters
+    ----------
+    sent: what is sent.
+    ends: asked after each sample, with its time [s] and the pipeline as it stands, whether the flight ends here.
+    """
     measured = sent.readings(sent.noise)
     noisefree = sent.readings(np.zeros_like(sent.noise))
     for change in sent.post:
@@ -155,6 +161,8 @@ def hear(sent: Sent) -> Heard:
                 if message.verdict is Verdict.DOUBTFUL:
                     for reason in message.reasons:
                         reasons[reason] = reasons.get(reason, 0) + 1
+        if ends is not None and ends(float(sent.time_s[index]), pipeline):
+            break
     return _heard(rows, doubts, reasons)
 
 
