@@ -96,11 +96,20 @@ def nadir_pointing(rng: np.random.Generator, orbit: Orbit) -> Motion:
 
 def tumbling(rng: np.random.Generator, seconds: float, rate_deg_s: float) -> Motion:
     """A rigid body of three unequal moments of inertia that nothing turns."""
-    inertia = np.sort(rng.uniform(0.6, 1.4, 3))
-    inertia = inertia / inertia.mean() + np.array([-0.12, 0.0, 0.12])
+    inertia = unequal_inertia(rng)
     rate = rng.standard_normal(3)
     rate *= math.radians(rate_deg_s) / np.linalg.norm(rate)
     return rigid_body(inertia, rate, rng.standard_normal(4), seconds)
+
+
+def unequal_inertia(rng: np.random.Generator) -> Floats:
+    """Three rising moments of inertia (3,) of about 1, the largest below the sum of the others, as bodies have them.
+
+    With the masses' mean squares p along the axes they are p_y + p_z, p_x + p_z, p_x + p_y.
+    """
+    squares = rng.uniform(0.6, 1.4, 3)
+    inertia = np.sort(squares.sum() - squares)
+    return inertia / inertia.mean() + np.array([-0.12, 0.0, 0.12])
 
 
 def rigid_body(inertia: Floats, rate: Floats, start: Floats, seconds: float) -> Motion:

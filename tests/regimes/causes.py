@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tests.regimes.orbit import Floats
-from tests.regimes.sensor import Change
+from tests.regimes.sensor import SUBSTEPS, Change, between_samples
 from tests.regimes.world import World
 
 _FULL_NT = 30000.0
@@ -194,24 +194,27 @@ def bias_drift(world: World, rng: np.random.Generator) -> Cause:
 
 
 def hysteresis(world: World, rng: np.random.Generator) -> Cause:
-    """Rods along the body's axes that remember: Bouc-Wen, z' = (h' - b |h'| z) / w, exact over each step of h."""
+    """Rods along the body's axes that remember what they pass between the samples, too."""
     width, bend = rng.uniform(4000.0, 15000.0), rng.uniform(0.5, 1.5)
     share = rng.uniform(0.3, 1.0, 3)
-    shape = np.empty_like(world.field_body)
-    for axis in range(3):
-        along = world.field_body[:, axis].tolist()
-        state, before, found = 0.0, along[0], []
-        for now in along:
-            step = (now - before) / width
-            end = math.copysign(1.0 / bend, step)
-            state = end + (state - end) * math.exp(-bend * abs(step))
-            before = now
-            found.append(state)
-        shape[:, axis] = found
+    along = between_samples(world)[SUBSTEPS - 1 :]  # from the first sample on
+    shape = np.stack([bouc_wen(along[:, axis], width, bend)[::SUBSTEPS] for axis in range(3)], axis=1)
     shape = _unit_rms(shape * share)
     return Cause(
         "hysteresis", lambda s: Change(added=s * shape), lambda s: {"rms_nt": s, "width_nt": width}, _limits(world)
     )
+
+
+def bouc_wen(along: Floats, width: float, bend: float) -> Floats:
+    """z' = (h' - b |h'| z) / w (n,) from rest, for h along a rod (n,) [nT]; exact while h goes one way in each step."""
+    state, before, found = 0.0, float(along[0]), []
+    for now in along.tolist():
+        step = (now - before) / width
+        end = math.copysign(1.0 / bend, step)
+        state = end + (state - end) * math.exp(-bend * abs(step))
+        before = now
+        found.append(state)
+    return np.array(found)
 
 
 def cubic_response(world: World, rng: np.random.Generator) -> Cause:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,8 +12,8 @@ from tests.regimes.orbit import Floats, sidereal_angle, turned_about_z
 
 _KNOT_S = 10.0
 _RADIUS_KM = 6371.2
-_DIPOLE_ECEF = np.array([0.0485, -0.1576, -0.9863])
-"""Direction of the Earth's dipole moment in 2025 (it points south)."""
+DIPOLE_ECEF = np.array([-1410.3, 4545.5, -29350.0]) / math.hypot(1410.3, 4545.5, 29350.0)
+"""Direction of the Earth's dipole moment, g11, h11 and g10 of IGRF-14 in 2025 (it points south)."""
 
 
 def igrf_ecef(ecef_km: Floats, unix_s: float) -> Floats:
@@ -81,10 +82,10 @@ class BuriedDipoles:
 
 def ring_current(ecef_km: Floats) -> Floats:
     """A uniform field against the dipole, with the part it induces in the Earth, per unit (n, 3) ECEF."""
-    outer = np.broadcast_to(_DIPOLE_ECEF, ecef_km.shape)
+    outer = np.broadcast_to(DIPOLE_ECEF, ecef_km.shape)
     radius = np.linalg.norm(ecef_km, axis=1)[:, None]
     up = ecef_km / radius
-    dipole = (3.0 * (up @ _DIPOLE_ECEF)[:, None] * up - outer) * (_RADIUS_KM / radius) ** 3
+    dipole = (3.0 * (up @ DIPOLE_ECEF)[:, None] * up - outer) * (_RADIUS_KM / radius) ** 3
     return outer - 0.27 * dipole
 
 

@@ -6,6 +6,7 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ from magcal_service.cli.__main__ import main as magcal
 from magcal_service.physics.catalogue import catalogue
 from tests.regimes import attitude
 from tests.regimes.case import LEAST_DETECTABILITY, Case, draw_case, rows
-from tests.regimes.causes import EFFECTS, OUTSIDE
+from tests.regimes.causes import EFFECTS, OUTSIDE, bouc_wen, hysteresis
+from tests.regimes.field import DIPOLE_ECEF, igrf_ecef
 from tests.regimes.orbit import Floats
 from tests.regimes.sensor import Measured, lagging
 from tests.regimes.world import REGIMES, draw_world
@@ -173,6 +175,47 @@ def test_a_lag_shrinks_what_turns() -> None:
     late, across = lagging(world, tau)[200:], ~axis.astype(bool)
     kept = np.linalg.norm(late[:, across], axis=1) / np.linalg.norm(world.field_body[200:, across], axis=1)
     assert np.median(kept) == pytest.approx(1.0 / np.hypot(1.0, rate_rpm * 2.0 * np.pi / 60.0 * tau), rel=2e-3)
+
+
+def test_a_rods_loop_closes_where_bouc_and_wen_have_it() -> None:
+    """To and fro between -h and h it ends at tanh(b h / w) / b, the fixed point of half a loop by hand."""
+    height, width, bend = 30000.0, 7000.0, 0.8
+    way = height * np.cos(np.linspace(0.0, 20.0 * np.pi, 10 * 64 + 1))
+    ends = bouc_wen(way, width, bend)[-1 : -3 * 32 : -32]
+    assert ends == pytest.approx(np.tanh(bend * height / width) / bend * np.array([1.0, -1.0, 1.0]), rel=1e-9)
+
+
+def test_a_rod_remembers_what_it_passes_between_samples() -> None:
+    """At 24 rpm and 1 Hz the field turns by 144 deg from sample to sample; ten times as many give the same course."""
+    world = draw_world("spin_fast", np.random.default_rng(4))
+    motion = attitude.spinning(np.random.default_rng(5), 24.0, np.array([0.0, 0.0, 1.0]))
+    found = []
+    for often in (1, 10):
+        t = np.arange(1200 * often) / often
+        space = np.tile(world.true_field[0], (len(t), 1))
+        turning = replace(world, t=t, true_field=space, motion=motion, kept=np.ones(len(t), dtype=bool))
+        added = hysteresis(turning, np.random.default_rng(6)).change(1.0).added
+        assert added is not None
+        found.append(added[::often])
+    one, many = (course / np.linalg.norm(course) for course in found)
+    assert np.linalg.norm(one - many) < 0.02
+
+
+def test_the_dipole_is_what_is_left_of_the_field_far_away() -> None:
+    """Ten million km away B . r is 2 m . r: along the three axes the moment's components, by ppigrf."""
+    far = 1e7 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1e-6, 0.0, 1.0]])
+    moment = np.diagonal(igrf_ecef(far, 1_735_689_600.0))
+    assert moment / np.linalg.norm(moment) == pytest.approx(DIPOLE_ECEF, abs=1e-3)
+
+
+def test_bodies_that_tumble_can_be_built() -> None:
+    """The largest moment of inertia is below the sum of the others, and no two are alike."""
+    rng = np.random.default_rng(8)
+    for _ in range(2000):
+        first, second, third = attitude.unequal_inertia(rng).tolist()
+        assert third < first + second
+        assert first + 0.1 < second + 1e-9
+        assert second + 0.1 < third + 1e-9
 
 
 def test_a_clean_case_calibrates_to_the_truth(tmp_path: Path) -> None:
