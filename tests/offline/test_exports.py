@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shutil
@@ -59,10 +60,22 @@ def exported(folder: Path, name: str, *more: str) -> str:
 
 
 def parameters(text: str, separator: str) -> dict[str, float]:
-    """As a ground station reads them: a line each, # begins a comment."""
-    rows = [re.split(separator, line) for line in text.splitlines() if line and not line.startswith("#")]
-    at = 2 if separator == "\t" else 0
-    return {row[at]: float(row[at + 1]) for row in rows}
+    """As mavros reads both forms (``param.py``): cells by csv, # begins a comment, a value without a point is whole.
+
+    An autopilot keeps them as 32-bit floats under names of at most 16 characters.
+    """
+    cells, at = (5, 2) if separator == "\t" else (2, 0)
+    found = {}
+    for row in csv.reader(text.splitlines(), delimiter=separator, quoting=csv.QUOTE_NONE):
+        if row[0].startswith("#"):
+            continue
+        assert len(row) == cells
+        name, value = row[at].strip(), row[at + 1]
+        assert "." in value
+        assert "e" not in value
+        assert 0 < len(name) <= 16
+        found[name] = float(np.float32(value))
+    return found
 
 
 def symmetric(diagonal: list[float], beside: list[float]) -> Array:
@@ -79,6 +92,33 @@ def test_ardupilot(given: Given, tmp_path: Path) -> None:
         field_mg = (FIELDS_NT / 100.0 + np.array(ofs)) @ symmetric(dia, odi)
         np.testing.assert_allclose(100.0 * field_mg, calibrated(given), rtol=0.0, atol=0.02)
         assert found[f"COMPASS_SCALE{nth}"] == 0.0
+
+
+def test_ardupilot_by_pymavlink(given: Given, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """pymavlink's own reader of parameter files takes each line, and says nothing of any."""
+    reader = pytest.importorskip("pymavlink.mavparm", reason="pymavlink, which reads ArduPilot's files, is not here")
+    for index, nth in ((0, ""), (1, "2"), (2, "3")):
+        text = exported(tmp_path, "ardupilot", "--index", str(index))
+        file = tmp_path / "compass.param"
+        file.write_text(text)
+        capsys.readouterr()
+        found = reader.MAVParmDict()
+        assert found.load(str(file))
+        said = capsys.readouterr().out
+        assert "Invalid" not in said
+        assert f"{len(parameters(text, ','))} parameters" in said
+        ofs, dia, odi = ([found[f"COMPASS_{name}{nth}_{axis}"] for axis in "XYZ"] for name in ("OFS", "DIA", "ODI"))
+        field_mg = (FIELDS_NT / 100.0 + np.array(ofs)) @ symmetric(dia, odi)
+        np.testing.assert_allclose(100.0 * field_mg, calibrated(given), rtol=0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("name", ["ardupilot", "px4"])
+def test_parameters_of_a_sensor_that_is_nearly_right_are_floats(name: str, tmp_path: Path) -> None:
+    """A zero or a 0.00001 is no whole number and no power of ten to the target."""
+    result = written(tmp_path, bias_nt=[0.0, 1.0, -3e-3], D=[[0.0, 1e-5, 0.0], [1e-5, 0.0, -2e-7], [0.0, -2e-7, 0.0]])
+    done = run("export", result, "--format", name)
+    assert done.code == 0
+    assert len(parameters(done.out, "," if name == "ardupilot" else "\t")) == (10 if name == "ardupilot" else 9)
 
 
 def test_px4(given: Given, tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def _make(given: Given, wanted: Wanted) -> Exported:
         lines.append(f"COMPASS_DIA{nth}_{axis},{value:.8f}")
     for axis, value in zip("XYZ", (matrix[0, 1], matrix[0, 2], matrix[1, 2]), strict=True):
         lines.append(f"COMPASS_ODI{nth}_{axis},{value:.8f}")
-    lines.append(f"COMPASS_SCALE{nth},0")
+    lines.append(f"COMPASS_SCALE{nth},0.0")
     return Exported("\n".join(lines) + "\n")
 
 

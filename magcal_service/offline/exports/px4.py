@@ -1,7 +1,8 @@
 """Parameters of PX4: field = SCALE (raw - OFF), SCALE of X, Y, ZSCALE and, off the diagonal, X, Y, ZODIAG (xy, xz, yz).
 
 Source: ``Magnetometer::Correct`` and ``set_offdiagonal`` of PX4's sensor calibration; offsets in Gauss.  The file is in
-the form of QGroundControl: vehicle, component, name, value, type 9 (a 32-bit float).
+the form of QGroundControl: vehicle, component, name, value, type 9 (a 32-bit float).  Values always have a point:
+mavros takes one without for a whole number, and 1e-05 for none.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def _make(given: Given, wanted: Wanted) -> Exported:
     lines = [f"# {line}" for line in about(given)]
     lines.append("# field = SCALE (raw - OFF) in Gauss, SCALE of XSCALE, YSCALE, ZSCALE and XODIAG (xy), YODIAG (xz),")
     lines.append(f"# ZODIAG (yz), before {nth}_ROT; they act where {nth}_ID is that of the sensor")
-    lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in found.items()]
+    lines += [f"1\t1\t{name}\t{value:.9f}\t9" for name, value in found.items()]
     return Exported("\n".join(lines) + "\n")
 
 
