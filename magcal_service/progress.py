@@ -36,6 +36,7 @@ class Work:
     total: how much there is, in ``unit``; 0 where nobody knows.
     done, failed: what has ended; ``failed`` of it with no result.
     kept: of ``done``, what was there before and says nothing about how long the rest will take.
+    place: which step it is of how many at most; the end of such a work is not known.
     """
 
     what: str
@@ -44,6 +45,7 @@ class Work:
     done: float = 0.0
     failed: int = 0
     kept: float = 0.0
+    place: tuple[int, int] | None = None
     began_s: float = field(default_factory=time.monotonic)
 
     def left_s(self, elapsed_s: float) -> float | None:
@@ -53,7 +55,7 @@ class Work:
 
     def line(self, elapsed_s: float, now: float) -> str:
         """All of it as a line; ``now`` is the time of day [s since 1970]."""
-        parts = [self.what]
+        parts = [self.what if self.place is None else f"step {self.place[0]} of at most {self.place[1]}: {self.what}"]
         if self.total:
             parts = [f"{self.what}: {self.done:.0f} of {self.total:.0f}{self.unit and ' '}{self.unit} done"]
         if self.failed:
@@ -171,11 +173,18 @@ def each(items: Sequence[Item], what: str, unit: str) -> Iterator[Item]:
 
 
 @contextmanager
-def steps(first: str) -> Iterator[Callable[[str], None]]:
-    """Show a work whose end nobody knows; the function that is given says which step of it begins."""
-    with counted(Work(first)) as work:
+def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+    """Show a work of these steps, of which some may be passed over and some made again: nobody knows when it ends.
+
+    The function that is given says which of them begins.
+    """
+    with counted(Work(names[0], place=(1, len(names)))) as work:
+        furthest = 0
 
         def begin(step: str) -> None:
-            work.what = step
+            nonlocal furthest
+            number = names.index(step)
+            work.what, work.place = step if number > furthest else f"{step} once more", (number + 1, len(names))
+            furthest = max(furthest, number)
 
         yield begin

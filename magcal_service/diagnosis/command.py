@@ -16,6 +16,7 @@ from magcal_service.diagnosis.report.frame import Origin, check_packages
 from magcal_service.diagnosis.report.page import report
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
+from magcal_service.diagnosis.stages import WRITING
 from magcal_service.diagnosis.summary import summary
 from magcal_service.disk import write_whole
 from magcal_service.errors import unwritable
@@ -129,7 +130,7 @@ def _accepted(request: Request) -> _Accepted:
 def _made(request: Request, accepted: _Accepted, progress: Callable[[str], None]) -> Made:
     recording, inspection = accepted.recording, accepted.inspection
     diagnosis = diagnose(recording, accepted.simulation, progress=progress, inspection=inspection)
-    progress("writing the results")
+    progress(WRITING)
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
     origin = _origin(request, *recording.descriptor.files)

@@ -17,8 +17,9 @@ from magcal_service.diagnosis.leftover import Structure, significant
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
-from magcal_service.diagnosis.searching import End, Progress, in_form, with_memory
+from magcal_service.diagnosis.searching import End, in_form, with_memory
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue
@@ -110,7 +111,7 @@ def diagnose(
     recording: Recording,
     simulation_x: Array | None = None,
     effects: tuple[Effect, ...] | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = untold,
     inspection: Inspection | None = None,
 ) -> Diagnosis:
     """Compare a recording with its simulation and find what was left out.
@@ -124,19 +125,18 @@ def diagnose(
     simulation_x: nine errors (9,) of the simulation to compare with; None: the forward model as calibrated on the
         first half of the recording.
     effects: the catalogue; a test may pass its own.
-    progress: is called with what is being done.
+    progress: is called with which of ``stages.STEPS`` begins.
     inspection: what was found on the recording, where that is known already.
     """
     began = time.monotonic()
     inspection = inspect(recording) if inspection is None else inspection
     effects = () if inspection.open else catalogue() if effects is None else effects
     rows = inspection.to_diagnose
-    progress("simulating the recording with nine errors")
+    progress(SIMULATING)
     first = _on_rows(rows, inspection, effects, simulation_x, progress)
     comes_and_goes = _comes_and_goes(first)
     if not comes_and_goes:
         return replace(first, seconds=time.monotonic() - began)
-    progress("once more between the pulses")
     between = np.ones(len(rows), dtype=bool)
     for one in comes_and_goes.values():
         if one.spoiled is not None:
@@ -177,11 +177,10 @@ def _on_rows(
 ) -> Diagnosis:
     """The diagnosis of some rows of an inspected recording."""
     began = time.monotonic()
-    progress(f"screening {len(effects)} effects")
-    prepared, search, explained, refused = in_form(rows, effects)
-    progress("looking for what is left")
+    prepared, search, explained, refused = in_form(rows, effects, progress)
+    progress(LEFT)
     end = with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
-    progress("looking at attitude and noise")
+    progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = _unexplained(prepared, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
@@ -218,7 +217,7 @@ def _modelled(
     """Curves over drivers where too much has no name; while the recording itself is in doubt nothing is modelled."""
     if inspection.open or not {"unexplained_structure", "mismatch_lasts"} & set(against):
         return None
-    progress("modelling what has no name")
+    progress(MODELLING)
     return modelled(end.search, end.explained.fit, end.floor_nt, with_sun=spin is not None)
 
 

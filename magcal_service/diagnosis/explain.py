@@ -19,13 +19,14 @@ from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array, measure
 from magcal_service.physics.interface import Hypothesis
 
 HELD_OUT_SHARE: Final = 0.3
 """Of the drop in squares inside, at least so much has to be seen on blocks that took no part."""
 
-MOST_EFFECTS: Final = 3
+MOST_EFFECTS: Final = len(SEARCHING)
 """Effects in one recording: beyond three they explain one another on the recordings tried."""
 
 _WORTH_TEMPERING: Final = 5000.0
@@ -97,10 +98,11 @@ class Search(Screen):
                 return found
         return self.refreshed(baseline)
 
-    def run(self, start: Fit, floor_nt: float) -> Explained:
+    def run(self, start: Fit, floor_nt: float, progress: Progress = untold) -> Explained:
         """Forward selection with a backward check after every step."""
         fit = start
         while len(fit.terms) < MOST_EFFECTS:
+            progress(SEARCHING[len(fit.terms)])
             larger = self._larger(fit, floor_nt)
             if larger is None:
                 break
@@ -108,6 +110,7 @@ class Search(Screen):
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
+        progress(RIVALS)
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))

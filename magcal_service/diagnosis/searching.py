@@ -6,7 +6,6 @@ whitened by the memory of its noise where it has one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,12 +24,11 @@ from magcal_service.diagnosis.problem import Fit, Problem, is_collapsed
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.stages import Progress, untold
 from magcal_service.model import Array
 from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.recording import Recording
-
-Progress = Callable[[str], None]
 
 _LONGEST_MEMORY: Final = 20.0
 """Samples over which noise may remember itself: a correlation of 0.9 from one to the next.  What lasts longer is
@@ -72,17 +70,19 @@ class End:
         return replace(self, rest=rest, explained=with_left(self.explained, left_nt2, rest, self.floor_nt))
 
 
-def in_form(recording: Recording, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained, tuple[Form, ...]]:
+def in_form(
+    recording: Recording, effects: tuple[Effect, ...], progress: Progress = untold
+) -> tuple[Prepared, Search, Explained, tuple[Form, ...]]:
     """A search in the form of residual that says most, and the forms that the attitude does not bear out.
 
     Whole vectors show what the attitude errs by, magnitudes nothing of that.  So where vectors are left with more than
     noise, magnitudes are searched too, and stand where they are left with clearly less.
     """
-    prepared, search, explained = _searched(prepare(recording, effects), effects)
+    prepared, search, explained = _searched(prepare(recording, effects), effects, progress)
     left_nt = _left_nt(explained.fit)
     if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
         return prepared, search, explained, ()
-    others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects)
+    others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects, progress)
     scalar = others[2].fit
     if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
         return prepared, search, explained, ()
@@ -101,14 +101,16 @@ def _left_nt(fit: Fit) -> float:
     return max(whole, float(np.sqrt(np.mean(along**2))))
 
 
-def _searched(prepared: Prepared, effects: tuple[Effect, ...]) -> tuple[Prepared, Search, Explained]:
+def _searched(
+    prepared: Prepared, effects: tuple[Effect, ...], progress: Progress
+) -> tuple[Prepared, Search, Explained]:
     """A search under the field-model errors that the recording needs, and what it was prepared as for it."""
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     usual, taken = prepared.problem.field_error, min(SCALES)
     prepared = _settled(prepared, prepared.problem) if usual is None else _at_scale(prepared, usual, taken)
     while True:
         search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
-        explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt)
+        explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt, progress)
         if usual is None:
             return prepared, search, explained
         scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
@@ -146,9 +148,8 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     coefficients = _memory(prepared, search.problem, explained.fit)
     if not len(coefficients):
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
-    progress("the noise is correlated: once more on the whitened residual")
     quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
-    again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower)
+    again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
     again, again_left = _standing(quiet, baseline, again, phase, lower)
     if _drivers(explained):
         explained, left = _standing(search, baseline, explained, phase, floor)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
 
+from magcal_service import progress
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema
 from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
@@ -34,9 +38,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def done(hot: Path, folder: Path) -> Done:
+def told() -> list[str]:
+    """The steps that ``done`` was told of."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def done(hot: Path, folder: Path, told: list[str]) -> Done:
     """The command over ``hot``, against the scenario that it was made with."""
-    return diagnose(hot, "--out", folder, "--simulation", "hot-electronics")
+
+    @contextmanager
+    def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+        told.append(names[0])
+        yield told.append
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(progress, "steps", steps)
+        return diagnose(hot, "--out", folder, "--simulation", "hot-electronics")
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +66,15 @@ def content(done: Done, folder: Path) -> dict[str, Any]:
 
 def test_a_diagnosis_is_done_and_says_no_step_where_stderr_is_no_terminal(done: Done) -> None:
     assert (done.code, done.err) == (0, "")
+
+
+def test_its_steps_are_told_in_their_order(done: Done, told: list[str]) -> None:
+    """A search that keeps two effects looks for a third, and may be made again under a larger error of the field."""
+    assert done.code == 0
+    once = list(dict.fromkeys(told))
+    assert once == [step for step in STEPS if step in once]
+    assert {*SEARCHING, RIVALS, LEFT} < set(once)
+    assert (told[:3], told[-1]) == ([READING, SIMULATING, SEARCHING[0]], WRITING)
 
 
 def test_the_three_files_are_written(done: Done, folder: Path) -> None:

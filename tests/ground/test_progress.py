@@ -66,10 +66,12 @@ def test_a_terminal_sees_the_outermost_end_and_an_empty_line_after_it(terminal: 
             terminal.wait_for("pieces: 3 of 4 done")
         assert terminal.getvalue().endswith("\r\x1b[K")
         assert "rows of one" not in terminal.getvalue()
-        with steps("first") as begin:
-            terminal.wait_for("first, 0 s")
+        with steps(("first", "second", "third")) as begin:
+            terminal.wait_for("step 1 of at most 3: first, 0 s")
+            begin("third")
+            terminal.wait_for("step 3 of at most 3: third, 0 s")
             begin("second")
-            terminal.wait_for("second, 0 s")
+            terminal.wait_for("step 2 of at most 3: second once more, 0 s")
 
 
 def test_what_ends_within_two_seconds_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

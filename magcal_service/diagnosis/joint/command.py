@@ -14,6 +14,7 @@ from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.result import as_json, model_of, summary
 from magcal_service.diagnosis.report.frame import Origin, check_packages
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.stages import WRITING
 from magcal_service.offline.result_files import (
     DIAGNOSIS,
     PHYSICS,
@@ -70,7 +71,7 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     earlier = earlier_files(request.out)
     remove(earlier)
     diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=progress, assumed=gathered.assumed)
-    progress("writing the results")
+    progress(WRITING)
     contents = {
         DIAGNOSIS: as_json(diagnosis),
         REPORT: report(diagnosis, _origin(request, gathered)),

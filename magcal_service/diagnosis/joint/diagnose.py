@@ -30,8 +30,9 @@ from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
-from magcal_service.diagnosis.searching import FLOOR, Progress
+from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Effect
@@ -134,7 +135,7 @@ def diagnose_together(
     inspections: Sequence[Inspection],
     names: Sequence[str],
     effects: tuple[Effect, ...] | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = untold,
     assumed: str = "",
 ) -> JointDiagnosis:
     """Find the physics that several recordings of one craft have in common.
@@ -145,21 +146,20 @@ def diagnose_together(
     ----------
     inspections, names: two or more recordings with what was found on each, and a name for each.
     effects: the catalogue; a test may pass its own.
-    progress: is called with what is being done.
+    progress: is called with which of ``stages.JOINT_STEPS`` begins.
     assumed: what the caller has to take for granted, as ``gather`` says it.
     """
     began = time.monotonic()
     is_open = any(one.open for one in inspections)
     effects = () if is_open else catalogue() if effects is None else effects
-    progress(f"simulating {len(inspections)} recordings with nine errors each")
+    progress(SIMULATING)
     stride = stride_for(sum(one.account_to_diagnose.used for one in inspections))
     prepared = [prepare(one.to_diagnose, effects, (Form.ROOM, Form.SCALAR), stride) for one in inspections]
-    progress(f"screening {len(effects)} effects")
     run = _Run(tuple(effects), prepared, tuple(names))
-    explained = run.explained()
-    progress("comparing the recordings with one another")
+    explained = run.explained(progress)
+    progress(COMPARING)
     explained, compared = run.common(explained)
-    progress("looking for what is left")
+    progress(LEFT)
     alone = run.alone(explained.fit, inspections)
     rest = Rest.of_all([(one.baseline, one.fit) for one in alone])
     floor = FLOOR * explained.fit.problem.noise_nt
@@ -193,7 +193,7 @@ class _Run:
         triples = zip(self.prepared, self._usual, self._scales, strict=True)
         return [one.problem if usual is None else at_scale(one.problem, usual, s) for one, usual, s in triples]
 
-    def explained(self) -> Explained:
+    def explained(self, progress: Progress) -> Explained:
         """A search, repeated while a recording needs larger errors of the field model; wider noise brings no names."""
         found: Explained | None = None
         names_hold = False
@@ -205,7 +205,7 @@ class _Run:
             floor = FLOOR * problem.noise_nt
             if found is not None and (names_hold or not found.fit.terms):
                 return self._arrived(search, search.again(problem, found.fit, floor))
-            found = self._arrived(search, search.run(baseline, floor))
+            found = self._arrived(search, search.run(baseline, floor, progress))
             grown, names_hold = self._grown(baseline, found.fit)
             if not grown:
                 return found
