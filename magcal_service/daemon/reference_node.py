@@ -136,7 +136,7 @@ def run_along(
         if time.monotonic() > look_s:
             look_s = time.monotonic() + _LOOK_S
             elements.refresh(now_ns())
-            _tell_alone(link, craft)
+            _log_alone(link, craft)
         due_s = max(due_s + period_s, time.monotonic() - period_s)
         stop.wait(max(0.0, due_s - time.monotonic()))
     return sent
@@ -152,7 +152,7 @@ def run_beside(link: Link, heard: Link, craft: str, stop: threading.Event) -> Se
         link.receive(0.0)
         if time.monotonic() > look_s:
             look_s = time.monotonic() + _LOOK_S
-            _tell_alone(link, craft)
+            _log_alone(link, craft)
             if not sent.references:
                 log.warning("no position of craft %s has come; it is sent as position messages, on UTC", craft)
     return sent
@@ -171,7 +171,7 @@ def _send(link: Link, position: PositionSample | str, sent: Sent, *, with_positi
     sent.references += 1
 
 
-def _tell_alone(link: Link, craft: str) -> None:
+def _log_alone(link: Link, craft: str) -> None:
     served = link.served()
     if link.alone or (served is not None and craft not in served):
         log.warning("craft %s does not hear it: %s", craft, why_silent(link, [craft]))

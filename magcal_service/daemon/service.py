@@ -168,12 +168,12 @@ class Service:
             if self.link.exhausted and not messages:
                 break
             if status.due():
-                self._tell_daemon()
+                self._publish_daemon()
                 self._round.begin(self.pipelines)
             for name in self._round.turn():
                 self._publish_status(self.pipelines[name])
             if overload.due():
-                self.tell_overload()
+                self.report_overload()
             if summary.due():
                 self.log_health()
             if watchdog.due():
@@ -191,7 +191,7 @@ class Service:
         with self._reporting("health"):
             log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
 
-    def tell_overload(self) -> None:
+    def report_overload(self) -> None:
         """Report for each craft that the link's queue sheds its messages, and that it has stopped."""
         for craft, begun, cause in self.health.overload.changes():
             own = self.magnetometers[craft].own
@@ -266,7 +266,7 @@ class Service:
     def _give(self, pipeline: Pipeline, message: Message, replies: list[CommandReply] | None = None) -> None:
         """Have a pipeline work on a message; the replies to a command are kept in ``replies`` where that is given."""
         if pipeline.leaves_out(message):
-            self._tell_left_out(pipeline, message)
+            self._report_left_out(pipeline, message)
             return
         with contained(pipeline, _TAKING[type(message)], message):
             self._work_off(pipeline, message, replies)
@@ -283,7 +283,7 @@ class Service:
         if isinstance(message, Command) and message.name == "status":
             self._publish_status(pipeline)
 
-    def _tell_left_out(self, pipeline: Pipeline, message: Message) -> None:
+    def _report_left_out(self, pipeline: Pipeline, message: Message) -> None:
         """Report a craft's first message that is left out."""
         if pipeline.label not in self._left_out:
             self._left_out.add(pipeline.label)
@@ -321,15 +321,15 @@ class Service:
         """Send each craft's status, and put the rows written so far on disk."""
         for pipeline in self.pipelines.values():
             self._publish_status(pipeline)
-        self._tell_daemon()
+        self._publish_daemon()
 
-    def _tell_daemon(self) -> None:
+    def _publish_daemon(self) -> None:
         """Renew what is reported once for all craft."""
-        self._tell_alone()
+        self._log_alone()
         self._publish_metrics()
         self.rows.flush()
 
-    def _tell_alone(self) -> None:
+    def _log_alone(self) -> None:
         """Log once that nobody is at the other end of the link, and that somebody is again."""
         alone = self.link.alone
         if alone and not self._alone:

@@ -69,7 +69,7 @@ def check_session(path: Path, craft: str | None = None) -> Check:
     replay(recording, craft_of(recording), sink=keep, as_recorded=True)
     pairs = list(zip(recorded, replayed, strict=False))
     differing = [number for number, (one, other) in enumerate(pairs) if repr(one) != repr(other)]
-    difference = f"tick {pairs[differing[0]][0].tick}: {_told(*pairs[differing[0]])}" if differing else ""
+    difference = f"tick {pairs[differing[0]][0].tick}: {_difference(*pairs[differing[0]])}" if differing else ""
     if not difference and len(recorded) > len(replayed):
         difference = f"tick {recorded[len(replayed)].tick}: the replay has no estimate any more"
     return Check(name, len(recorded), len(replayed), len(pairs) - len(differing), difference)
@@ -82,7 +82,7 @@ def _recorded(path: Path, craft: str) -> Sequence[Estimate]:
     return [replace(one, sequence=0) for name, one in found if name == craft and isinstance(one, Estimate)]
 
 
-def _told(recorded: Estimate, replayed: Estimate) -> str:
+def _difference(recorded: Estimate, replayed: Estimate) -> str:
     """The first field that differs."""
     for field in fields(Estimate):
         one: Any = getattr(recorded, field.name)

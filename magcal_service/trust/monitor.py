@@ -177,14 +177,14 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
 
         Too small by the white part of the residual, which no missing physics raises; too large by all of it.
         """
-        told_nt, (low, high) = self.config.sensor.noise_nt, _Levels.noise_ratio
-        if told_nt is None or self._since_start < _Levels.memory_ticks or not self._floor_nt:
+        stated_nt, (low, high) = self.config.sensor.noise_nt, _Levels.noise_ratio
+        if stated_nt is None or self._since_start < _Levels.memory_ticks or not self._floor_nt:
             return 0.0
         if self._rejected_share > _MANY_SPIKES:  # those that pass the gate widen the rest
             return 0.0
-        if self._floor_nt > high * told_nt:
+        if self._floor_nt > high * stated_nt:
             return self._floor_nt
-        return self.residual_rms_nt if self.residual_rms_nt < low * told_nt else 0.0
+        return self.residual_rms_nt if self.residual_rms_nt < low * stated_nt else 0.0
 
     def observe(self, tick: Tick, outcome: TickOutcome, estimate: StateEstimate) -> None:
         """Update the statistics with one tick."""
@@ -321,8 +321,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _information(self) -> set[Reason]:
         """Reasons that are reported but do not make the estimate doubtful by themselves."""
         short = {Reason.NO_REFERENCE} if self._unpaired_s <= _Levels.silent_s else set()
-        told = {Reason.HELD_READINGS, Reason.NOISE_MISSTATED}
-        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN, Reason.COMPENSATION_STOPPED} | told | short
+        remarks = {Reason.HELD_READINGS, Reason.NOISE_MISSTATED}
+        return {Reason.SPIN_CONTRADICTED, Reason.FROZEN, Reason.COMPENSATION_STOPPED} | remarks | short
 
     def _silence(self) -> list[Reason]:
         silent = [Reason.NO_REFERENCE] if self._unpaired_s > 0.0 else []
@@ -333,7 +333,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def _sensed(self) -> list[Reason]:
         return [reason for reason in DOUBTS if reason in self.senses.said]
 
-    def _told(self) -> list[Reason]:
+    def _remarks(self) -> list[Reason]:
         held = [Reason.HELD_READINGS] if self._held_factor > _Levels.held_factor else []
         return [*held, Reason.NOISE_MISSTATED] if self._misstated_noise_nt() else held
 
@@ -375,7 +375,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
                 and self._ticks >= levels.memory_ticks,
             ),
         )
-        return self._sensed() + [reason for reason, bad in questions if bad] + self._silence() + self._told()
+        return self._sensed() + [reason for reason, bad in questions if bad] + self._silence() + self._remarks()
 
     def _unfinished(self, estimate: StateEstimate) -> list[Reason]:
         settings = self.config.trust

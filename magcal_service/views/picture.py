@@ -80,7 +80,7 @@ def picture(one: Magnetometer | None, frame: Frame, width: int, height: int, mar
 
 def _nothing(frame: Frame, width: int) -> list[Line]:
     waiting = "the recording has no result" if frame.ended else "waiting for the first result"
-    return [_heading("magcal watch", frame.where, waiting, Style.WAIT, width), *_told("", frame.silence, width, 4)]
+    return [_heading("magcal watch", frame.where, waiting, Style.WAIT, width), *_entry("", frame.silence, width, 4)]
 
 
 def _of(one: Magnetometer, frame: Frame, width: int, height: int, marks: str) -> list[Line]:
@@ -115,24 +115,24 @@ def _top(one: Magnetometer, shown: Mapping[str, Any], frame: Frame, width: int) 
     name = one.label if of == 1 else f"{one.label} ({number} of {of})"
     lines = [_heading(name, frame.where, state, style, width), _verdict(shown, stale)]
     if stale:
-        return [*lines, *_told("link", frame.silence or "no results come", width, 3, Style.BAD)]
+        return [*lines, *_entry("link", frame.silence or "no results come", width, 3, Style.BAD)]
     lines += _reasons(shown, width)
-    lines += _told("recording", "; ".join(shown["defects"]), width, 2, Style.BAD)
+    lines += _entry("recording", "; ".join(shown["defects"]), width, 2, Style.BAD)
     finding = shown["finding"]
     if finding is None:
         return lines
     command = f"run: {finding['command']}"
-    return [*lines, *_told("model", finding["what"], width, 1, Style.BAD), *_told("", command, width, 1, Style.BAD)]
+    return [*lines, *_entry("model", finding["what"], width, 1, Style.BAD), *_entry("", command, width, 1, Style.BAD)]
 
 
 def _reasons(shown: Mapping[str, Any], width: int) -> list[Line]:
     """All reasons and the advice to the first; where there is no estimate yet, what the status says."""
     if shown["reasons"]:
         codes, advice = ", ".join(reason for reason, _ in shown["reasons"]), shown["reasons"][0][1]
-        return [*_told("why", codes, width, 1), *_told("do", advice or "look it up in docs/trust.md", width, 2)]
+        return [*_entry("why", codes, width, 1), *_entry("do", advice or "look it up in docs/trust.md", width, 2)]
     if shown["verdict"] == Verdict.TRUSTED:
-        return [*_told("why", "every question is answered well", width, 1), *_told("do", "nothing", width, 1)]
-    return _told("status", shown["status"], width, 3)
+        return [*_entry("why", "every question is answered well", width, 1), *_entry("do", "nothing", width, 1)]
+    return _entry("status", shown["status"], width, 3)
 
 
 def _is_stale(one: Magnetometer, frame: Frame) -> bool:
@@ -166,7 +166,7 @@ def _verdict(shown: Mapping[str, Any], stale: bool) -> Line:
     return line
 
 
-def _told(name: str, text: str, width: int, rows: int, style: Style = Style.PLAIN) -> list[Line]:
+def _entry(name: str, text: str, width: int, rows: int, style: Style = Style.PLAIN) -> list[Line]:
     """A text beside its name, in at most ``rows`` lines; none where it is empty."""
     names = [name, *[""] * rows]
     return [

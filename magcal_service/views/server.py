@@ -123,14 +123,14 @@ class Page:
         try:
             await response.prepare(request)
             while True:
-                await response.write(b"data: " + json.dumps(self._told(update), allow_nan=False).encode() + _END)
+                await response.write(b"data: " + json.dumps(self._content(update), allow_nan=False).encode() + _END)
                 await asyncio.sleep(UPDATE_S)
         except ConnectionError:
             return response
         finally:
             self._readers -= 1
 
-    def _told(self, update: _Update) -> dict[str, Any]:
+    def _content(self, update: _Update) -> dict[str, Any]:
         with self._source.lock:
             told = update(self._source.views, time.monotonic())
         return told | {"origin": asdict(self._source.origin), "commands": self._commands}

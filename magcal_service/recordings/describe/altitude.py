@@ -78,7 +78,7 @@ def find_altitude(
     unit, why, possible = _unit(heights)
     said = draft.answers.get("position.altitude.unit")
     if said is not None:
-        unit, why = _told(said), answered("position.altitude.unit")
+        unit, why = _answered_unit(said), answered("position.altitude.unit")
     if not unit:
         candidates = tuple((one, f"{heights.usual * LENGTH_KM[LengthUnit(one)]:.4g} km") for one in possible)
         asks = f"in which unit is the altitude {column.label} (about {heights.usual:.6g})? {why}"
@@ -96,7 +96,7 @@ def _called_altitude(log: Log) -> list[Column]:
     return named or [c for c in letter if c.unit in list(LengthUnit)]
 
 
-def _told(answer: str) -> str:
+def _answered_unit(answer: str) -> str:
     if answer not in list(LengthUnit):
         accepted = f"{' '.join(LengthUnit)} are accepted"
         raise InputRefusedError([Fault("--answer position.altitude.unit", answer, accepted)])

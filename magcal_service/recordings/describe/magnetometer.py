@@ -54,7 +54,7 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     if chosen is not None:
         x, y, z = chosen
         triple = Triple((x, y, z), x.stem, x.words)
-        found = _told(draft, [_with_unit(draft, triple, model_nt)])
+        found = _as_answered(draft, [_with_unit(draft, triple, model_nt)])
         return _put(draft, found, answered("magnetometer.columns"))
     named = [group for group in groups if kind_of_triple(group) is Kind.MAGNETOMETER]
     named = named or _by_file(draft, groups)
@@ -75,7 +75,7 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     if doubted or (draft.doubted and not named):
         _ask_columns(draft, groups, model_nt, "the header seems to name the wrong columns. ")
         return []
-    found = _told(draft, [_with_unit(draft, group, model_nt) for group in named])
+    found = _as_answered(draft, [_with_unit(draft, group, model_nt) for group in named])
     possible = [(group, unit) for group, unit in found if unit.possible]
     if found and not possible:
         return _ask_counts(draft, *found[0])
@@ -99,7 +99,7 @@ def _by_file(draft: Draft, groups: list[Triple]) -> list[Triple]:
     return [group for group in groups if not group.words][:1]
 
 
-def _told(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> list[tuple[Triple, UnitFound]]:
+def _as_answered(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> list[tuple[Triple, UnitFound]]:
     """The unit as it was answered; of several groups, for those whose numbers allow it, or for the first."""
     answer = draft.answers.get("magnetometer.unit")
     if answer is None or not found:

@@ -231,7 +231,7 @@ def _cartesian_unit(triple: Triple) -> str:
 
 
 def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Place | None:
-    unit = _told_length(draft.answers.get("position.unit")) or _cartesian_unit(triple)
+    unit = _answered_length(draft.answers.get("position.unit")) or _cartesian_unit(triple)
     radius = float(np.nanmedian(np.sqrt((triple.values**2).sum(axis=1))))
     frame = draft.answers.get("position.frame") or frame_of(triple.words)
     if not unit:
@@ -258,7 +258,7 @@ def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Pl
     return Place(numbers, high, cartesian_km=km, frame=frame)
 
 
-def _told_length(answer: str | None) -> str:
+def _answered_length(answer: str | None) -> str:
     if answer is not None and answer not in list(LengthUnit):
         accepted = f"{' '.join(LengthUnit)} are accepted for three coordinates"
         raise InputRefusedError([Fault("--answer position.unit", answer, accepted)])

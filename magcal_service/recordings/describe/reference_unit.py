@@ -29,7 +29,7 @@ def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: floa
     InputRefusedError: the answer is no unit of a field.
     """
     answer = draft.answers.get("reference.unit")
-    found = _told(draft, size, answer) if answer is not None else _found(size, said, expected_nt)
+    found = _as_answered(draft, size, answer) if answer is not None else _found(size, said, expected_nt)
     if found.sure and size is not None:
         draft.reference_nt = size.usual * FIELD_NT[FieldUnit(found.unit)]
     return found
@@ -46,7 +46,7 @@ def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound
     return replace(found, unit="", sure=False, why=why, possible=(*inside, found.unit))
 
 
-def _told(draft: Draft, size: Size | None, answer: str) -> UnitFound:
+def _as_answered(draft: Draft, size: Size | None, answer: str) -> UnitFound:
     if answer not in list(FieldUnit):
         raise InputRefusedError([Fault("--answer reference.unit", answer, f"{' '.join(FieldUnit)} are accepted")])
     if size is not None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question
 from magcal_service.recordings.describe.over_ground import moves_as_orbit
-from magcal_service.recordings.describe.time_numbers import Form, S, as_told, is_named, rises
+from magcal_service.recordings.describe.time_numbers import Form, S, in_form, is_named, rises
 from magcal_service.recordings.describe.times_found import Times
 
 FloatArray = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ def agrees(draft: Draft, form: Form, forms: Sequence[Form]) -> bool:
 def _named_clocks(log: Log, form: Form) -> list[Form]:
     """Other columns that rise and whose names say a unit of time, each in that unit."""
     rising = [c for c in log.columns if c.unit in S and c.numeric and c not in form.columns and rises(c.values)]
-    return [told for column in rising if (told := as_told(column, f"elapsed_{column.unit}")) is not None]
+    return [told for column in rising if (told := in_form(column, f"elapsed_{column.unit}")) is not None]
 
 
 def _steps(log: Log, *times: FloatArray) -> tuple[float, ...]:
@@ -150,8 +150,8 @@ def doubt_by_way(draft: Draft, times: Times | None, latitude: Column, longitude:
         return
     own = times.format.removeprefix("elapsed_")
     for unit, s in S.items():
-        as_told = replace(times, seconds=times.seconds * (s / S[own]))
-        if unit != own and moves_as_orbit(lat, lon, draft.log, as_told):
+        in_unit = replace(times, seconds=times.seconds * (s / S[own]))
+        if unit != own and moves_as_orbit(lat, lon, draft.log, in_unit):
             says = f"{latitude.label} and {longitude.label} go round the Earth as a craft in orbit only if it is {unit}"
             candidates = ((f"elapsed_{unit}", "as the places move"), (times.format, "as its name says"))
             draft.ask(Question("time.format", f"in which unit is the time? {says}", candidates, candidates[0][0]))

@@ -64,7 +64,7 @@ class Form:
     pattern: str = ""
 
 
-def as_told(column: Column, form: str) -> Form | None:
+def in_form(column: Column, form: str) -> Form | None:
     """A column of numbers in the form that was answered, whatever its numbers look like; None for an unknown form."""
     kind, _, unit = form.partition("_")
     why = answered("time.format")

@@ -16,7 +16,7 @@ from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.time_check import agrees, stated_rates
 from magcal_service.recordings.describe.time_forms import ROLLOVERS, joined, of_columns
 from magcal_service.recordings.describe.time_forms import forms as all_forms
-from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, as_told, is_named, repeated, rises
+from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, in_form, is_named, repeated, rises
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.timestamps import iso8601_to_ns
 
@@ -159,7 +159,7 @@ def _by_answer(draft: Draft) -> Times | None:
     if columns is None and likeliest is not None:
         columns = list(likeliest.columns)
     if columns is not None and len(columns) == 1 and form is not None:
-        told = as_told(columns[0], form)
+        told = in_form(columns[0], form)
         if told is not None:
             return _take(draft, told, told.why)
     if columns is not None and pattern is not None:

@@ -45,7 +45,7 @@ def test_event_status_and_metric_say_it() -> None:
     ):
         service = Service(Config(link.address, crafts), link)
         link.overflows["two"] += 4
-        service.tell_overload()
+        service.report_overload()
         (status,) = (message for message in node.receive(0.0) if isinstance(message, Status))
         metrics = service.health.metrics(service.pipelines.values(), Counter())
     assert status.craft == "two"
