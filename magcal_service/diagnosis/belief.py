@@ -15,6 +15,7 @@ from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.recordings.inspect.motion import kepler_rad_s
+from magcal_service.residuals import MEDIAN_TO_SIGMA
 
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
@@ -69,6 +70,9 @@ _MOST_D_SIGMA: Final = 0.05  # the same, by D
 _MOST_NOISE: Final = 0.02
 """Share of the field that a sensor's noise may be, where it was not stated: 600 nT of the noisiest consumer parts are
 1 to 2 %.  What changes from sample to sample by more is no noise, and names beside it only follow it."""
+
+_NOISIER: Final = 1.2
+"""Times the stated noise, what may be left at the most: the level of a hundred samples is known to 7 %."""
 
 _END: Final = 0.999  # of the largest number that is searched: rounding
 
@@ -235,7 +239,13 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
 
 
 def reasons(
-    explained: Explained, unexplained: float, unknown: bool, stated: bool = True, rest: Rest | None = None
+    explained: Explained,
+    unexplained: float,
+    unknown: bool,
+    stated: bool = True,
+    rest: Rest | None = None,
+    *,
+    has_own_noise: bool = False,
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``words.REASONS``.
 
@@ -245,6 +255,7 @@ def reasons(
     unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
     stated: whether the sensor's noise was stated, not estimated from the residual.
     rest: what lasts beside the names; None where the noise has a memory.
+    has_own_noise: whether a level of noise beside the stated one was found and said.
     """
     fit, named = explained.fit, bool(explained.fit.terms)
     return listed(
@@ -253,6 +264,7 @@ def reasons(
         poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
         unexplained_structure=unknown or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained))),
         rough_residual=named and not stated and is_rough(fit),
+        noisier_than_stated=stated and not has_own_noise and is_noisier(fit),
     )
 
 
@@ -328,6 +340,16 @@ def _at_an_end(term: Term) -> bool:
 def is_rough(fit: Fit) -> bool:
     """Whether what changes from sample to sample is more of the field than any sensor's noise."""
     return fit.problem.noise_nt > _MOST_NOISE * float(np.mean(fit.problem.scene.magnitude_nt))
+
+
+def is_noisier(fit: Fit) -> bool:
+    """Whether more is left than the noise and the field model's errors, by rms and by the median alike.
+
+    Outliers raise the one, and a few large waves hardly the other.
+    """
+    left = fit.held_out_white
+    robust = MEDIAN_TO_SIGMA * float(np.median(np.abs(left - np.median(left))))
+    return min(float(np.sqrt(np.mean(left**2))), robust) > _NOISIER * fit.problem.noise_nt
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

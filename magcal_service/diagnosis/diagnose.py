@@ -187,7 +187,16 @@ def _on_rows(
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
-    against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest)
+    against = reasons(
+        end.explained,
+        unexplained,
+        verdict is Verdict.UNKNOWN,
+        stated,
+        end.rest,
+        has_own_noise=any(
+            effect.acts_on in (ActsOn.NOISE, ActsOn.SAMPLES) for effect in effects if effect.name in findings
+        ),
+    )
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
         inspection=inspection,

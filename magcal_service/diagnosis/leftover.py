@@ -25,6 +25,10 @@ SIGNIFICANT_NATS: Final = 6.0
 _MOST_TERMS: Final = 5
 """Terms of a family that are named; choice: enough for a product on three axes and two others, few enough to read."""
 
+_TAIL: Final = 3.5
+"""Of the noise, what a single sample counts for at the most where stretches are looked for: one far out is none, but
+would be found in the shortest of them.  What lasts is there in all its samples."""
+
 _TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
 """Widths of a stretch that is tried [s]: a manoeuvre, a heater, a pass over a station.
 
@@ -103,7 +107,7 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     Each stretch of three widths that gains more than choosing it among all costs counts by what it gains; of those
     that overlap the best.  Where most of the recording would count, it is no transient.
     """
-    search, space = beside.search, beside.space
+    search, space = beside.search, beside.space.clipped(_TAIL * sigma)
     if search.problem.is_vector:
         return None
     scene = search.problem.scene

@@ -11,6 +11,7 @@ Source: MacKay 1992, Bayesian interpolation, Neural Computation 4, equations 4.9
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -93,6 +94,14 @@ class Workspace:
         self.residual: Array = residual - self._basis @ (self._basis.T @ residual)
         self.count = len(residual)
         self.squares = float(self.residual @ self.residual)
+
+    def clipped(self, limit: float) -> Workspace:
+        """The same with no sample of the residual beyond a limit [nT]."""
+        result = copy(self)
+        held = np.clip(self.residual, -limit, limit)
+        result.residual = held - self._basis @ (self._basis.T @ held)
+        result.squares = float(result.residual @ result.residual)
+        return result
 
     def projected(self, columns: Array) -> Array:
         """Columns (m, k) less their part in the model's."""

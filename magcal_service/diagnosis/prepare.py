@@ -42,6 +42,10 @@ _SPIKE: Final = 8.0
 Choice: lower, and steep but real courses of a disturbance lose samples; a spike below it is diluted by the fit.
 """
 
+_LEAST_FIELD: Final = 10.0
+"""Times the noise, the field from which on a row is used: below it the noise turns the calibrated vector by more than
+6 deg, and |w| is no more its length along the field with noise / |H| on top (``model.scalar_residual``)."""
+
 _CONSTANT_SPREAD: Final = 0.005
 """Spread of |H| over its mean below which a recorded attitude is needed, and the vector form is used.
 
@@ -142,7 +146,7 @@ class _Used:
 
 
 def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None) -> _Used:
-    """The rows without those that are too many, spikes or spoiled; all of them where hardly any would be left."""
+    """The rows without those too many, spikes, spoiled or in a weak field; all where hardly any would be left."""
     usable, thinned = _usable(recording, stride)
     noise_nt = recording.descriptor.magnetometer.noise_nt
     scene = scene_of(usable)
@@ -150,10 +154,12 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     level_nt = noise_nt or _white(scene, x)
     findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
     spikes = _spikes(scene, x) & ~spoiled
-    keep = ~(spikes | spoiled)
+    weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes
+    keep = ~(spikes | spoiled | weak)
     if np.count_nonzero(keep) < 10 * STATE_SIZE:
         keep[:] = True
-    left_out = {"thinned": thinned, "spikes": int((spikes & ~keep).sum()), "spoiled": int((spoiled & ~keep).sum())}
+    why = {"spikes": spikes, "spoiled": spoiled, "weak_field": weak}
+    left_out = {"thinned": thinned, **{name: int((rows & ~keep).sum()) for name, rows in why.items()}}
     if not keep.all():
         usable = usable.select(keep)
         scene = scene_of(usable)
@@ -263,8 +269,12 @@ def _white(scene: Scene, x: Array) -> float:
 
 
 def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
-    """Single samples far outside their neighbourhood."""
-    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
+    """Single samples whose residual under nine errors is far outside its neighbourhood."""
+    return spikes_of(np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
+
+
+def spikes_of(residual: Array) -> NDArray[np.bool_]:
+    """Which single samples of a residual (n,) are far outside their neighbourhood and the whole."""
     padded = np.pad(residual, 4, mode="reflect")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
     off = np.abs(residual - around)

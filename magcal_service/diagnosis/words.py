@@ -62,6 +62,11 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "what changes from one sample to the next is larger than any sensor's noise",
         "state noise_nt; look for repeated or misplaced rows with magcal inspect",
     ),
+    "noisier_than_stated": (
+        "more is left than the noise that was stated: the sensor is noisier, or something as quick as noise disturbs"
+        " it, such as a tone far above the sampling rate",
+        "state the noise that the sensor has on board; switch wheels, converters and transmitters off one by one",
+    ),
     "gain_in_scatter": (
         "what the effects gain on held-out blocks does not stand out of its scatter",
         "record longer: twice the blocks halve the variance of the gain",
@@ -142,7 +147,9 @@ IN_DOUBT: Final = "Recording and reference disagree, but the recording itself is
 """The verdict while something has to be answered about the recording."""
 
 
-def agreed(left_nt: float, noise_nt: float, model_nt: float | None, compared: str = "recording") -> str:
+def agreed(
+    left_nt: float, noise_nt: float, model_nt: float | None, compared: str = "recording", *, noisier: bool = False
+) -> str:
     """The verdict where nothing is left out.
 
     Parameters
@@ -150,8 +157,14 @@ def agreed(left_nt: float, noise_nt: float, model_nt: float | None, compared: st
     left_nt: rms on data that took no part in the fit [nT].
     noise_nt, model_nt: noise of the sensor, and rms that the field model may err by, where that counts [nT].
     compared: what the simulation agrees with.
+    noisier: whether more is left than the noise, nevertheless.
     """
     model = "" if model_nt is None else f", and {model_nt:.1f} nT that the field model may err by"
+    if noisier:
+        return (
+            f"Simulation and {compared} differ by more than the stated noise, and nothing shows by what: {left_nt:.1f} "
+            f"nT are left on data that took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
+        )
     return (
         f"Simulation and {compared} agree to the noise: {left_nt:.1f} nT are left on data that "
         f"took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
@@ -179,7 +192,9 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
     if diagnosis.verdict is Verdict.NONE:
         problem = diagnosis.prepared.problem
         error = problem.field_error
-        return agreed(held_out["with_effects"], problem.noise_nt, None if error is None else error.rms_nt)
+        noisier = "noisier_than_stated" in diagnosis.reasons
+        model_nt = None if error is None else error.rms_nt
+        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, noisier=noisier)
     known = titles(diagnosis)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:

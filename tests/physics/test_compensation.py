@@ -211,10 +211,13 @@ def test_a_channel_is_stale_after_three_of_its_own_intervals(pace_s: float, quan
     assert stale_after_s(pace_s, quantity) == pytest.approx(stale_s)
 
 
-def test_a_stream_that_begins_later_waits_until_an_inferred_temperature_is_known() -> None:
+@pytest.mark.parametrize("variant", ["answer to light", "settling"])
+def test_a_stream_that_begins_later_waits_until_an_inferred_temperature_is_known(variant: str) -> None:
     """The state of something warm is not known at once: it is compensated after three time constants."""
-    hypothesis = next(h for h in forms() if h.driver == "inferred:temperature" and h.effect == "thermal_bias")
-    term = replace(drawn(hypothesis)[0], nonlinear={"time_constant_s": 200.0, "skin_s": 0.0})
+    wanted = ("thermal_bias", "inferred:temperature", variant)
+    hypothesis = next(h for h in forms() if (h.effect, h.driver, h.variant) == wanted)
+    skin = {"skin_s": 0.0} if len(hypothesis.nonlinear) > 1 else {}
+    term = replace(drawn(hypothesis)[0], nonlinear={"time_constant_s": 200.0, **skin})
     compensation = Compensation(whole(term))
     missing = [feed(compensation, row) and bool(compensation.missing) for row in range(100, 450)]
     assert missing == [row <= 300 for row in range(350)]

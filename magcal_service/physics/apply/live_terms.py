@@ -12,6 +12,7 @@ from magcal_service.physics.acting import ActsOn, Direct
 from magcal_service.physics.apply.empirical import Empirical, Kind
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.drivers.temperature import SETTLING
 
 WARMTH: Final = "inferred:temperature"
 """Driver of the effects whose temperature at the start is not known elsewhere."""
@@ -66,11 +67,14 @@ def live_terms(model: PhysicsModel) -> LiveTerms:
 
 
 def _groups_of(terms: Sequence[ModelTerm]) -> dict[int, int]:
-    """For each term (by its place) that an inferred temperature drives, the number of its temperature among others."""
+    """For each term (by its place) that an inferred temperature drives, the number of its temperature among others.
+
+    What only settles has none: from another start it is waited for.
+    """
     numbers: dict[tuple[float, ...], int] = {}
     found = {}
     for index, term in enumerate(terms):
-        if term.driver == WARMTH:
+        if term.driver == WARMTH and SETTLING not in term.variant:
             constants = tuple(float(np.max(term.nonlinear.get(name, 0.0))) for name in ("time_constant_s", "skin_s"))
             found[index] = numbers.setdefault(constants, len(numbers))
     return found

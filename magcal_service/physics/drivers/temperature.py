@@ -25,6 +25,9 @@ _AGAINST_GUESSING: Final = 5.0
 _LEAST_SWING_K: Final = 0.05
 """Spread below which a recorded temperature is constant: a step of a coarse sensor; it drives nothing detectable."""
 
+SETTLING: Final = "settling"
+"""Form of what was warm or cold at the start and answers to nothing since."""
+
 Act = Callable[[Array], Columns]
 """From a signal (n,) to its columns."""
 
@@ -77,7 +80,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
         "inferred:temperature",
         lambda theta: act(scene.settling(float(theta[0]))),
         (start,),
-        variant="settling",
+        variant=SETTLING,
         nonlinear=(constants_s,),
     )
     if scene.lit is None or not scene.eclipses:

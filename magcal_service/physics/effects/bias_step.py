@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import along_axes
@@ -11,10 +12,14 @@ from magcal_service.physics.drivers.instants import several
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
+_MOST_NT: Final = 20_000.0
+"""A jump of one axis at most [nT]: a magnet of 0.1 A m2, as a large torquer's, 10 cm away along its axis."""
+
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield step(scene, "bias_step", along_axes, Block("step_nt", "nT"))
-    yield from several(scene, "bias_step", along_axes, Block("switched_nt", "nT"), Block("steps_nt", "nT"))
+    yield step(scene, "bias_step", along_axes, Block("step_nt", "nT", most=_MOST_NT))
+    switched, steps = Block("switched_nt", "nT", most=_MOST_NT), Block("steps_nt", "nT", most=_MOST_NT)
+    yield from several(scene, "bias_step", along_axes, switched, steps)
 
 
 EFFECT = Effect(

@@ -37,6 +37,9 @@ _OWN: Final = 0.85
 White noise of the stated level has 1. Choice: white noise 8 % below what is stated passes for one with a memory.
 """
 
+_OF_LEVEL: Final = 0.2
+"""Of the stated noise's square, what all that is left may differ by from it: no room for anything slow on top."""
+
 _AT_ONCE: Final = 8
 """Columns filtered at a time; choice: 8 of 60 000 rows are 4 MB, and their sums as much again."""
 
@@ -131,7 +134,7 @@ def is_noise(view: View) -> bool:
 
     The covariance of a noise fixed in the body at a lag l is C_l = sum e_k e_(k+l) c / sum c^2, c the cosine of the
     turn between.  What changes from one sample to the next, C_0 - C_1, is the noise's square if that is white, and
-    less if it has a memory; and a memory of the noise begins to fade within ten samples.
+    less if it has a memory, unless all of it is as large as stated; and a memory begins to fade within ten samples.
     """
     unit, e = view.scene.unit, view.residual_nt
     zero, one, ten = (covariance(unit, e, lag) for lag in (0, 1, 10))
@@ -143,7 +146,8 @@ def is_noise(view: View) -> bool:
     stated = view.stated_noise_nt
     if stated is None:
         return fading > _FADING
-    return fading > 0.5 * _FADING and zero - one < _OWN * stated**2
+    has_room = zero - one < _OWN * stated**2 or abs(zero / stated**2 - 1.0) < _OF_LEVEL
+    return fading > 0.5 * _FADING and has_room
 
 
 def covariance(unit: Array, residual: Array, lag: int) -> float:
