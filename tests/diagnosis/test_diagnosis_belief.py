@@ -251,6 +251,26 @@ def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:
     assert posterior(found, 0).own > 0.95
 
 
+def noisier(times: float, *, tails: float = 0.0, alone: bool = True, memory: bool = False) -> tuple[str, ...]:
+    """The reasons where noise is so many times what was stated, with spikes in a share ``tails`` of the samples."""
+    rng = np.random.default_rng(43)
+    noise = times * NOISE_NT * rng.normal(size=(len(scene()), 3))
+    out = rng.random(len(scene())) < tails
+    noise[out] += 5.0 * NOISE_NT * scene().unit[out]
+    fit = solve(Problem(spoiled(measure(X, scene().calibrated_nt + noise), scene()), NOISE_NT), X)
+    return reasons(Explained(fit), 0.0, False, stated=alone, has_own_noise=memory)
+
+
+def test_more_than_the_stated_noise_is_not_trusted() -> None:
+    """Where it was stated, and no level of its own was found; a few samples far out are no noisier sensor."""
+    assert noisier(1.1) == ()
+    assert noisier(1.3) == ("noisier_than_stated",)
+    assert noisier(0.5) == ()
+    assert noisier(1.0, tails=0.03) == ()
+    assert noisier(1.3, alone=False) == ()
+    assert noisier(1.3, memory=True) == ()
+
+
 @pytest.mark.parametrize(
     ("share", "stated", "expected"), [(0.019, False, ()), (0.021, False, ("rough_residual",)), (0.021, True, ())]
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -23,12 +24,13 @@ from magcal_service.diagnosis.diagnose import (
     _verdict,
 )
 from magcal_service.diagnosis.leftover import Structure
-from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start
+from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
-from magcal_service.diagnosis.searching import _memory
+from magcal_service.diagnosis.searching import _memory, in_form
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
+from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Finding, value_of
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.in_memory import from_arrays
@@ -101,8 +103,10 @@ def test_a_result_has_the_reasons_against_it(
 ) -> None:
     """The largest sigma of bias and of D, the number of rows, the verdict, and whether it is a sensor at all."""
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
-    problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed)
-    fit: Any = SimpleNamespace(x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=())
+    problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed, noise_nt=1.0)
+    fit: Any = SimpleNamespace(
+        x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=(), held_out_white=np.ones(9)
+    )
     explained: Any = SimpleNamespace(fit=fit)
     assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN) == reasons
 
@@ -220,6 +224,35 @@ def test_a_sample_far_out_of_its_neighbourhood_is_a_spike() -> None:
     assert np.flatnonzero(found).tolist() == [0, 700]
     stepped = of.field_nt + 20.0 * NOISE_NT * scene().unit * (np.arange(COUNT) > 1000)[:, None]
     assert not _spikes(spoiled(stepped, of), X).any()
+
+
+def test_spikes_that_a_disturbance_hides_are_found_beside_its_name() -> None:
+    """Twelve times the noise, under a tone of ten times; it is none that begins or ends."""
+    of = scene()
+    time_s, noise = of.time_s, NOISE_NT * np.random.default_rng(47).normal(size=(COUNT, 3))
+    tone = np.outer(np.cos(2.0 * np.pi * 0.0137 * time_s), 10.0 * NOISE_NT * np.array([0.8, -0.5, 0.3]))
+    rows = np.array([151, 420, 977, 1444, 1700])
+    spikes = np.zeros((COUNT, 3))
+    spikes[rows] = 12.0 * NOISE_NT * of.unit[rows]
+    made = from_arrays(time_s, measure(X, of.calibrated_nt + noise + tone + spikes), of.reference_eci_nt)
+    alone = prepare(made, catalogue())
+    assert "spikes" not in +Counter(alone.left_out)
+    prepared, _, explained, _ = in_form(made, catalogue())
+    assert [term.hypothesis.effect for term in explained.fit.terms] == ["tone"]
+    assert prepared.left_out["spikes"] == len(rows)
+    assert not np.isin(made.time_ns[rows], prepared.recording.time_ns).any()
+
+
+def test_a_row_in_a_field_of_less_than_ten_times_the_noise_is_left_out() -> None:
+    """Where a step of the field ends near zero: its direction there is noise."""
+    of = scene(NOISE_NT)
+    weak = np.arange(COUNT) % 40 == 7
+    scale = np.where(weak, 9.0 * NOISE_NT / of.magnitude_nt, 1.0)
+    calibrated, reference = of.calibrated_nt * scale[:, None], of.reference_eci_nt * scale[:, None]
+    made = from_arrays(of.time_s, measure(X, calibrated), reference, noise_nt=NOISE_NT)
+    prepared = prepare(made, ())
+    assert prepared.left_out["weak_field"] == np.count_nonzero(weak) == 50
+    assert not np.isin(made.time_ns[weak], prepared.recording.time_ns).any()
 
 
 def test_the_white_level_is_that_of_the_noise() -> None:

@@ -22,7 +22,7 @@ from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 from tests.diagnosis.made_up import FLOOR_NT, OTHER, QUICK, SLOW, TIME_S, along, body_form, flown, searching
-from tests.physics.scenes import COUNT, NOISE_NT, PERIOD_S
+from tests.physics.scenes import COUNT, NOISE_NT, PERIOD_S, scene
 
 SMALL = 240
 UNIT = np.random.default_rng(5).normal(size=(SMALL, 3))
@@ -126,6 +126,22 @@ def test_stretches_are_found_where_they_are_with_what_they_hold() -> None:
     dearer = _transients(_Beside(search, fit, space), sigma, 5.0)
     assert dearer is not None
     assert found.nats - dearer.nats == pytest.approx(3.0, abs=1e-9)
+
+
+def test_samples_far_out_are_no_stretches() -> None:
+    """Each in a place of its own: without the limit on what one sample counts for, they would be found as such."""
+    rng = np.random.default_rng(41)
+    field = np.zeros((COUNT, 3))
+    rows = rng.choice(COUNT, 25, replace=False)
+    field[rows] = 7.0 * NOISE_NT * scene().unit[rows]
+    search, fit = searching(flown(field))
+    space = search.workspace(fit)
+    sigma = math.sqrt(space.squares / space.count)
+    assert _transients(_Beside(search, fit, space), sigma, 0.0) is None
+    held = space.clipped(3.5 * sigma)
+    assert np.abs(held.residual).max() < 3.6 * sigma
+    assert held.squares == pytest.approx(float(held.residual @ held.residual))
+    assert np.abs(held.projected(fit.white_columns).T @ held.residual).max() < 1e-6 * np.abs(fit.white_columns).max()
 
 
 def test_noise_has_no_stretches_and_what_fills_half_of_a_recording_is_none() -> None:

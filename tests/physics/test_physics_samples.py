@@ -258,6 +258,16 @@ def test_noise_with_a_short_memory_is_noise(stated_nt: float | None) -> None:
     assert hanging_together(first_order_body(0.7, 5), 80.0, stated_nt)
 
 
+@pytest.mark.parametrize(("level_nt", "expected"), [(80.0, True), (70.0, True), (100.0, False)])
+def test_white_noise_with_a_little_memory_is_noise_where_its_level_is_the_stated_one(
+    level_nt: float, expected: bool
+) -> None:
+    """A fifth of it remembers: as much as white noise changes from sample to sample, but nothing on top of it."""
+    white = np.random.default_rng(14).normal(size=(len(scene()), 3))
+    body = math.sqrt(0.75) * white + 0.5 * first_order_body(0.7, 15)
+    assert hanging_together(body, level_nt, 80.0) is expected
+
+
 @pytest.mark.parametrize("stated_nt", [80.0, None])
 def test_a_slow_wander_on_white_noise_is_none(stated_nt: float | None) -> None:
     """A wander over 200 samples of the noise's own size: white noise is still there, so it is something else."""
