@@ -44,7 +44,8 @@ Choice: lower, and steep but real courses of a disturbance lose samples; a spike
 
 _LEAST_FIELD: Final = 10.0
 """Times the noise, the field from which on a row is used: below it the noise turns the calibrated vector by more than
-6 deg, and |w| is no more its length along the field with noise / |H| on top (``model.scalar_residual``)."""
+6 deg, and |w| is no more its length along the field with noise / |H| on top (``model.scalar_residual``).  In orbit: a
+coil that sweeps through zero shows the bias by that."""
 
 _CONSTANT_SPREAD: Final = 0.005
 """Spread of |H| over its mean below which a recorded attitude is needed, and the vector form is used.
@@ -154,7 +155,7 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     level_nt = noise_nt or _white(scene, x)
     findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
     spikes = _spikes(scene, x) & ~spoiled
-    weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes
+    weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
     keep = ~(spikes | spoiled | weak)
     if np.count_nonzero(keep) < 10 * STATE_SIZE:
         keep[:] = True
