@@ -9,10 +9,10 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.config.magnetometers import MAGNETOMETERS, label, label_of
+from magcal_service.config.magnetometers import label, label_of
 from magcal_service.config.settings import Config
 from magcal_service.daemon import notify
 from magcal_service.daemon.checkpoints.schedule import Schedule
@@ -29,11 +29,11 @@ from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.rows import Rows
 from magcal_service.daemon.status_round import StatusRound
+from magcal_service.daemon.statuses import Statuses
 from magcal_service.daemon.timer import Timer
 from magcal_service.links import Link
-from magcal_service.wire.fields import fitting
 from magcal_service.wire.kinds import KINDS, kind_of
-from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status, Verdict
+from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 
 if TYPE_CHECKING:
     from magcal_service.recordings.recorder import Recorder
@@ -102,11 +102,12 @@ class Service:
         self._commander = Commander(checkpoints, self.shut_down)
         self._ending = False
         self._alone = ""  # why nobody is at the other end, as it was logged last
-        self._last_events: dict[str, Event] = {}
         self._verdicts: dict[str, str] = {}
         self._left_out: set[str] = set()  # craft of which it was reported that messages are left out
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
+        parts = (recorder, checkpoints, outputs)
+        self.statuses = Statuses(link, self.health, self.counters, self.magnetometers, *parts)
         self._round = StatusRound()
         self._schedule = Schedule(math.inf if config.state is None else config.state.period_s)
 
@@ -145,7 +146,7 @@ class Service:
         """Log each event, and send a status at once that names it."""
         for event in events:
             self.counters["events"] += 1
-            self._last_events[event.craft] = event
+            self.statuses.note(event)
             if event.what in _WORTH_KEEPING:
                 self._schedule.ask()
             log.info("%s: %s", event.craft, event, extra={"fields": {"event": asdict(event)}})
@@ -340,48 +341,13 @@ class Service:
 
     def _publish_metrics(self) -> None:
         if self.metrics is not None:
-            others = sum(self._others(), Counter(self.counters))
+            others = sum(self.statuses.parts_counters(), Counter(self.counters))
             with self._reporting("metrics"):
                 self.metrics.publish(self.health.metrics(self.pipelines.values(), others))
 
-    def _others(self) -> list[Counter[str]]:
-        """What recorder, checkpoints and further links have counted."""
-        return [part.counters for part in (self.recorder, self.checkpoints, self.outputs) if part is not None]
-
     def _publish_status(self, pipeline: Pipeline) -> None:
         with contained(pipeline, "publishing its status"):
-            self._send(self._status(pipeline))
-
-    def _status(self, pipeline: Pipeline) -> Status:
-        """With the link's counters as ``link.*``, the craft's newest event, and faults of disk and link."""
-        counters = Counter({f"link.{name}": count for name, count in self.link.counters.items()}) + self.counters
-        magnetometers = self.magnetometers[pipeline.config.name]
-        troubles = [*self.health.troubles(pipeline), *magnetometers.troubles(pipeline)]
-        if self.recorder is not None and self.recorder.trouble:
-            troubles.append(f"not recording: {self.recorder.trouble}")
-        if self.checkpoints is not None and self.checkpoints.trouble:
-            troubles.append(f"no checkpoints: {self.checkpoints.trouble}")
-        if self.outputs is not None and self.outputs.trouble:
-            troubles.append(self.outputs.trouble)
-        if self.link.alone:
-            troubles.append(self.link.alone)
-        counters = sum(self._others(), counters) + self.health.counters() + Counter({"troubles": len(troubles)})
-        if magnetometers.several:
-            counters[MAGNETOMETERS] = len(magnetometers.all)
-        event = self._last_events.get(pipeline.label)
-        strangers = ", ".join(self.link.strangers)
-        unserved = (
-            [f"messages of craft {strangers} are refused; served: {', '.join(self.magnetometers)}"] if strangers else []
-        )
-        remarks = [
-            *troubles,
-            *magnetometers.remarks(pipeline),
-            *unserved,
-            *self.link.warnings,
-            *([f"last event: {event}"] if event is not None else []),
-        ]
-        status = pipeline.status(self.health.uptime_s, counters)
-        return replace(status, text=fitting("; ".join((status.text, *remarks))))
+            self._send(self.statuses.of(pipeline))
 
     def feed_watchdog(self) -> None:
         """Notify the watchdog: ticks were closed of the samples accepted, or no sample came.

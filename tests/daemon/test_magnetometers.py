@@ -142,7 +142,7 @@ def test_a_source_beyond_the_bound_is_refused_by_name() -> None:
     with served(craft) as (service, node):
         published = give(service, node, [*messages(), *third])
         assert vectors(published, "mag3") == []
-        status = service._status(service.pipelines["pair"])
+        status = service.statuses.of(service.pipelines["pair"])
     assert status.counters[MODES[Mode.SOURCE_REFUSED].counter] == 5
     assert status.counters["magnetometers"] == 2
     assert "magnetometer samples of source mag3 are refused: max_sources = 2, served: mag, mag2" in status.text
@@ -163,7 +163,7 @@ def test_a_source_that_the_method_cannot_serve_is_refused_and_the_craft_goes_on(
     with served(craft) as (service, node):
         published = give(service, node, list(messages(10.0)))
         assert (len(vectors(published, "mag")), vectors(published, "mag2")) == (10, [])
-        text = service._status(service.pipelines["pair"]).text
+        text = service.statuses.of(service.pipelines["pair"]).text
     assert "source mag2 are refused: list it in [[craft.magnetometer]]; spin" in text
 
 

@@ -69,7 +69,7 @@ def test_text_on_a_serial_line_is_said_in_the_log_and_in_the_status(caplog: pyte
                 os.write(other, NMEA)
                 link.receive(0.05)
             until(lambda: bool(link.receive(0.01) or link.warnings))
-            status = service._status(service.pipelines["demo"])
+            status = service.statuses.of(service.pipelines["demo"])
             os.close(other)
     finally:
         pair.close()
@@ -80,7 +80,7 @@ def test_text_on_a_serial_line_is_said_in_the_log_and_in_the_status(caplog: pyte
 def test_a_line_that_cannot_be_opened_is_a_trouble() -> None:
     with open_link("serial:/dev/absent", Role.SERVICE, crafts=["demo"]) as link:
         service = Service(Config(link.address, (CraftConfig("demo"),)), link)
-        assert "/dev/absent cannot be opened" in service._status(service.pipelines["demo"]).text
+        assert "/dev/absent cannot be opened" in service.statuses.of(service.pipelines["demo"]).text
         assert why_silent(link).startswith("/dev/absent cannot be opened: No such file or directory; give the device ")
 
 
@@ -103,11 +103,11 @@ def test_an_end_that_connects_to_nobody_says_so_and_that_somebody_came(caplog: p
         service = Service(Config(link.address, (CraftConfig("demo"),)), link)
         for _ in range(3):
             service.publish_status()
-        assert f"nobody is at {place}" in service._status(service.pipelines["demo"]).text
+        assert f"nobody is at {place}" in service.statuses.of(service.pipelines["demo"]).text
         with open_link(f"zenoh:{place}?mode=router&listen=yes", Role.VIEWER):
             until(lambda: not link.alone)
             service.publish_status()
-            assert "nobody is" not in service._status(service.pipelines["demo"]).text
+            assert "nobody is" not in service.statuses.of(service.pipelines["demo"]).text
     told = [record.message for record in caplog.records if record.name == "magcal"]
     assert [message for message in told if "trying on" in message] == [
         f"{link.address}: nobody is at {place}, or it refuses this end (certificate, password); trying on"
@@ -127,7 +127,7 @@ def test_the_craft_that_are_served_are_named_at_the_other_end() -> None:
             service = Service(Config(address, (CraftConfig("demo"), CraftConfig("other"))), link)
             node.send(stream(craft="wrong", seconds=1)[0])
             until(lambda: bool(link.receive(0.05) or link.strangers))
-            told = service._status(service.pipelines["demo"])
+            told = service.statuses.of(service.pipelines["demo"])
             assert isinstance(told, Status)
             assert "messages of craft wrong are refused; served: demo, other" in told.text
 
