@@ -12,6 +12,7 @@ import numpy.typing as npt
 from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
+from magcal_service.recordings.describe.fahrenheit import steps_of_degf, swings_as_degf
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
@@ -262,6 +263,8 @@ def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
     found = _said((column,), column.unit, quantity)
     if not column.unit:
         found = _by_range(quantity, column.values)
+    if quantity == "temperature" and (found.unit == "degC" or "degF" in found.possible):
+        found = _not_degf(draft, column, found)
     base = quantity if quantity in {"temperature", "current"} else _clean(column.stem)
     name = _free_name(base, column.stem, names)
     if not found.unit:
@@ -276,6 +279,20 @@ def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
     draft.reserved.add(column.number)
     names.add(name)
     draft.conclude(f"channels.{name}", f"{column.label} in {found.unit}", found.why)
+
+
+def _not_degf(draft: Draft, column: Column, found: _Unit) -> _Unit:
+    """A temperature in degC, open where something shows that it is in degF."""
+    others = [c for c in draft.log.columns if c is not column and c.numeric and _quantity(c) == "temperature"]
+    in_degc = [(c, CHANNEL_UNITS[c.unit or "degC"].to_base(c.values)) for c in others if c.unit in {"", "degC", "K"}]
+    why = steps_of_degf(column) or swings_as_degf(column, in_degc)
+    if why:
+        says = f"the name says {column.unit}" if column.unit else "no name says it"
+        return _Unit("", f"{says}, but {why}", ("degF", "degC"))
+    if column.unit or not found.unit:
+        return found
+    low, high = (CHANNEL_UNITS["degF"].to_base(one) for one in (np.nanmin(column.values), np.nanmax(column.values)))
+    return _Unit("degC", f"{found.why}; in degF it would be {low:.3g} to {high:.3g} degC")
 
 
 def _by_range(quantity: str, values: FloatArray) -> _Unit:
