@@ -15,6 +15,9 @@ from magcal_service.plots.paper import AFTER, BEFORE, LINES, QUIET, Sheet
 _COLUMNS: Final = 3
 """Panels side by side: the width of a page."""
 
+_FEW: Final = 40
+"""Points of a curve below which each is marked; choice: more would touch one another."""
+
 _DIAGONAL: Final = "error = protection"  # the label of that line in the study's curves
 
 _HIGHEST_NT: Final = 100.0  # of the axes of a diagram without points: any
@@ -73,7 +76,8 @@ def _draw_curves(panel: dict[str, Any], axes: Any) -> None:
         is_limit = line.get("limit", line["label"].startswith("bound"))
         colour, style = (QUIET, "--") if is_limit else (LINES[number % len(LINES)], "-")
         values = [math.nan if value is None else value for value in line["y"]]
-        axes.plot(line["x"], values, color=colour, ls=style, label=line["label"])
+        mark = "o" if len(values) < _FEW and not is_limit else ""
+        axes.plot(line["x"], values, color=colour, ls=style, marker=mark, markersize=3, label=line["label"])
     axes.set(title=panel["title"], xlabel=panel["x"], ylabel=panel["y"])
     axes.set(xscale="log" if panel.get("log_x") else "linear", yscale="log" if panel.get("log_y") else "linear")
     axes.legend()

@@ -6,6 +6,7 @@ A file of this package that defines ``STUDY`` (a ``study.Study``) is a study; no
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 import shlex
 import time
@@ -15,7 +16,8 @@ from pathlib import Path
 
 from magcal_service.errors import ConfigError, Fault
 from magcal_service.estimators import find_method
-from magcal_service.studies.plots import plot
+from magcal_service.plots import paper
+from magcal_service.plots.of_study import of_study
 from magcal_service.studies.report import Report, write
 from magcal_service.studies.study import Request, Study
 from magcal_service.typed_toml import nearest
@@ -111,7 +113,7 @@ def _refuse_strange(study: Study, request: Request) -> None:
 
 
 def save(report: Report, json_file: Path | None = None, directory: Path | None = None) -> None:
-    """Write a report as JSON, and as page, JSON and picture into a directory.
+    """Write a report as JSON, and as page, JSON and picture (as ``magcal plot`` draws it) into a directory.
 
     Raises InputRefusedError where a file can't be written, ExtraMissingError for a picture without matplotlib.
     """
@@ -123,7 +125,7 @@ def save(report: Report, json_file: Path | None = None, directory: Path | None =
     picture = f"{report.study}.png" if report.findings.panels else ""
     write(directory / f"{report.study}.md", report.markdown(picture))
     if picture:
-        plot(report.findings.panels, report.summary, directory / picture)
+        paper.save(of_study(json.loads(report.as_json())), directory / picture)
 
 
 def _command(study: Study, request: Request) -> str:

@@ -16,6 +16,7 @@ from magcal_service.studies.flights import FlightPlan, fly
 from magcal_service.studies.montecarlo import Ensemble, nees, seeds_of, simulate, statistics
 from magcal_service.studies.report import Findings, Line, Panel, Report, Table
 from magcal_service.studies.study import Request
+from tests.cli import cli_inputs
 from tests.many.here import HERE
 
 pytest.importorskip("ppigrf")
@@ -194,11 +195,13 @@ def test_the_page_has_command_table_and_picture() -> None:
     assert "![noise](noise.png)" in page
 
 
-def test_saving_writes_page_json_and_picture(tmp_path) -> None:
+def test_saving_writes_page_json_and_the_picture_that_plot_draws(tmp_path) -> None:
     pytest.importorskip("matplotlib")
     save(report(), tmp_path / "own.json", tmp_path / "results")
     written = {path.name for path in (tmp_path / "results").iterdir()}
     assert written == {"noise.md", "noise.json", "noise.png"}
+    assert cli_inputs.run("plot", tmp_path / "own.json", "--out", tmp_path / "own.png").code == 0
+    assert (tmp_path / "own.png").read_bytes() == (tmp_path / "results" / "noise.png").read_bytes()
     assert (tmp_path / "own.json").read_text() == (tmp_path / "results" / "noise.json").read_text()
 
 
