@@ -18,7 +18,7 @@ from magcal_service.residuals import log_tail
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_sums as sums
 from magcal_service.trust import hazards
-from magcal_service.trust.hazard_look import ALARM_NATS
+from magcal_service.trust.hazard_look import ALARM_NATS, Accumulated, _raised
 from magcal_service.trust.hazards import REMEDY, Hazard
 from magcal_service.trust.modes import MODES, Mode
 from magcal_service.trust.monitor import TrustMonitor
@@ -221,3 +221,14 @@ def test_what_it_remembers_goes_on_to_the_last_bit() -> None:
             again.restore_state(monitor.export_state())
     assert again is not None
     assert again.export_state() == monitor.export_state()
+
+
+@pytest.mark.parametrize(
+    ("correlation", "factor"),
+    [(0.03, 1.0), (0.05, 1.05 / 0.95), (0.5, 3.0), (0.9, 19.0), (0.999, 199.9)],
+)
+def test_noise_with_a_memory_raises_what_is_slow(correlation: float, factor: float) -> None:
+    """(1 + r) / (1 - r), bounded; up to four sigma of 10 000 samples, 0.04, a correlation is chance."""
+    none = np.zeros(0)
+    data = Accumulated(none, 10_000, (), (), (), none, none, (7.0 * correlation, 7.0), 0.0)
+    assert _raised(data) == pytest.approx(factor)

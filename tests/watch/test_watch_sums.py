@@ -203,6 +203,14 @@ def test_a_line_takes_three_bins_of_its_own(at: int) -> None:
     assert (line.columns, line.tries) == (3, 31)
 
 
+def test_bins_without_a_share_of_white_noise_are_no_line() -> None:
+    """As the slowest, which the nine errors take up: a flat spectrum has no line there either."""
+    share = 80.0 * np.r_[np.zeros(6), np.ones(27)]
+    line = spectral(share, share)[0][1]
+    assert line.effects == ("tone",)
+    assert line.gain == pytest.approx(0.0, abs=1e-9)
+
+
 def test_anything_at_all_takes_every_bin() -> None:
     rng = np.random.default_rng(7)
     share = 80.0 * np.r_[0.5, np.ones(31), 0.5]

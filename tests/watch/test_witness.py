@@ -61,6 +61,14 @@ def test_a_magnet_near_one_is_named_within_a_minute() -> None:
         assert (number, after_s <= 30) == (1, True)
 
 
+def test_before_the_first_estimate_nothing_agrees_with_the_reference() -> None:
+    """Not even readings that have its magnitude: there is no estimate that could agree."""
+    sensor = Sensor(0.0, 1)
+    for k in range(2 * WINDOW):
+        sensor.second(k, 0.0, Phase.STARTING)
+    assert not sensor.witness.is_quiet
+
+
 def test_one_of_three_is_named_by_the_other_two() -> None:
     assert set(told([100.0] * 3, [nothing, constant(600.0), nothing])) == {1}
 
