@@ -96,7 +96,8 @@ def test_a_jump_of_any_state_is_found_timed_and_followed(state: int) -> None:
     assert float(error @ np.linalg.solve(craft.covariance, error)) < 27.9  # chi-square of 9, exceeded once in 1000
 
 
-def test_a_gain_that_looked_like_a_bias_is_put_right_once_they_are_told_apart() -> None:
+def taken_for_a_bias() -> tuple[LinearFilter, ChangeDetector]:
+    """A gain has jumped, and for 400 ticks a bias would have shown alike: which of them it was is open."""
     craft, detector = LinearFilter(5), ChangeDetector()
     assert craft.watched(detector, 1500) == []
     craft.truth[3] += 200.0 / 30_000.0
@@ -106,11 +107,27 @@ def test_a_gain_that_looked_like_a_bias_is_put_right_once_they_are_told_apart() 
         change = detector.push(float(tick), craft.x, craft.covariance, NOISE_NT**2)
         if change is not None:
             craft.x, craft.covariance = change.x, change.covariance
-    assert craft.x[0] - craft.truth[0] > 100.0  # taken for a bias
+    assert craft.x[0] - craft.truth[0] > 100.0
+    return craft, detector
+
+
+def test_a_gain_that_looked_like_a_bias_is_put_right_once_they_are_told_apart() -> None:
+    craft, detector = taken_for_a_bias()
     changes = craft.watched(detector, 1500)
     error = craft.x - craft.truth
     assert len(changes) == 1
     assert float(error @ np.linalg.solve(craft.covariance, error)) < 27.9
+
+
+def test_what_is_open_outlives_a_restart() -> None:
+    """A checkpoint is written while it is not known yet what has jumped."""
+    (craft, detector), (other, _), restored = taken_for_a_bias(), taken_for_a_bias(), ChangeDetector()
+    restored.restore_state(detector.export_state())
+    found, again = craft.watched(detector, 1500), other.watched(restored, 1500)
+    assert len(found) == 1
+    assert [(tick, change.ticks_ago, change.x.tolist()) for tick, change in again] == [
+        (tick, change.ticks_ago, change.x.tolist()) for tick, change in found
+    ]
 
 
 def test_a_random_walk_that_the_filter_knows_of_is_no_jump() -> None:

@@ -7,12 +7,20 @@ import importlib
 import inspect
 import pkgutil
 import textwrap
+import types
+import typing
+from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from enum import StrEnum
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import magcal_service
+from magcal_service.estimators.interface import Estimator
+from magcal_service.model import Array
 from magcal_service.snapshot import Stateful
 
 CHANGING = {"append", "appendleft", "extend", "insert", "clear", "update", "pop", "popleft", "popitem", "add", "remove"}
@@ -85,6 +93,45 @@ def _changed_of(base: type) -> set[str]:
 def test_what_is_worked_out_is_no_memory_and_is_really_changed(kind: type[Stateful]) -> None:
     assert not set(kind.worked_out) & memory(kind)
     assert set(kind.worked_out) <= {name for base in kind.__mro__ for name in _changed_of(base)}
+
+
+def unsavable(hint: typing.Any, of: str) -> Iterator[str]:
+    """Parts of a hint whose values ``plain`` cannot write or ``restored`` cannot read, after the name they are part of.
+
+    An estimator is restored into the one that is in its place.
+    """
+    kind, arguments = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if kind in (typing.Union, types.UnionType):
+        several = [one for one in arguments if one is not types.NoneType]
+        yield from [of] if len(several) > 1 else unsavable(several[0], of)
+    elif hint in (Array, NDArray[np.bool_], bool, int, float, str, Estimator) or isinstance(hint, typing.TypeVar):
+        return
+    elif kind in (list, tuple, deque, dict, Counter) or (inspect.isclass(kind) and issubclass(kind, Stateful)):
+        for part in arguments:
+            yield from unsavable(part, of) if part is not Ellipsis else ()
+    elif is_dataclass(kind) and isinstance(kind, type):
+        hints = typing.get_type_hints(kind)
+        for field in fields(kind):
+            yield from unsavable(hints[field.name], f"{of}.{field.name}")
+    elif not (inspect.isclass(kind) and issubclass(kind, StrEnum)):
+        yield of
+
+
+@pytest.mark.parametrize("kind", stateful(), ids=lambda kind: kind.__qualname__)
+def test_whatever_a_memory_may_hold_can_be_saved_and_restored(kind: type[Stateful]) -> None:
+    hints = typing.get_type_hints(kind)
+    assert [found for name in sorted(memory(kind)) for found in unsavable(hints[name], name)] == []
+
+
+@dataclass
+class _Sliced:
+    count: int
+    states: slice | None
+
+
+def test_a_part_of_a_memory_that_cannot_be_saved_is_seen() -> None:
+    assert list(unsavable(dict[str, list[_Sliced]] | None, "rows")) == ["rows.states"]
+    assert list(unsavable(int | str, "number")) == ["number"]
 
 
 def test_every_class_with_a_memory_is_looked_at() -> None:

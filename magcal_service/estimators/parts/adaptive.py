@@ -27,6 +27,7 @@ compensation of estimate and covariance).  The closed form is original to this p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -129,12 +130,29 @@ class _Evidence:
         return Change(ticks_ago, jump, now.x + carried @ jump[free], 0.5 * (covariance + covariance.T))
 
 
+class _Free(StrEnum):
+    """What a jump is attributed to at first."""
+
+    BIAS = "bias"
+    D = "D"
+
+    @property
+    def states(self) -> slice:
+        """Those of the nine."""
+        return BIAS if self is _Free.BIAS else D_ALL
+
+    @property
+    def rival(self) -> _Free:
+        """What it may be instead."""
+        return _Free.D if self is _Free.BIAS else _Free.BIAS
+
+
 @dataclass(frozen=True, slots=True)
 class _Open:
     """A jump attributed to the states ``free`` at the tick of ``past``, while others are not ruled out yet."""
 
     past: _Past
-    free: slice
+    free: _Free
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -201,11 +219,10 @@ class ChangeDetector(Stateful, ChangeDetectorMemory):
         if not jumped:
             return None
         bias, d = evidence.statistic(BIAS), evidence.statistic(D_ALL)
-        likely = d if d.max() - bias.max() > _APART else bias
-        best = int(np.argmax(likely))
-        free = BIAS if likely is bias else D_ALL
+        free = _Free.D if d.max() - bias.max() > _APART else _Free.BIAS
+        best = int(np.argmax(d if free is _Free.D else bias))
         self._open = _Open(candidates[best], free)
-        return evidence.followed(best, free, now, self._tick - candidates[best].tick)
+        return evidence.followed(best, free.states, now, self._tick - candidates[best].tick)
 
     def _reconsider(self, now: _Past, jump: _Open) -> Change | None:
         """The jump attributed to other states where these fit better by far; closed when the others are ruled out.
@@ -215,7 +232,7 @@ class ChangeDetector(Stateful, ChangeDetectorMemory):
         are tested again.
         """
         before = self._brought_forward(jump.past, now)
-        known, freed = _inverse(before), _inverse(before + _prior_covariance(jump.free))
+        known, freed = _inverse(before), _inverse(before + _prior_covariance(jump.free.states))
         given_back = known - freed
         information = _inverse(now.covariance)
         covariance = _inverse(information + given_back)
@@ -223,14 +240,14 @@ class ChangeDetector(Stateful, ChangeDetectorMemory):
         never = _Past(now.tick, now.time_s, x, covariance, now.noise_variance)
         evidence = self._evidence([jump.past], never)
         bias, d, everything = (float(evidence.statistic(states)[0]) for states in (BIAS, D_ALL, _ALL))
-        own, other, rival = (bias, d, D_ALL) if jump.free is BIAS else (d, bias, BIAS)
+        own, other = (bias, d) if jump.free is _Free.BIAS else (d, bias)
         age = self._tick - jump.past.tick
         if everything - max(own, other) > _TOGETHER:
             self._open = None
             return evidence.followed(0, _ALL, never, age)
         if other - own > _APART:
-            self._open = _Open(jump.past, rival)
-            return evidence.followed(0, rival, never, age)
+            self._open = _Open(jump.past, jump.free.rival)
+            return evidence.followed(0, jump.free.rival.states, never, age)
         if own - other > _APART or age > _OPEN_TICKS:
             self._open = None
         return None
