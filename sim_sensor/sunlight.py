@@ -12,6 +12,7 @@ Times = npt.NDArray[np.int64]
 
 SUN_RADIUS_KM = 695_700.0  # IAU 2015 nominal
 ASTRONOMICAL_UNIT_KM = 149_597_870.7  # IAU 2012
+_TO_SPHERE = np.array([1.0, 1.0, 298.257223563 / 297.257223563])  # a ray past the WGS84 ellipsoid, past a sphere
 _J2000_NS = 946_728_000 * 10**9  # 2000-01-01T12:00 UTC, the epoch of the formulas [ns since 1970]
 
 
@@ -33,12 +34,13 @@ def lit_fraction(times_utc_ns: Times, position_eci_km: Floats) -> Floats:
     """Share of the Sun's disc that is seen (n,), 1 in light, 0 in umbra, from positions (n, 3) ECI [km].
 
     Linear in angle through the penumbra (about 8 s wide in low orbit): at most 0.06 from the true share there.
-    The Earth is a sphere of its equatorial radius, which moves an eclipse edge by at most 5 s.
+    The Earth is the WGS84 ellipsoid, by stretching the axes of places and rays alike; air is left out.
     Source: Montenbruck and Gill 2000, section 3.4.2.
     """
-    radius = np.linalg.norm(position_eci_km, axis=-1)
+    place, ray = position_eci_km * _TO_SPHERE, sun_direction_eci(times_utc_ns) * _TO_SPHERE
+    radius = np.linalg.norm(place, axis=-1)
     earth = np.arcsin(np.minimum(1.0, EARTH_RADIUS_KM / radius))
     sun = np.arcsin(SUN_RADIUS_KM / ASTRONOMICAL_UNIT_KM)
-    towards_earth = -np.sum(position_eci_km * sun_direction_eci(times_utc_ns), axis=-1) / radius
+    towards_earth = -np.sum(place * ray, axis=-1) / (radius * np.linalg.norm(ray, axis=-1))
     apart = np.arccos(np.clip(towards_earth, -1.0, 1.0))
     return np.asarray(np.clip((apart - earth + sun) / (2.0 * sun), 0.0, 1.0), dtype=np.float64)

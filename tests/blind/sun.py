@@ -13,7 +13,8 @@ from tests.blind.vectors import Floats, dot, unit
 J2000_UNIX_S = 946_728_000.0
 ASTRONOMICAL_UNIT_KM = 149_597_870.7
 SUN_RADIUS_KM = 695_700.0
-EARTH_RADIUS_KM = 6371.0
+EARTH_RADIUS_KM = 6378.137  # at the equator
+STRETCH = np.array([1.0, 1.0, 6378.137 / 6356.752])  # of axes in which the Earth is a sphere of that radius (WGS 84)
 
 
 def sun_direction(unix_s: Floats) -> Floats:
@@ -28,10 +29,11 @@ def sun_direction(unix_s: Floats) -> Floats:
 
 def sunlit(position_km: Floats, sun: Floats) -> Floats:
     """Visible share (n,) of the Sun's disc at places (n, 3) [km], 0 in the umbra to 1; ``sun`` (n, 3) unit vectors."""
-    distance = np.linalg.norm(position_km, axis=-1)
+    place, towards = position_km * STRETCH, unit(sun * STRETCH)
+    distance = np.linalg.norm(place, axis=-1)
     a = np.arcsin(SUN_RADIUS_KM / ASTRONOMICAL_UNIT_KM)
     b = np.arcsin(np.minimum(EARTH_RADIUS_KM / distance, 1.0))
-    c = np.arccos(np.clip(-dot(unit(position_km), sun), -1.0, 1.0))
+    c = np.arccos(np.clip(-dot(unit(place), towards), -1.0, 1.0))
     inside = np.clip((c**2 + a**2 - b**2) / (2.0 * np.maximum(c, 1e-9)), -a, a)
     height = np.sqrt(np.maximum(a**2 - inside**2, 0.0))
     hidden = a**2 * np.arccos(inside / a) + b**2 * np.arccos(np.clip((c - inside) / b, -1.0, 1.0)) - c * height

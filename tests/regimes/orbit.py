@@ -90,9 +90,11 @@ def sun_direction(unix_s: float) -> Floats:
 
 
 def sunlight(position_km: Floats, sun: Floats) -> Floats:
-    """Share (n,) of the Sun's light: 1 in light, 0 in shadow, smooth through the penumbra."""
-    radius = np.linalg.norm(position_km, axis=1)
-    separation = np.arccos(np.clip(-(position_km @ sun) / radius, -1.0, 1.0))
+    """Share (n,) of the Sun's light: 1 in light, 0 in shadow, smooth through the penumbra of the flattened Earth."""
+    stretch = np.array([1.0, 1.0, 1.0 / (1.0 - FLATTENING)])  # to axes in which the Earth is a sphere
+    place, ray = position_km * stretch, sun * stretch
+    radius = np.linalg.norm(place, axis=1)
+    separation = np.arccos(np.clip(-(place @ ray) / (radius * np.linalg.norm(ray)), -1.0, 1.0))
     limb = np.arcsin(np.minimum(EQUATOR_KM / radius, 1.0))
     share = np.clip((separation - limb) / (2.0 * _SUN_RADIUS_RAD) + 0.5, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
