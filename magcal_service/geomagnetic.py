@@ -129,7 +129,7 @@ def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats, max_degree: int 
     position_ecef_km: (n, 3) ECEF [km], 6300 to 60000 km from the Earth's centre.
     max_degree: terms above this degree are left out, 1 to 13.
 
-    Returns (n, 3) [nT], ECEF.  The main field alone: crust (20 nT rms at 400 km) and currents above (20-400 nT) are
+    Returns (n, 3) [nT], ECEF.  The main field alone: crust (5 nT rms at 400 km) and currents above (20-400 nT) are
     not in it.  Raises InputRefusedError outside the domain.
     Source: IAGA, IGRF-14; within 0.2 nT of the Fortran ``igrf14syn``.
     """

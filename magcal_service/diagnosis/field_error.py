@@ -41,7 +41,7 @@ _CORE_DEGREE: Final = 13
 """Largest degree of IGRF; the error's variance falls as 1 / degree, for what is large is known relatively well."""
 
 _DEGREE: Final = 45
-"""Largest degree of the crust taken: at 300 km what lies beyond has 0.5 nT."""
+"""Largest degree of the crust taken: at 300 km what lies beyond has 1 nT."""
 
 _KNOT_S: Final = 40.0  # 2.5 deg of the orbit
 _MOST_KNOTS: Final = 900

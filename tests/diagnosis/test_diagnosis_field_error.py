@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import legendre
 
 from magcal_service.diagnosis.field_error import FieldError, Lines, degree_variances
 from tests.physics.scenes import scene
@@ -30,6 +31,31 @@ def test_variances_add_up_to_their_sources() -> None:
         upward = ((6371.2 + 300.0) / (6371.2 + 600.0)) ** (2 * degree + 4)
         assert high[degree] / low[degree] == pytest.approx(upward)
         assert low[degree] == pytest.approx(20.0 / 3.0 * (6371.2 / 6671.2) ** (2 * degree + 4))
+
+
+@pytest.mark.parametrize("degree", [14, 30, 45])
+def test_the_crust_is_a_potential_field_of_lowes_power(degree: int) -> None:
+    """A zonal harmonic of 20 nT^2 on the ground, squared and averaged over a sphere 400 km up, a third for a component.
+
+    By quadrature: B_r = (n + 1) (a / r)^(n + 2) g P_n, B_theta = -(a / r)^(n + 2) g dP_n / dtheta, (n + 1) g^2 = 20.
+    """
+    cosine, weight = legendre.leggauss(80)
+    zonal = legendre.Legendre.basis(degree)
+    up = (degree + 1.0) * zonal(cosine)
+    south = np.sqrt(1.0 - cosine**2) * zonal.deriv()(cosine)
+    height = (6371.2 / 6771.2) ** (degree + 2)
+    square = 20.0 / (degree + 1.0) * height**2 * float(weight @ (up**2 + south**2)) / 2.0
+    assert degree_variances(400.0)[degree] == pytest.approx(square / 3.0, rel=1e-9)
+
+
+def test_the_crust_has_5_nt_at_400_km_and_1_nt_beyond_what_is_taken() -> None:
+    """Root of Lowes' sum over the degrees from 14: 5 nT of the vector; beyond 45, 300 km up, 1 nT of a component."""
+    degree = np.arange(14.0, 500.0)
+    whole = 20.0 * (6371.2 / 6771.2) ** (2.0 * degree + 4.0)
+    beyond = 20.0 / 3.0 * (6371.2 / 6671.2) ** (2.0 * degree[degree > 45] + 4.0)
+    assert np.sqrt(whole.sum()) == pytest.approx(5.0, abs=0.05)
+    assert np.sqrt(beyond.sum()) == pytest.approx(1.0, abs=0.05)
+    assert len(degree_variances(300.0)) == 46
 
 
 def test_the_whole_variance_is_kept_at_every_sample(error: FieldError) -> None:
