@@ -13,7 +13,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.leftover import Structure, significant
+from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
@@ -182,7 +182,7 @@ def _on_rows(
     end = with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
     progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
-    unexplained = _unexplained(prepared, end.explained.fit, end.left)
+    unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
@@ -278,15 +278,6 @@ def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolutio
     body, _ = disturbances(fit.terms, fit.problem.scene)
     excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
     return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2))
-
-
-def _unexplained(prepared: Prepared, fit: Fit, left: list[Structure]) -> float:
-    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise."""
-    if not left or not significant(left[0]):
-        return 0.0
-    before, after = prepared.baseline.residual, fit.residual
-    explained = max(float(before @ before) - float(after @ after), 0.0)
-    return left[0].squares / max(left[0].squares + explained, 1e-12)
 
 
 def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -175,6 +175,17 @@ def _structure(shape: Shape, products: Products, beside: _Beside, sigma: float, 
 def significant(structure: Structure) -> bool:
     """Whether a structure is more than noise."""
     return structure.nats > SIGNIFICANT_NATS
+
+
+def unexplained_share(before: Fit, after: Fit, left: Sequence[Structure]) -> float:
+    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise.
+
+    ``before`` is the fit of the nine errors alone, ``after`` the one with effects.
+    """
+    if not left or not significant(left[0]):
+        return 0.0
+    explained = max(float(before.residual @ before.residual) - float(after.residual @ after.residual), 0.0)
+    return left[0].squares / max(left[0].squares + explained, 1e-12)
 
 
 def fitted_terms(structure: Structure, search: Search, fit: Fit) -> list[tuple[str, float]]:

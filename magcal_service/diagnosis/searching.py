@@ -99,15 +99,16 @@ def _beside_spikes(
 ) -> tuple[Prepared, Search, Explained]:
     """A search once more without the single spikes that show when what it named is subtracted.
 
-    Under nine errors alone a large disturbance hides them; forms that begin and end at instants take them for theirs,
-    so these are no part of what is subtracted.
+    Under nine errors alone a large disturbance hides them, and forms that begin and end at instants take them for
+    theirs.  So it is made where such a form was named, and that is no part of what is subtracted.
     """
     for _ in range(_MOST_SPIKED):
         prepared, _, explained = found
-        terms = [term for term in explained.fit.terms if "instant" not in {n.role for n in term.hypothesis.nonlinear}]
-        if prepared.problem.is_vector or not explained.fit.terms:
+        fit = explained.fit
+        terms = [term for term in fit.terms if "instant" not in {n.role for n in term.hypothesis.nonlinear}]
+        if prepared.problem.is_vector or len(terms) == len(fit.terms):
             return found
-        spikes = spikes_of(solve(explained.fit.problem, explained.fit.x, terms).residual)
+        spikes = spikes_of(solve(fit.problem, fit.x, terms).residual)
         if not spikes.any() or np.count_nonzero(~spikes) < 10 * STATE_SIZE:
             return found
         kept = prepare(prepared.recording.select(~spikes), effects, stride=1)

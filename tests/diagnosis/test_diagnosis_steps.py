@@ -20,10 +20,9 @@ from magcal_service.diagnosis.diagnose import (
     _imitated,
     _is_coning,
     _simulation,
-    _unexplained,
     _verdict,
 )
-from magcal_service.diagnosis.leftover import Structure
+from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
 from magcal_service.diagnosis.searching import _memory, in_form
@@ -80,11 +79,11 @@ def residuals(before: float, after: float) -> tuple[Any, Any]:
 
 def test_what_is_unexplained_is_the_best_structures_share_of_all_that_is_there() -> None:
     prepared, fit = residuals(1000.0, 400.0)
-    assert _unexplained(prepared, fit, [structure(7.0, 150.0)]) == pytest.approx(150.0 / 750.0)
-    assert _unexplained(prepared, fit, [structure(5.9, 150.0)]) == 0.0
-    assert _unexplained(prepared, fit, []) == 0.0
+    assert unexplained_share(prepared.baseline, fit, [structure(7.0, 150.0)]) == pytest.approx(150.0 / 750.0)
+    assert unexplained_share(prepared.baseline, fit, [structure(5.9, 150.0)]) == 0.0
+    assert unexplained_share(prepared.baseline, fit, []) == 0.0
     worse, grown = residuals(400.0, 1000.0)
-    assert _unexplained(worse, grown, [structure(7.0, 150.0)]) == pytest.approx(1.0)
+    assert unexplained_share(worse.baseline, grown, [structure(7.0, 150.0)]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -227,18 +226,19 @@ def test_a_sample_far_out_of_its_neighbourhood_is_a_spike() -> None:
 
 
 def test_spikes_that_a_disturbance_hides_are_found_beside_its_name() -> None:
-    """Twelve times the noise, under a tone of ten times; it is none that begins or ends."""
+    """Twelve times the noise, under a tone of ten times, beside a jump that could take them for its own."""
     of = scene()
     time_s, noise = of.time_s, NOISE_NT * np.random.default_rng(47).normal(size=(COUNT, 3))
     tone = np.outer(np.cos(2.0 * np.pi * 0.0137 * time_s), 10.0 * NOISE_NT * np.array([0.8, -0.5, 0.3]))
     rows = np.array([151, 420, 977, 1444, 1700])
     spikes = np.zeros((COUNT, 3))
     spikes[rows] = 12.0 * NOISE_NT * of.unit[rows]
-    made = from_arrays(time_s, measure(X, of.calibrated_nt + noise + tone + spikes), of.reference_eci_nt)
+    jump = np.outer(np.arange(COUNT) >= 1100, 5.0 * NOISE_NT * np.array([-0.4, 0.7, 0.6]))
+    made = from_arrays(time_s, measure(X, of.calibrated_nt + noise + tone + jump + spikes), of.reference_eci_nt)
     alone = prepare(made, catalogue())
     assert "spikes" not in +Counter(alone.left_out)
     prepared, _, explained, _ = in_form(made, catalogue())
-    assert [term.hypothesis.effect for term in explained.fit.terms] == ["tone"]
+    assert {term.hypothesis.effect for term in explained.fit.terms} == {"tone", "bias_step"}
     assert prepared.left_out["spikes"] == len(rows)
     assert not np.isin(made.time_ns[rows], prepared.recording.time_ns).any()
 

@@ -571,6 +571,15 @@ def test_old_coefficients_lag_by_a_years_change() -> None:
     change = (magnitude(places, times_ns) - magnitude(places, times_ns - five_years)) / 5.0
     assert yearly_change(scene())[rows] == pytest.approx(change, abs=1e-6)
     assert grown(forms("reference_epoch")["none", ""], 3.0)[rows] == pytest.approx(3.0 * change, abs=1e-5)
+    for age in (10.0, 21.0):  # between the ages at which it is computed, straight
+        step = 2.5 * (age // 2.5)
+        before, after = (
+            magnitude(places, times_ns) - magnitude(places, times_ns - round(one * 365.25 * 86400 * 1e9))
+            for one in (step, step + 2.5)
+        )
+        share = (age - step) / 2.5
+        found = grown(forms("reference_epoch")["none", "by decades"], 20.0, age)[rows]
+        assert found == pytest.approx(20.0 / age * ((1.0 - share) * before + share * after), abs=1e-5)
     cut = magnitude(places, times_ns) - magnitude(places, times_ns, 6)
     assert truncated_change(scene(), 6)[rows] == pytest.approx(cut, abs=1e-6)
     form = forms("reference_epoch")["none", "degree 6"]
@@ -583,8 +592,8 @@ def test_a_model_with_a_degree_gets_that_form_alone_and_one_without_the_years() 
         return [variant for _, variant in forms("reference_epoch", replace(scene(), given=given))]
 
     assert variants({"degree": 7.0}) == ["degree 7"]
-    assert variants({}) == [""]
-    assert variants(None) == ["", *(f"degree {degree}" for degree in range(1, 13))]
+    assert variants({}) == ["", "by decades"]
+    assert variants(None) == ["", "by decades", *(f"degree {degree}" for degree in range(1, 13))]
 
 
 def test_the_ring_current_adds_along_the_dipoles_axis_with_what_it_induces() -> None:

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Final
 
 from magcal_service.errors import ConfigError, Fault
-from magcal_service.physics.effects import bias_step, current_loop, position_offset, spin_rate, thermal_scale
+from magcal_service.physics.effects import (
+    bias_step,
+    current_loop,
+    position_offset,
+    quantisation,
+    spin_rate,
+    thermal_scale,
+)
 
 DEFAULT_FOLDER: Final = Path("../shared/data")
 """Where the recordings lie beside a checkout."""
@@ -75,7 +82,11 @@ KNOWN: Final[Mapping[str, Known]] = {
     "ardupilot/log171-internal-attitude": _CURRENT,
     "broad/magnet-32": _MAGNET,
     "broad/magnet-34": _MAGNET,
-    "iss-2022-ir/recording": Known((position_offset.EFFECT.name,), witness="element sets of the station"),
+    "iss-2022-ir/recording": Known(
+        (position_offset.EFFECT.name,),
+        (quantisation.EFFECT.name,),
+        "element sets of the station; values in steps of 0.1 uT",
+    ),
     "suchai3/2023-08-24": _SUNLIT,
     "suchai3/2023-11-13": _SUNLIT,
     "suchai3/2023-12-11": _SUNLIT,
