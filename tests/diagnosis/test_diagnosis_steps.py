@@ -233,7 +233,7 @@ def test_spikes_that_a_disturbance_hides_are_found_beside_its_name() -> None:
     rows = np.array([151, 420, 977, 1444, 1700])
     spikes = np.zeros((COUNT, 3))
     spikes[rows] = 12.0 * NOISE_NT * of.unit[rows]
-    jump = np.outer(np.arange(COUNT) >= 1100, 5.0 * NOISE_NT * np.array([-0.4, 0.7, 0.6]))
+    jump = np.outer(np.arange(COUNT) >= 1100, 1.5 * NOISE_NT * np.array([-0.4, 0.7, 0.6]))
     made = from_arrays(time_s, measure(X, of.calibrated_nt + noise + tone + jump + spikes), of.reference_eci_nt)
     alone = prepare(made, catalogue())
     assert "spikes" not in +Counter(alone.left_out)
