@@ -222,7 +222,8 @@ class CompensatingCraft(Craft, CompensatingMemory):
             return sample
         corrected = self.compensation.correct(sample)
         missing = self.compensation.missing
-        self.counters.update(f"uncompensated.{effect}" for effect in missing)
+        if missing:
+            self.counters.update(f"uncompensated.{effect}" for effect in missing)
         self.monitor.observe_driver(bool(missing) or self._start_is_vague(self.compensation))
         return corrected
 

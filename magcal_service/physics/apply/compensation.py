@@ -121,6 +121,8 @@ class Compensation(Stateful, CompensationMemory):
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the effects that are not compensated for want of their driver."""
+        if not self._missing_field and not self._missing_reference:
+            return ()
         return tuple(sorted({*self._missing_field, *self._missing_reference}))
 
     # Temperatures at the start
