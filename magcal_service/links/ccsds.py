@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import Final
 
 from magcal_service.config.address import LinkAddress
-from magcal_service.errors import LinkError
+from magcal_service.errors import LinkError, why_not
 from magcal_service.links.base import Link, Role
 from magcal_service.links.states import LinkEvent
 from magcal_service.wire.fields import NAME
@@ -137,7 +137,7 @@ class CcsdsLink(Link):
         except OSError as error:
             opened.close()
             if self._life.happens(LinkEvent.FAILED).logged:
-                _log.warning("%s: %s; trying on with every message", self.address, error.strerror)
+                _log.warning("%s: %s; trying on with every message", self.address, why_not(error))
             return
         self._socket = opened
         self._life.happens(LinkEvent.OPENED)

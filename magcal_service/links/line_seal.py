@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from magcal_service.config.private_files import check_state_directory, read_key
-from magcal_service.errors import DecodeError
+from magcal_service.errors import DecodeError, why_not
 from magcal_service.links.base import Role
 from magcal_service.links.counter_file import CounterFile
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder
@@ -69,5 +69,5 @@ def _sealed(key: bytes, counter: CounterFile, payload: bytes) -> bytes:
     try:
         counter.keep(value)
     except OSError as error:
-        raise DecodeError("not_kept", f"{counter.path}: {error.strerror or error}") from None
+        raise DecodeError("not_kept", f"{counter.path}: {why_not(error)}") from None
     return seal(key, value, payload)

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple, Self
 from magcal_service.config.daemon_settings import RecordConfig
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import digest
-from magcal_service.errors import DecodeError, Fault, FileFault, InputRefusedError
+from magcal_service.errors import DecodeError, Fault, FileFault, InputRefusedError, why_not
 from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder, recover_in_place
 from magcal_service.recordings.state_text import state_as_text
@@ -127,7 +127,7 @@ class Recorder:
             try:
                 ended = self._step()
             except OSError as error:
-                self._stop(error.strerror or str(error))
+                self._stop(why_not(error))
             except Exception as error:  # a defect must not silence the recorder for good
                 _log.exception("the recorder failed")
                 self._stop(f"a defect of the recorder, {type(error).__name__}")
@@ -222,7 +222,7 @@ class Recorder:
             self.counters["record.written"] += self._file.close()
         except OSError as error:
             self._abandon()
-            _log.error("the end of the recording is lost: %s", error.strerror)
+            _log.error("the end of the recording in %s is lost: %s", self.config.directory, why_not(error))
         self._file = None
 
     def _abandon(self) -> None:
@@ -238,7 +238,8 @@ class Recorder:
         self._retry_s = time.monotonic() + self.config.retry_s
         self.counters["record.stopped"] += 1
         if self.trouble != reason:
-            _log.error("not recording: %s; calibration goes on, next attempt in %g s", reason, self.config.retry_s)
+            text = "not recording in %s: %s; calibration goes on, next attempt in %g s"
+            _log.error(text, self.config.directory, reason, self.config.retry_s)
         self.trouble = reason
 
     def __enter__(self) -> Self:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.errors import DecodeError
+from magcal_service.errors import DecodeError, why_not
 
 SEALED: Final = 0x40
 """Added to the kind in a frame's header where the payload is sealed."""
@@ -82,5 +82,5 @@ class SealGate:
         try:
             self._keep(sealed.counter)
         except OSError as error:
-            raise DecodeError("not_kept", f"the counter cannot be stored ({error.strerror or error})") from None
+            raise DecodeError("not_kept", f"the counter cannot be stored ({why_not(error)})") from None
         self._last = sealed.counter

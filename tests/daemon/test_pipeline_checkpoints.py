@@ -118,7 +118,7 @@ def test_a_disk_that_fails_is_counted_and_the_craft_works_on(tmp_path: Path) -> 
     (tmp_path / "paper").rmdir()
     (tmp_path / "paper").write_text("")
     store.save([pipeline])
-    assert (store.counters["state.failed"], store.trouble) == (1, "Not a directory")
+    assert (store.counters["state.failed"], store.trouble) == (1, "a part of this path is a file, not a folder")
 
 
 def spoiled(state: dict[str, Any], path: tuple[str, ...], value: object) -> dict[str, Any]:

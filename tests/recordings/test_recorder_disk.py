@@ -110,10 +110,10 @@ def test_a_full_disk_stops_the_recording_and_not_the_calibration(
         service.send(SAMPLES)
         assert answers(service, 300) == 300
         until(lambda: recorder.trouble)
-    assert recorder.trouble == "No space left on device"
-    assert "not recording: No space left on device; calibration goes on" in caplog.text
+    assert recorder.trouble == "no space is left on the disk"
+    assert f"not recording in {recorder.config.directory}: no space is left on the disk; calibration" in caplog.text
     status = service.status()
-    assert "; not recording: No space left on device" in status.text
+    assert "; not recording: no space is left on the disk" in status.text
     assert status.counters["record.stopped"] >= 1
     assert status.counters["record.dropped"] > 0
 

@@ -18,7 +18,7 @@ from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, Stat
 from magcal_service.daemon.containment import contained, in_a_line
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
+from magcal_service.errors import InputRefusedError, why_not
 from magcal_service.snapshot import SnapshotError
 from magcal_service.version import __version__
 
@@ -186,9 +186,11 @@ class Checkpoints:
 
     def _failed(self, error: OSError | InputRefusedError) -> None:
         self.counters["state.failed"] += 1
-        trouble = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        trouble = why_not(error)
         if trouble != self.trouble:
-            log.error("a checkpoint could not be written: %s", trouble)
+            log.error(
+                "no checkpoint in %s, the one before is kept and the next is tried: %s", self._config.directory, trouble
+            )
         self.trouble = trouble
 
     def _count(self, *, restored: int = 0, dropped: int = 0) -> None:

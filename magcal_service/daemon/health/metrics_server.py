@@ -14,7 +14,7 @@ import time
 from typing import Final
 
 from magcal_service.daemon.health.metrics import Metrics
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.errors import Fault, InputRefusedError, why_not
 from magcal_service.version import __version__
 
 _log = logging.getLogger("magcal.metrics")
@@ -59,7 +59,7 @@ class MetricsServer:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            fault = Fault("health.metrics", address, f"a free port of this machine is accepted ({error.strerror})")
+            fault = Fault("health.metrics", address, f"a free port of this machine is accepted ({why_not(error)})")
             raise InputRefusedError([fault]) from None
         self.port: int = self._socket.getsockname()[1]
         self._text, self._rendered_s = "", time.monotonic()

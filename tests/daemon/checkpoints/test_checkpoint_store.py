@@ -96,7 +96,7 @@ def test_what_failed_is_tried_again_without_a_new_sample_and_the_trouble_ends(
     (tmp_path / "one").write_text("")
     one = fed(ONE, 3)
     store.save([one])
-    assert store.trouble == "Not a directory"
+    assert store.trouble == "a part of this path is a file, not a folder"
     (tmp_path / "one").unlink()
     (tmp_path / "one").mkdir()
     store.save([one])
@@ -117,7 +117,9 @@ def test_the_same_trouble_is_logged_once(
     with caplog.at_level(logging.ERROR, "magcal"):
         for _ in range(3):
             store.save([one])
-    assert [record.getMessage().rpartition(": ")[2] for record in caplog.records] == ["No space left", "odd"]
+    said = [record.getMessage() for record in caplog.records]
+    assert [text.rpartition(": ")[2] for text in said] == ["no space is left on the disk", "odd"]
+    assert all("the one before is kept and the next is tried" in text for text in said)
     assert counters(store) == {"state.failed": 3}
 
 
@@ -234,7 +236,7 @@ def test_a_roll_back_to_what_is_not_there_says_so(store: Checkpoints) -> None:
 def test_a_named_checkpoint_that_cannot_be_written_is_told_and_counted(store: Checkpoints, tmp_path: Path) -> None:
     (tmp_path / "one").rmdir()
     (tmp_path / "one").write_text("")
-    assert store.save_named(fed(ONE, 1), "kept") == "not written: Not a directory"
+    assert store.save_named(fed(ONE, 1), "kept") == "not written: a part of this path is a file, not a folder"
     assert counters(store) == {"state.failed": 1}
     assert "name 'a b' is refused" in store.save_named(fed(OTHER, 1), "a b")
     assert counters(store) == {"state.failed": 1}
