@@ -270,12 +270,8 @@ def _white(scene: Scene, x: Array) -> float:
 
 
 def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
-    """Single samples whose residual under nine errors is far outside its neighbourhood."""
-    return spikes_of(np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt)
-
-
-def spikes_of(residual: Array) -> NDArray[np.bool_]:
-    """Which single samples of a residual (n,) are far outside their neighbourhood and the whole."""
+    """Single samples far outside their neighbourhood."""
+    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
     padded = np.pad(residual, 4, mode="reflect")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
     off = np.abs(residual - around)

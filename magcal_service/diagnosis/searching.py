@@ -6,7 +6,6 @@ whitened by the memory of its noise where it has one.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,13 +19,13 @@ from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.leftover import Structure, significant, structures
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
-from magcal_service.diagnosis.prepare import Form, Prepared, prepare, spikes_of
+from magcal_service.diagnosis.prepare import Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem, is_collapsed
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import Progress, untold
-from magcal_service.model import STATE_SIZE, Array
+from magcal_service.model import Array
 from magcal_service.physics.effects.coloured_noise import autoregression, is_noise, long_memory
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.recording import Recording
@@ -38,9 +37,6 @@ structure, until physics and shapes without a name have had their turn."""
 _MUCH_WORSE: Final = 1.2
 """Times what magnitudes are left with, or the noise, from which on whole vectors are doubted: a sound attitude leaves
 the same to a few per cent."""
-
-_MOST_SPIKED: Final = 2
-"""Rounds in which spikes are looked for beside what was named; a third found none on any recording tried."""
 
 FLOOR: Final = 0.3
 """Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
@@ -82,8 +78,7 @@ def in_form(
     Whole vectors show what the attitude errs by, magnitudes nothing of that.  So where vectors are left with more than
     noise, magnitudes are searched too, and stand where they are left with clearly less.
     """
-    first = _searched(prepare(recording, effects), effects, progress)
-    prepared, search, explained = _beside_spikes(first, effects, progress)
+    prepared, search, explained = _searched(prepare(recording, effects), effects, progress)
     left_nt = _left_nt(explained.fit)
     if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
         return prepared, search, explained, ()
@@ -92,30 +87,6 @@ def in_form(
     if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
         return prepared, search, explained, ()
     return (*others, (prepared.form,))
-
-
-def _beside_spikes(
-    found: tuple[Prepared, Search, Explained], effects: tuple[Effect, ...], progress: Progress
-) -> tuple[Prepared, Search, Explained]:
-    """A search once more without the single spikes that show when what it named is subtracted.
-
-    Under nine errors alone a large disturbance hides them, and forms that begin and end at instants take them for
-    theirs.  So it is made where such a form was named, and that is no part of what is subtracted.
-    """
-    for _ in range(_MOST_SPIKED):
-        prepared, _, explained = found
-        fit = explained.fit
-        terms = [term for term in fit.terms if "instant" not in {n.role for n in term.hypothesis.nonlinear}]
-        if prepared.problem.is_vector or len(terms) == len(fit.terms):
-            return found
-        spikes = spikes_of(solve(fit.problem, fit.x, terms).residual)
-        if not spikes.any() or np.count_nonzero(~spikes) < 10 * STATE_SIZE:
-            return found
-        kept = prepare(prepared.recording.select(~spikes), effects, stride=1)
-        clean, search, again = _searched(kept, effects, progress)
-        left_out = Counter(prepared.left_out) + Counter(clean.left_out) + Counter(spikes=int(spikes.sum()))
-        found = replace(clean, left_out=dict(left_out)), search, again
-    return found
 
 
 def _left_nt(fit: Fit) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -25,11 +24,10 @@ from magcal_service.diagnosis.diagnose import (
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
-from magcal_service.diagnosis.searching import _memory, in_form
+from magcal_service.diagnosis.searching import _memory
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
-from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Finding, value_of
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.in_memory import from_arrays
@@ -223,24 +221,6 @@ def test_a_sample_far_out_of_its_neighbourhood_is_a_spike() -> None:
     assert np.flatnonzero(found).tolist() == [0, 700]
     stepped = of.field_nt + 20.0 * NOISE_NT * scene().unit * (np.arange(COUNT) > 1000)[:, None]
     assert not _spikes(spoiled(stepped, of), X).any()
-
-
-def test_spikes_that_a_disturbance_hides_are_found_beside_its_name() -> None:
-    """Twelve times the noise, under a tone of ten times, beside a jump that could take them for its own."""
-    of = scene()
-    time_s, noise = of.time_s, NOISE_NT * np.random.default_rng(47).normal(size=(COUNT, 3))
-    tone = np.outer(np.cos(2.0 * np.pi * 0.0137 * time_s), 10.0 * NOISE_NT * np.array([0.8, -0.5, 0.3]))
-    rows = np.array([151, 420, 977, 1444, 1700])
-    spikes = np.zeros((COUNT, 3))
-    spikes[rows] = 12.0 * NOISE_NT * of.unit[rows]
-    jump = np.outer(np.arange(COUNT) >= 1100, 1.5 * NOISE_NT * np.array([-0.4, 0.7, 0.6]))
-    made = from_arrays(time_s, measure(X, of.calibrated_nt + noise + tone + jump + spikes), of.reference_eci_nt)
-    alone = prepare(made, catalogue())
-    assert "spikes" not in +Counter(alone.left_out)
-    prepared, _, explained, _ = in_form(made, catalogue())
-    assert {term.hypothesis.effect for term in explained.fit.terms} == {"tone", "bias_step"}
-    assert prepared.left_out["spikes"] == len(rows)
-    assert not np.isin(made.time_ns[rows], prepared.recording.time_ns).any()
 
 
 def test_a_row_in_a_field_of_less_than_ten_times_the_noise_is_left_out() -> None:
