@@ -30,7 +30,7 @@ class FieldModel:
     ----------
     ring_current_nt: uniform field along the dipole's north axis in the truth [nT]; negative in a storm, -20 to -400
         (the Dst index without its induced part; Alken et al. 2021).
-    reference_time_offset_s: the reference is that of this much later [s]; up to 73 nT per second.
+    reference_time_offset_s: the reference is that of this much later [s]; up to 130 nT per second.
     reference_along_track_km: the reference is that of a place this far ahead on the orbit [km]; about 10 nT/km.
     reference_radial_km: and this much higher [km]; about 25 nT/km.
     reference_epoch_ns: coefficients of the reference are frozen at this time; up to 80-100 nT per year locally.

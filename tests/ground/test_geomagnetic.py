@@ -227,3 +227,24 @@ def test_local_down_points_to_the_ground() -> None:
     down = geo.ecef_from_ned(latitude, longitude, np.array([[0.0, 0.0, 1.0]]))
     high, low = (geo.ecef_from_geodetic(latitude, longitude, np.array([height])) for height in (101.0, 100.0))
     np.testing.assert_allclose(down, low - high, rtol=0.0, atol=1e-9)
+
+
+def test_the_steepest_slopes_of_the_field_in_orbit() -> None:
+    """What the texts say: 51 nT/s of |H| at 300 km; 25 nT/km up and 5.5 nT/km across at 500 km; 130 nT/s of the vector.
+
+    By differences over 10 km at random places; the Earth's turn adds 0.5 km/s to a craft's 7.6 at most.
+    """
+    times, gradient = np.full(6000, utc_ns(2025, 6, 15)), {}
+    for height in (300.0, 400.0, 500.0):
+        place = sphere(6000, 6371.2 + height, 3)
+        fields = [[geo.igrf_ecef_nt(times, place + sign * axis) for sign in (-5.0, 5.0)] for axis in np.eye(3)]
+        vector = np.stack([(after - before) / 10.0 for before, after in fields], axis=-1)
+        size = [np.linalg.norm(after, axis=1) - np.linalg.norm(before, axis=1) for before, after in fields]
+        slope, up = np.stack(size, axis=-1) / 10.0, place / (6371.2 + height)
+        radial = np.einsum("ni,ni->n", slope, up)
+        level = vector - np.einsum("nij,nj->ni", vector, up)[:, :, None] * up[:, None]
+        across = np.linalg.norm(slope - radial[:, None] * up, axis=1)
+        gradient[height] = (np.abs(radial).max(), across.max(), np.linalg.norm(level, ord=2, axis=(1, 2)).max())
+    assert gradient[500.0][:2] == pytest.approx((25.0, 5.5), rel=0.03)
+    assert 7.6 * gradient[300.0][1] < 51.0 < 8.1 * gradient[300.0][1]
+    assert 7.6 * gradient[400.0][2] == pytest.approx(130.0, rel=0.05)

@@ -106,7 +106,7 @@ EFFECT = Effect(
     valid="to first order: below about 100 km; far along the orbit, up to 20 minutes",
     confused_with=("time_offset", "reference_epoch", "external_field"),
     separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
-    source="25 nT/km radial, 10 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (growth of along-track error)",
+    source="at most 25 nT/km radial, 5.5 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (along-track error)",
     says=(
         "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
         "{along_km.signed} ahead, growing by {along_km_per_h.signed}, {cross_km.signed} to the left.",

@@ -38,7 +38,7 @@ EFFECT = Effect(
     valid="to first order in the offset: below about a minute in low orbit; by minutes, up to 20 of them",
     confused_with=("position_offset", "thermal_bias", "reference_epoch"),
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
-    source="73 nT per second at 7.6 km/s through IGRF (largest d|H|/dt); clocks as in pulsar timing (PINT)",
+    source="51 nT per second through IGRF at 300 km (largest d|H|/dt); clocks as in pulsar timing (PINT)",
     says=(
         "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
         "{drift_ppm.signed}.",
