@@ -201,6 +201,42 @@ def costs() -> str:
     return table(["what it costs", "figure", "command"], _cost_rows())
 
 
+def just_below() -> str:
+    """The largest size of each hazard that is not seen, and the level beside the error there."""
+
+    def number(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3g}"
+
+    rows = [
+        [
+            f"`{row['hazard']}`",
+            f"{row['motion']}, {row['noise_nt']:.0f}",
+            f"{number(row['unseen'])} {row['unit']}".strip() + (", all that is possible" if row["bounded"] else ""),
+            *(_nt(row[key]) for key in ("error_nt", "level_nt", "own_nt")),
+            *(number(row[key]) for key in ("ratio", "own_ratio", "near_ratio", "near_own_ratio")),
+        ]
+        for row in _rows("just-below")
+    ]
+    head = [
+        "hazard",
+        "motion, noise [nT]",
+        "largest unseen",
+        "error [nT]",
+        "level",
+        "for it",
+        "level / error",
+        "for it",
+    ]
+    return table([*head, "just below: level / error", "for it"], rows, range(3, 10))
+
+
+def just_below_over_all() -> str:
+    """The medians of the same over all that is limited by detection."""
+    figures = read("just-below")["figures"]["over_all"]
+    rows = [[name, f"{value:.3g}"] for name, value in figures.items()]
+    return table(["median over the flights that detection limits", ""], rows, [1])
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-ukf": recordings_main,
     "recordings-methods": lambda: _side_by_side("after_nt"),
@@ -211,5 +247,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "concealed": lambda: study_table("concealed", "By simulator and what was asked"),
     "concealed-reliability": _concealed_reliability,
     "integrity-warnings": lambda: study_table("integrity", "Minutes from the hazard"),
+    "just-below": just_below,
+    "just-below-over-all": just_below_over_all,
     "costs": costs,
 }
