@@ -13,7 +13,7 @@ from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 
@@ -104,8 +104,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     as the name, so by that share's square.
     """
     name = explained.fit.terms[index].hypothesis.effect
-    ranked = explained.rivals[index]
-    own = next((c.nats for c in ranked if c.hypothesis.effect == name), explained.nats[index])
+    ranked, own = explained.rivals[index], explained.own_nats(index)
     weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
@@ -213,8 +212,7 @@ def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...
 
 def unlisted(explained: Explained, index: int) -> str:
     """What follows a recorded channel, is no effect and does as well as a term, in words; empty where nothing does."""
-    name, ranked = explained.fit.terms[index].hypothesis.effect, explained.rivals[index]
-    own = next((c.nats for c in ranked if c.hypothesis.effect == name), explained.nats[index])
+    ranked, own = explained.rivals[index], explained.own_nats(index)
     near = (c for c in ranked if c.hypothesis.effect == UNLISTED and c.nats > own - CLASS_NATS)
     return next((said(c.hypothesis) for c in near), "")
 
@@ -246,6 +244,7 @@ def reasons(
     rest: Rest | None = None,
     *,
     has_own_noise: bool = False,
+    added_noise_nt: float = 0.0,
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``words.REASONS``.
 
@@ -256,6 +255,7 @@ def reasons(
     stated: whether the sensor's noise was stated, not estimated from the residual.
     rest: what lasts beside the names; None where the noise has a memory.
     has_own_noise: whether a level of noise beside the stated one was found and said.
+    added_noise_nt: noise that was found on top of the stated one, as by a lattice of values [nT per axis].
     """
     fit, named = explained.fit, bool(explained.fit.terms)
     return listed(
@@ -264,7 +264,7 @@ def reasons(
         poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
         unexplained_structure=unknown or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained))),
         rough_residual=named and not stated and is_rough(fit),
-        noisier_than_stated=stated and not has_own_noise and is_noisier(fit),
+        noisier_than_stated=stated and not has_own_noise and is_noisier(fit, added_noise_nt),
     )
 
 
@@ -342,14 +342,17 @@ def is_rough(fit: Fit) -> bool:
     return fit.problem.noise_nt > _MOST_NOISE * float(np.mean(fit.problem.scene.magnitude_nt))
 
 
-def is_noisier(fit: Fit) -> bool:
+def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
     """Whether more is left than the noise and the field model's errors, by rms and by the median alike.
 
-    Outliers raise the one, and a few large waves hardly the other.
+    Outliers raise the one, and a few large waves hardly the other.  The noise is the sensor's, per axis, and so are
+    ``added_nt`` on top [nT]; calibration multiplies them by I + D along the field.
     """
     left = fit.held_out_white
+    gain = float(np.sqrt(np.mean(((fit.unit @ (np.eye(3) + d_matrix(fit.x[:STATE_SIZE]))) ** 2).sum(axis=1))))
+    noise_nt = max(gain, 1.0) * float(np.hypot(fit.problem.noise_nt, added_nt))
     robust = MEDIAN_TO_SIGMA * float(np.median(np.abs(left - np.median(left))))
-    return min(float(np.sqrt(np.mean(left**2))), robust) > _NOISIER * fit.problem.noise_nt
+    return min(float(np.sqrt(np.mean(left**2))), robust) > _NOISIER * noise_nt
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

@@ -193,9 +193,8 @@ def _on_rows(
         verdict is Verdict.UNKNOWN,
         stated,
         end.rest,
-        has_own_noise=any(
-            effect.acts_on in (ActsOn.NOISE, ActsOn.SAMPLES) for effect in effects if effect.name in findings
-        ),
+        has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
+        added_noise_nt=max((_added_nt(one) for one in findings.values()), default=0.0),
     )
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -218,6 +217,12 @@ def _on_rows(
         rest=end.rest,
         modelled=_modelled(end, against, inspection, spin, progress),
     )
+
+
+def _added_nt(finding: Finding) -> float:
+    """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where it says none."""
+    added = finding.parameters.get("added_noise_nt")
+    return 0.0 if added is None else float(np.max(added.value))
 
 
 def _modelled(

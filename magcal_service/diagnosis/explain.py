@@ -71,6 +71,11 @@ class Explained:
     shaped_nats: float = 0.0
     lasting_nats: float = 0.0
 
+    def own_nats(self, index: int) -> float:
+        """Evidence for a term beside its rivals [nats]; its own where it is not among them, nearly absorbed."""
+        name = self.fit.terms[index].hypothesis.effect
+        return next((c.nats for c in self.rivals[index] if c.hypothesis.effect == name), self.nats[index])
+
 
 @dataclass(eq=False)
 class Search(Screen):

@@ -158,6 +158,8 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
     keep = ~(spikes | spoiled | weak)
     if np.count_nonzero(keep) < 10 * STATE_SIZE:
+        keep = ~(spikes | spoiled)
+    if np.count_nonzero(keep) < 10 * STATE_SIZE:
         keep[:] = True
     why = {"spikes": spikes, "spoiled": spoiled, "weak_field": weak}
     left_out = {"thinned": thinned, **{name: int((rows & ~keep).sum()) for name, rows in why.items()}}

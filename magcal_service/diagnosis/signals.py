@@ -107,9 +107,7 @@ class _Place:
         rows = search.rows_of(term.hypothesis, term.theta, fit)
         assert rows is not None
         left = space.residual - space.projected(rows @ space.gain(rows, sigma).amplitudes)
-        ranked = explained.rivals[index]
-        own = next(c.nats for c in ranked if c.hypothesis.effect == term.hypothesis.effect)
-        return _Place(term.hypothesis, space, left, own, sigma)
+        return _Place(term.hypothesis, space, left, explained.own_nats(index), sigma)
 
     def is_own(self, signal: Signal) -> bool:
         """Whether a signal is only the term's own driver, a little later or smoother."""

@@ -152,6 +152,15 @@ def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: flo
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
 
 
+def test_a_term_that_is_not_among_its_own_rivals_has_its_own_evidence() -> None:
+    """The screening may find it below what can be seen, once others are there."""
+    named = explained([("bias_drift", 99.0)])
+    assert named.own_nats(0) == 100.0
+    gone = replace(named, rivals=(named.rivals[0][1:],), nats=(101.0,))
+    assert gone.own_nats(0) == 101.0
+    assert posterior(gone, 0).own == pytest.approx(0.97 / (1.0 + math.exp(-2.0)))
+
+
 def test_a_good_name_is_trusted() -> None:
     """The right step, nothing left, no rival near."""
     assert said(explained([("bias_drift", 60.0)])) == ()
@@ -251,14 +260,23 @@ def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:
     assert posterior(found, 0).own > 0.95
 
 
-def noisier(times: float, *, tails: float = 0.0, alone: bool = True, memory: bool = False) -> tuple[str, ...]:
+def noisier(
+    times: float,
+    *,
+    tails: float = 0.0,
+    alone: bool = True,
+    memory: bool = False,
+    added_nt: float = 0.0,
+    wide: float = 0.0,
+) -> tuple[str, ...]:
     """The reasons where noise is so many times what was stated, with spikes in a share ``tails`` of the samples."""
     rng = np.random.default_rng(43)
     noise = times * NOISE_NT * rng.normal(size=(len(scene()), 3))
     out = rng.random(len(scene())) < tails
     noise[out] += 5.0 * NOISE_NT * scene().unit[out]
-    fit = solve(Problem(spoiled(measure(X, scene().calibrated_nt + noise), scene()), NOISE_NT), X)
-    return reasons(Explained(fit), 0.0, False, stated=alone, has_own_noise=memory)
+    x = X + wide * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    fit = solve(Problem(spoiled(measure(x, scene().calibrated_nt) + noise, scene()), NOISE_NT), x)
+    return reasons(Explained(fit), 0.0, False, stated=alone, has_own_noise=memory, added_noise_nt=added_nt)
 
 
 def test_more_than_the_stated_noise_is_not_trusted() -> None:
@@ -269,6 +287,9 @@ def test_more_than_the_stated_noise_is_not_trusted() -> None:
     assert noisier(1.0, tails=0.03) == ()
     assert noisier(1.3, alone=False) == ()
     assert noisier(1.3, memory=True) == ()
+    assert noisier(1.3, added_nt=0.8 * NOISE_NT) == ()
+    assert noisier(1.0, wide=0.35) == ()  # a sensor that shows too little: its noise grows with what it shows
+    assert noisier(1.3, wide=0.35) == ("noisier_than_stated",)
 
 
 @pytest.mark.parametrize(

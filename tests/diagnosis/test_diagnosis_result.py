@@ -16,6 +16,7 @@ import pytest
 from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
+from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.leftover import structures
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
@@ -304,8 +305,7 @@ def candidates(**nats: float) -> tuple[Candidate, ...]:
 def with_rivals(ranked: tuple[Candidate, ...]) -> Any:
     base = made().explained
     rivals = (base.rivals[0], ranked)
-    left = {"shaped_nats": 0.0, "lasting_nats": 0.0}
-    explained = SimpleNamespace(fit=made().fit, rivals=rivals, nats=base.nats, gains=base.gains, **left)
+    explained = Explained(made().fit, rivals, base.nats, base.gains)
     return SimpleNamespace(**{**vars(made()), "explained": explained})
 
 

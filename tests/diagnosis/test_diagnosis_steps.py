@@ -102,7 +102,13 @@ def test_a_result_has_the_reasons_against_it(
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
     problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed, noise_nt=1.0)
     fit: Any = SimpleNamespace(
-        x=x, covariance=np.diag(sigmas**2), converged=True, problem=problem, terms=(), held_out_white=np.ones(9)
+        x=x,
+        covariance=np.diag(sigmas**2),
+        converged=True,
+        problem=problem,
+        terms=(),
+        held_out_white=np.ones(9),
+        unit=np.eye(3),
     )
     explained: Any = SimpleNamespace(fit=fit)
     assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN) == reasons

@@ -277,6 +277,9 @@ def test_what_settles_may_be_a_sensor_that_warms_up(effect: str) -> None:
     decay = np.exp(-bare.time_s / 900.0)
     assert sizes(settling) == {"start_nt_swing": (3,)}
     assert added(settling, start, 900.0) == pytest.approx(np.outer(decay, start))
+    early = replace(bare, time_s=bare.time_s - 1000.0)
+    expected = np.where(early.time_s < -60.0, 0.0, np.exp(-np.maximum(early.time_s, 0.0) / 900.0))
+    assert early.settling(900.0) == pytest.approx(expected)  # what was warm at its start says nothing of before
     relaxing = forms("bias_drift", bare)["none", "relaxing"]
     assert added(relaxing, -start, 900.0) + start == pytest.approx(np.outer(decay, start))
 
@@ -579,6 +582,9 @@ def test_old_coefficients_lag_by_a_years_change() -> None:
         )
         share = (age - step) / 2.5
         found = grown(forms("reference_epoch")["none", "by decades"], 20.0, age)[rows]
+        assert grown(forms("reference_epoch")["none", "by decades"], 40.0, 400.0)[rows] == pytest.approx(
+            magnitude(places, times_ns) - magnitude(places, times_ns - round(40.0 * 365.25 * 86400 * 1e9)), abs=1e-3
+        )
         assert found == pytest.approx(20.0 / age * ((1.0 - share) * before + share * after), abs=1e-5)
     cut = magnitude(places, times_ns) - magnitude(places, times_ns, 6)
     assert truncated_change(scene(), 6)[rows] == pytest.approx(cut, abs=1e-6)
@@ -618,6 +624,8 @@ def test_the_ring_current_adds_along_the_dipoles_axis_with_what_it_induces() -> 
     nowhere = ring_current(replace(scene(), position_ecef_km=None))
     assert nowhere == pytest.approx(np.einsum("ni,ni->n", axis, direction))
     assert ring_current(replace(scene(), reference_eci_nt=None)) is None
+    placeless = forms("external_field", replace(scene(), position_ecef_km=None))
+    assert {variant.split(",")[0] for _, variant in placeless} == {"uniform"}
 
 
 def test_a_storm_is_a_polynomial_in_time_that_ends_with_its_recording() -> None:

@@ -12,6 +12,7 @@ from magcal_service.diagnosis.belief import (
     LITTLE_LEFT,
     concerned,
     has_coverage,
+    is_noisier,
     is_rough,
     listed,
     stands_out,
@@ -309,6 +310,9 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
         unexplained_structure=verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
         rough_residual=named
         and any(one.prepared.view.stated_noise_nt is None and is_rough(one.fit) for one in found.recordings),
+        noisier_than_stated=any(
+            one.prepared.view.stated_noise_nt is not None and is_noisier(one.fit) for one in found.recordings
+        ),
         gain_in_scatter=named and not stands_out(solve(fit.problem, fit.x), fit, FLOOR * fit.problem.noise_nt),
         not_predicted=named and not predicts,
     )

@@ -278,7 +278,8 @@ def sentence(diagnosis: JointDiagnosis) -> str:
     """The verdict in one plain sentence: what is common, and what each recording has itself."""
     if diagnosis.verdict is Verdict.NONE:
         levels = levels_of_all(diagnosis)
-        return agreed(levels.held_out_nt[1], levels.noise_nt, _field_model_nt(diagnosis), "recordings")
+        noisier = "noisier_than_stated" in diagnosis.reasons
+        return agreed(levels.held_out_nt[1], levels.noise_nt, _field_model_nt(diagnosis), "recordings", noisier=noisier)
     terms = list(enumerate(diagnosis.fit.terms))
     if diagnosis.verdict is Verdict.UNKNOWN:
         doubted = [one.name for one in diagnosis.recordings if one.inspection.open]

@@ -28,7 +28,7 @@ from magcal_service.physics.apply.live_spin import attitude, axis_of, axis_sums_
 from magcal_service.physics.apply.live_terms import WARMTH, live_terms
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.scene.scene import Memory, Scene
+from magcal_service.physics.scene.scene import AT_START_S, Memory, Scene
 from magcal_service.snapshot import Stateful
 from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
@@ -46,12 +46,6 @@ _WARM: Final = 3.0
 
 _ABSURD_NT: Final = 1e100
 """No disturbance reaches it; its products still fit a double."""
-
-_AT_START_S: Final = 60.0
-"""How close to the model's start a daemon has to begin to take the start temperature from it [s].
-
-Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +128,7 @@ class Compensation(Stateful, CompensationMemory):
 
     def _is_at_start(self, time_ns: int) -> bool:
         """Whether a time is that of the model's start."""
-        return abs(time_ns - self.model.origin_ns) < 1e9 * _AT_START_S
+        return abs(time_ns - self.model.origin_ns) < 1e9 * AT_START_S
 
     def free_start(self) -> None:
         """Take the start as zero and tell its fields (``start_fields``), until it is given."""

@@ -63,26 +63,27 @@ def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
     return lambda _: act(signal)
 
 
-def inferred(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
+def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool = True) -> Iterator[Hypothesis]:
     """Temperature as a response to light, in units of the swing between light and shadow.
 
     Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
     the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  Where a
     temperature was recorded, inferring another one from light has odds against it.  That decay alone is a form of its
-    own: what was switched on warms up, whatever a thermometer elsewhere has, and no data tell it from a drift that
-    relaxes.
+    own, where it ``settles``: what was switched on warms up, whatever a thermometer elsewhere has, and no data tell it
+    from a drift that relaxes.
     """
     known = any(recorded(scene, effect, act, block))
     start = Block(f"start_{block.name}", block.unit, block.shape, block.most)
     constants_s = Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S)
-    yield Hypothesis(
-        effect,
-        "inferred:temperature",
-        lambda theta: act(scene.settling(float(theta[0]))),
-        (start,),
-        variant=SETTLING,
-        nonlinear=(constants_s,),
-    )
+    if settles:
+        yield Hypothesis(
+            effect,
+            "inferred:temperature",
+            lambda theta: act(scene.settling(float(theta[0]))),
+            (start,),
+            variant=SETTLING,
+            nonlinear=(constants_s,),
+        )
     if scene.lit is None or not scene.eclipses:
         return
 

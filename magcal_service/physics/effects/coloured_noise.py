@@ -37,8 +37,9 @@ _OWN: Final = 0.85
 White noise of the stated level has 1. Choice: white noise 8 % below what is stated passes for one with a memory.
 """
 
-_OF_LEVEL: Final = 0.2
-"""Of the stated noise's square, what all that is left may differ by from it: no room for anything slow on top."""
+_OF_LEVEL: Final = (0.8, 1.05)
+"""Times the stated noise's square, what all that is left is where it is the noise: nothing slow on top of it, but what
+the sampling of a few thousand samples makes of it."""
 
 _AT_ONCE: Final = 8
 """Columns filtered at a time; choice: 8 of 60 000 rows are 4 MB, and their sums as much again."""
@@ -146,7 +147,7 @@ def is_noise(view: View) -> bool:
     stated = view.stated_noise_nt
     if stated is None:
         return fading > _FADING
-    has_room = zero - one < _OWN * stated**2 or abs(zero / stated**2 - 1.0) < _OF_LEVEL
+    has_room = zero - one < _OWN * stated**2 or _OF_LEVEL[0] < zero / stated**2 < _OF_LEVEL[1]
     return fading > 0.5 * _FADING and has_room
 
 

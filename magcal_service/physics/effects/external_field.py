@@ -41,8 +41,9 @@ def ring_current(scene: Scene, induced: float = INDUCED) -> Array | None:
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    """With its induced part where places are known, and uniform."""
     for column, form in ((ring_current(scene), ""), (ring_current(scene, 0.0), UNIFORM)):
-        if column is not None and (form == "" or scene.position_eci_km is not None):
+        if column is not None and (form == UNIFORM or scene.position_eci_km is not None):
             yield from _courses(scene, column, form)
 
 

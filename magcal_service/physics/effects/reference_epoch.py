@@ -63,7 +63,8 @@ def _by_decades(scene: Scene) -> Hypothesis:
     """The mean yearly change since coefficients of an age, which gives it its shape."""
 
     def columns(theta: Array) -> Columns:
-        return Columns(magnitude=change_over(scene, float(theta[0]))[None] / max(float(theta[0]), _STEP))
+        age = float(np.clip(theta[0], _STEP, _OLDEST))
+        return Columns(magnitude=change_over(scene, age)[None] / age)
 
     yearly_nt = float(np.sqrt(np.mean(scene.once("yearly change", lambda: yearly_change(scene)) ** 2)))
     return Hypothesis(

@@ -36,7 +36,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", (), _MOST_PER_K)):
         yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
     yield from inferred(scene, "thermal_scale", each, Block("swing", "1", most=_MOST_SWING))
-    for hypothesis in inferred(scene, "thermal_scale", common, Block("swing_common", "1", (), _MOST_SWING)):
+    one = Block("swing_common", "1", (), _MOST_SWING)
+    for hypothesis in inferred(scene, "thermal_scale", common, one, settles=False):  # no drift has one gain for all
         yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
     for hypothesis in recorded(scene, "thermal_scale", after, Block("per_k", "1/K", most=_MOST_PER_K)):
         yield replace(hypothesis, variant=f"{AFTER_BIAS} {hypothesis.variant}".strip())
@@ -79,8 +80,6 @@ EFFECT = Effect(
         "{driver} with a time constant of {time_constant_s.size}.",
         "The gain of {swing.place} {swing.falls} by {swing.percent} from shadow to light, the most of the three, "
         "following {driver} with a time constant of {time_constant_s.size}.",
-        "The gain of all axes is {start_swing_common.percent} off at the start and settles with a time constant of "
-        "{time_constant_s.size}, as a sensor does that warms up or cools down.",
         "The gain of {start_swing.place} is {start_swing.percent} off at the start, the most of the three, and settles "
         "with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),

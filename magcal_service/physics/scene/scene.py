@@ -78,6 +78,13 @@ class Memory:
     begins_anew: bool = False
 
 
+AT_START_S: Final = 60.0
+"""How close to a recording's start a stream has to begin to take its start temperature from it [s].
+
+Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Samples in rising time order.
@@ -296,9 +303,12 @@ class Scene:
         return answer, self.settling(tau_s)
 
     def settling(self, tau_s: float) -> Array:
-        """What is left (n,) of a temperature at the start: of the recording, or of a stream that begins elsewhere."""
+        """What is left (n,) of a temperature at the start: of the recording, or of a stream that begins elsewhere.
+
+        Before the recording it says nothing: what was warm then did not begin yet.
+        """
         if self.memory is None or not self.memory.begins_anew:
-            return np.exp(-np.maximum(self.time_s, 0.0) / tau_s)
+            return np.where(self.time_s < -AT_START_S, 0.0, np.exp(-np.maximum(self.time_s, 0.0) / tau_s))
         decay = self.begin("decay", 1.0) * np.exp(-(self.time_s - self.time_s[0]) / tau_s)
         self.keep("decay", decay)
         return np.asarray(decay)

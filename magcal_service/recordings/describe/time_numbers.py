@@ -178,9 +178,9 @@ def _elapsed(column: Column, step: float, named: bool) -> list[Form]:
     counts = column.whole and _steps_are_one(column.values)
     forms = []
     for one in possible:
-        says = "the name says a time, and" if named else "it rises from row to row, and"
+        says = "the name says a time, and" if named else "it rises from row to row:"
         says = f"the name says {unit}, but" if unit else says
-        why = f"{says} as {one} it does so by {step * S[one]:.4g} s"
+        why = f"{says} as {one} it rises by {step * S[one]:.4g} s"
         sure = (
             len(possible) == 1
             and named
