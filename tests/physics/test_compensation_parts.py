@@ -195,7 +195,7 @@ def test_a_place_in_space_is_turned_with_the_earth_where_the_time_is_utc() -> No
 # References
 
 
-RING = ModelTerm("external_field", "none", "", {"mean_nt": np.array(-100.0)})
+RING = ModelTerm("external_field", "none", "uniform", {"mean_nt": np.array(-100.0)})
 """A ring current of -100 nT along the dipole's axis."""
 
 
