@@ -119,6 +119,13 @@ def test_a_share_s_interval_is_wilson_s(count: int, of: int, low: float, high: f
     assert wilson(count, of) == pytest.approx((low, high), abs=5e-5)
 
 
+def test_a_share_of_all_or_none_lies_in_its_interval() -> None:
+    """Where rounding would put its end beside it."""
+    for of in range(1, 200):
+        assert wilson(of, of)[1] == 1.0  # type: ignore[index]
+        assert wilson(0, of)[0] == 0.0  # type: ignore[index]
+
+
 def test_nothing_has_no_interval() -> None:
     assert wilson(0, 0) is None
 

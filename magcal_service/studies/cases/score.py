@@ -131,13 +131,13 @@ def claims_of(scored: Sequence[Scored]) -> list[tuple[float, bool]]:
 
 
 def wilson(count: int, of: int) -> tuple[float, float] | None:
-    """The 95 % interval of a share by Wilson's score (1927): never empty, never beyond 0 and 1; None of nothing."""
+    """The 95 % interval of a share by Wilson's score (1927), which holds the share itself; None of nothing."""
     if of == 0:
         return None
     p, z2 = count / of, _Z95**2
     middle = (p + z2 / (2.0 * of)) / (1.0 + z2 / of)
     half = _Z95 / (1.0 + z2 / of) * math.sqrt(p * (1.0 - p) / of + z2 / (4.0 * of**2))
-    return max(0.0, middle - half), min(1.0, middle + half)
+    return min(p, max(0.0, middle - half)), max(p, min(1.0, middle + half))  # at 0 and 1 rounding leaves the share out
 
 
 def share(count: int, of: int) -> float | None:
