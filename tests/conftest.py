@@ -1,6 +1,8 @@
 """What all tests share: property tests draw the same examples every time, so a red suite stays red until mended."""
 
+import logging
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -12,6 +14,14 @@ settings.load_profile("repeatable")
 
 
 pytest.register_assert_rewrite("tests.links.link_contract", "tests.links.link_messages")
+
+
+@pytest.fixture(autouse=True)
+def _level_of_the_log() -> Iterator[None]:
+    """A command that a test runs in its own process sets the root's level, and others would log more than theirs."""
+    level = logging.getLogger().level
+    yield
+    logging.getLogger().setLevel(level)
 
 
 @pytest.hookimpl(optionalhook=True)
