@@ -38,6 +38,9 @@ def add_study(parser: Parser) -> None:
     parser.add_argument(
         "--noises", default="", metavar="NT,NT", help="of integrity, nT per axis (default: the study's own)"
     )
+    parser.add_argument(
+        "--motions", default="", metavar="A,B", help="of integrity, how the craft turn (default: every way)"
+    )
     folders = (
         "of recordings' descriptors, for reality (default: ../shared/data; to one alone, `cases` beside it), or of "
         "concealed cases, for concealed"
@@ -77,8 +80,10 @@ def _study(options: argparse.Namespace) -> int:
     folders = tuple(options.recordings)
     scenarios = tuple(name for name in options.scenarios.split(",") if name)
     noises = _numbers("--noises", options.noises)
+    motions = tuple(name for name in options.motions.split(",") if name)
+    executor = executor_of(options)
     request = Request(
-        options.runs, options.seed, executor_of(options), methods, options.duration_s, folders, scenarios, noises
+        options.runs, options.seed, executor, methods, options.duration_s, folders, scenarios, noises, motions
     )
     report = run_study(options.name, request)
     with beside_json(options.json):

@@ -62,9 +62,11 @@ def run_study(name: str, request: Request) -> Report:
     if request.runs is not None and not least <= request.runs <= MOST_RUNS:
         why = "" if study.scenarios else ": one has no scatter"
         raise ConfigError([Fault("--runs", request.runs, f"{least} to {MOST_RUNS} runs are accepted{why}")])
-    for scenario in request.scenarios:
-        if scenario not in study.scenarios:
-            raise ConfigError([Fault("--scenarios", scenario, nearest(scenario, study.scenarios))])
+    named = (("--scenarios", request.scenarios, study.scenarios), ("--motions", request.motions, study.motions))
+    for option, asked, there in named:
+        for one in asked:
+            if one not in there:
+                raise ConfigError([Fault(option, one, nearest(one, there))])
     for noise in request.noises_nt:
         if not LEAST_NOISE_NT <= noise <= MOST_NOISE_NT:
             accepted = f"{LEAST_NOISE_NT:g} to {MOST_NOISE_NT:g} nT are accepted"
@@ -88,6 +90,7 @@ def _refuse_strange(study: Study, request: Request) -> None:
     few = {
         "--scenarios": ",".join(request.scenarios) or None,
         "--noises": ",".join(f"{noise:g}" for noise in request.noises_nt) or None,
+        "--motions": ",".join(request.motions) or None,
     }
     if not study.takes_recordings and not study.scenarios:
         takers = ", ".join(one.name for one in studies() if one.scenarios)
@@ -142,4 +145,6 @@ def _command(study: Study, request: Request) -> str:
         parts += ["--scenarios", ",".join(request.scenarios)]
     if request.noises_nt:
         parts += ["--noises", ",".join(f"{noise:g}" for noise in request.noises_nt)]
+    if request.motions:
+        parts += ["--motions", ",".join(request.motions)]
     return " ".join(parts)

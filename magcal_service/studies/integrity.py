@@ -49,6 +49,7 @@ Flight = tuple[Asked, Fared]
 def run(request: Request) -> Findings:
     """Every scenario at every noise and for every motion, so many times."""
     duration_s, noises = request.duration_s or DURATION_S, request.noises_nt or NOISES_NT
+    motions = request.motions or tuple(map(str, MOTIONS))
     asked = [
         Asked(
             name, str(motion), noise, duration_s, (request.seed, zlib.crc32(name.encode()), int(noise), number, index)
@@ -56,7 +57,7 @@ def run(request: Request) -> Findings:
         for name in request.scenarios or SCENARIOS
         for noise in noises
         for index, motion in enumerate(MOTIONS)
-        if motion is Motion.SPIN or not SCENARIOS[name].spinning
+        if motion in motions and (motion is Motion.SPIN or not SCENARIOS[name].spinning)
         for number in range(request.runs or STUDY.runs)
     ]
     pieces = [Piece(f"{one.scenario}, {one.motion}, {one.noise_nt:g} nT", fly, one) for one in asked]
@@ -75,7 +76,7 @@ def run(request: Request) -> Findings:
         settings={
             "scenarios": len(request.scenarios or SCENARIOS),
             "noises [nT]": ", ".join(f"{noise:g}" for noise in noises),
-            "motions": ", ".join(MOTIONS),
+            "motions": ", ".join(motions),
             "flight [s]": duration_s,
         },
         notes=_NOTES,
@@ -357,4 +358,5 @@ STUDY = Study(
     2,
     run,
     tuple(SCENARIOS),
+    tuple(map(str, MOTIONS)),
 )

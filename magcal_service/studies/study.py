@@ -22,7 +22,8 @@ class Request:
     methods: names of the estimators to compare, where the study compares any; empty: its default.
     duration_s: length of a flight [s]; None: the study's default.  Shorter ones give a quick result.
     recordings: folders with descriptors, for a study of recordings; empty: its default.
-    scenarios, noises_nt: which of its scenarios and noises [nT], for a study that has some; empty: all.
+    scenarios, noises_nt, motions: which of its scenarios, noises [nT] and ways to turn, for a study that has some;
+        empty: all.
     """
 
     runs: int | None
@@ -33,6 +34,7 @@ class Request:
     recordings: tuple[Path, ...] = ()
     scenarios: tuple[str, ...] = ()
     noises_nt: tuple[float, ...] = ()
+    motions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class Study:
     name, summary: what it is called, and one line about it.
     runs: its usual number of Monte-Carlo runs; 0: it draws none, but takes recordings.
     run: how it is done.
-    scenarios: names of the scenarios it can be asked for; empty where it has none.
+    scenarios, motions: names of the scenarios and of the ways to turn it can be asked for; empty where it has none.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Study:
     runs: int
     run: Callable[[Request], Findings]
     scenarios: tuple[str, ...] = ()
+    motions: tuple[str, ...] = ()
 
     @property
     def takes_recordings(self) -> bool:

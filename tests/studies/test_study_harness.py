@@ -232,6 +232,7 @@ def test_an_unknown_study_is_refused_with_the_nearest() -> None:
         (Request(5, 1, HERE, ("ufk",)), "method"),
         (Request(5, 1, HERE, scenarios=("clean",)), "--scenarios"),
         (Request(5, 1, HERE, noises_nt=(100.0,)), "take one that has: integrity"),
+        (Request(5, 1, HERE, motions=("spin",)), "--motions"),
     ],
 )
 def test_a_request_that_means_nothing_is_refused_before_it_runs(request_: Request, field: str) -> None:

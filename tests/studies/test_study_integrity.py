@@ -8,13 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.model import d_matrix, field_jacobian
 from magcal_service.studies import integrity
 from magcal_service.studies.study import Request
+from magcal_service.studies.unseen import flight as flight_module
 from magcal_service.studies.unseen import scenarios
-from magcal_service.studies.unseen.flight import Heard, Sent, begin
+from magcal_service.studies.unseen.flight import Heard, Sent, begin, hear
 from magcal_service.studies.unseen.motion import SPIN_RPM, Motion
 from magcal_service.studies.unseen.scenarios import SCENARIOS, Group
 from magcal_service.studies.unseen.score import EDGES_NT, Asked, scored
+from magcal_service.wire.messages import CalibratedVector, Estimate
 from tests.many.here import HERE
 
 pytest.importorskip("ppigrf")
@@ -151,10 +155,10 @@ def test_a_warmth_follows_light_by_twenty_minutes() -> None:
     assert warm[[0, 486]] == pytest.approx([600.0, 733.4], abs=0.5)
 
 
-def test_the_study_sums_up_what_its_flights_come_to(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_study_sums_up_what_its_flights_come_to() -> None:
     few = ("clean", "scaled_5")
-    monkeypatch.setattr(integrity, "MOTIONS", (Motion.SPIN,))
-    findings = integrity.run(Request(2, 1, HERE, duration_s=400, scenarios=few, noises_nt=(100.0,)))
+    request = Request(2, 1, HERE, duration_s=400, scenarios=few, noises_nt=(100.0,), motions=("spin",))
+    findings = integrity.run(request)
     assert findings.figures["flights"] == 4
     assert [row[0] for row in findings.tables[1].rows] == list(few)
     parts = {row[0]: row[1] for row in findings.tables[0].rows}
@@ -168,3 +172,42 @@ def test_the_cells_of_the_diagram_are_the_classes_with_time_in_them() -> None:
     seconds = np.zeros((len(EDGES_NT) - 1,) * 2)
     seconds[3, 7] = 60.0
     assert integrity._cells(seconds) == ((*EDGES_NT[3:5], *EDGES_NT[7:9], 60.0),)
+
+
+def test_a_motion_alone_flies_what_it_flies_among_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: dict[tuple[str, ...], list[Asked]] = {}
+    for motions in (("tumble",), ()):
+        taken: list[Asked] = []
+        monkeypatch.setattr(integrity, "fly", lambda one, into=taken: into.append(one) or scored(heard(), math.inf))
+        integrity.run(Request(1, 1, HERE, 400, scenarios=("clean", "wrong_sense"), noises_nt=(100.0,), motions=motions))
+        flown[motions] = taken
+    assert flown[("tumble",)] == [one for one in flown[()] if one.motion == "tumble"]
+    assert [one.scenario for one in flown[("tumble",)]] == ["clean"]
+
+
+@pytest.mark.parametrize("motion", ["spin", "nadir"])
+def test_errors_are_those_of_each_answer_with_its_own_estimate(motion: str) -> None:
+    """Of a whole flight in blocks, against equation (5) and its sigma for one answer after the other."""
+    flight = begin(Motion(motion), 100.0, 1500, np.random.SeedSequence(8))
+    measured, noisefree = flight.readings(flight.noise), flight.readings(np.zeros_like(flight.noise))
+    pipeline, rows, latest = Pipeline(flight.config), [], None
+    for index, time_ns in enumerate(flight.track.time_ns.tolist()):
+        pipeline.handle(flight_module._reference(index, time_ns, flight.reference_nt[index]))
+        for message in pipeline.handle(flight_module._sample(index, time_ns, measured[index])):
+            if isinstance(message, CalibratedVector) and latest is not None:
+                gain = np.eye(3) + d_matrix(np.array([0.0, 0.0, 0.0, *latest.D]))
+                noise = gain @ (measured[index] - noisefree[index])
+                error = np.array(message.field_body_nt) - noise - flight.field_nt[index]
+                size = np.linalg.norm(error)
+                upper = np.zeros((9, 9))
+                upper[np.triu_indices(9)] = latest.covariance
+                covariance = upper + np.triu(upper, 1).T
+                along = field_jacobian(noisefree[index]).T @ error / size
+                rows.append((size, np.sqrt(along @ covariance @ along), np.sqrt(np.diagonal(covariance)[:3].max())))
+            elif isinstance(message, Estimate):
+                latest = message
+    found = hear(flight)
+    known = np.isfinite(found.error_nt)
+    assert known.sum() == len(rows) > 1024
+    columns = np.stack([found.error_nt, found.sigma_nt, found.bias_sigma_nt], axis=1)[known]
+    assert columns == pytest.approx(np.array(rows), rel=1e-9, abs=1e-6)

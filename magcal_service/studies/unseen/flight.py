@@ -141,7 +141,7 @@ def hear(sent: Sent, ends: Callable[[float, Pipeline], bool] | None = None) -> H
     if sent.step_nt:
         measured = np.round(measured / sent.step_nt) * sent.step_nt
     pipeline = Pipeline(sent.config)
-    rows: list[tuple[float, ...]] = []
+    rows = _Rows(sent, measured - noisefree, noisefree)
     doubts: list[float] = []
     reasons: dict[str, int] = {}
     latest: Estimate | None = None
@@ -155,7 +155,7 @@ def hear(sent: Sent, ends: Callable[[float, Pipeline], bool] | None = None) -> H
             if isinstance(message, CalibratedVector | Estimate) and message.verdict is Verdict.DOUBTFUL:
                 doubts.append(float(sent.time_s[index]))
             if isinstance(message, CalibratedVector):
-                rows.append(_row(sent, index, message, latest, measured[index] - noisefree[index], noisefree[index]))
+                rows.add(index, message, latest)
             elif isinstance(message, Estimate):
                 latest = message
                 if message.verdict is Verdict.DOUBTFUL:
@@ -163,39 +163,77 @@ def hear(sent: Sent, ends: Callable[[float, Pipeline], bool] | None = None) -> H
                         reasons[reason] = reasons.get(reason, 0) + 1
         if ends is not None and ends(float(sent.time_s[index]), pipeline):
             break
-    return _heard(rows, doubts, reasons)
+    return _heard(rows.table(), doubts, reasons)
 
 
-def _row(
-    sent: Sent, index: int, vector: CalibratedVector, estimate: Estimate | None, noise: Array, noisefree: Array
-) -> tuple[float, ...]:
-    time_s = float(sent.time_s[index])
-    trusted = float(vector.verdict is Verdict.TRUSTED)
-    if estimate is None:
-        return (time_s, np.nan, np.nan, np.nan, trusted, np.nan)
-    gain = np.eye(3) + d_matrix(np.array([0.0, 0.0, 0.0, *estimate.D]))
-    error = np.array(vector.field_body_nt) - gain @ noise - sent.field_nt[index]
-    size = float(np.linalg.norm(error))
-    covariance = _matrix(estimate.covariance)
-    along = field_jacobian(noisefree).T @ (error / max(size, 1e-9))
-    sigma = float(np.sqrt(max(along @ covariance @ along, 0.0)))
-    published = getattr(vector, "protection_nt", None)
-    bias = float(np.sqrt(np.diagonal(covariance)[:3].max()))
-    return (time_s, size, sigma, np.nan if published is None else published, trusted, bias)
+@dataclass(slots=True)
+class _Rows:
+    """Vectors as they are answered, each with the estimate it was made by; errors and sigmas are worked out in blocks.
+
+    Parameters
+    ----------
+    sent: what was sent.
+    noise, noisefree: (n, 3) what noise adds to the readings, and the readings without it [nT].
+    """
+
+    sent: Sent
+    noise: Array
+    noisefree: Array
+    _open: list[tuple[int, CalibratedVector, Estimate | None]] = field(default_factory=list)
+    _closed: list[Array] = field(default_factory=list)
+
+    def add(self, index: int, vector: CalibratedVector, estimate: Estimate | None) -> None:
+        """The answer to sample ``index``."""
+        self._open.append((index, vector, estimate))
+        if len(self._open) >= _BLOCK:
+            self._close()
+
+    def table(self) -> Array:
+        """(m, 6) the columns of ``Heard`` of the answers so far."""
+        self._close()
+        return np.concatenate([np.zeros((0, 6)), *self._closed])
+
+    def _close(self) -> None:
+        if not self._open:
+            return
+        index, vectors, estimates = zip(*self._open, strict=True)
+        table = np.full((len(index), 6), np.nan)
+        table[:, 0] = self.sent.time_s[list(index)]
+        table[:, 4] = [vector.verdict is Verdict.TRUSTED for vector in vectors]
+        known = [row for row, estimate in enumerate(estimates) if estimate is not None]
+        if known:
+            table[known, 3] = [np.nan if (level := vectors[row].protection_nt) is None else level for row in known]
+            found = self._errors([index[row] for row in known], [vectors[row] for row in known], estimates)
+            table[np.ix_(known, [1, 2, 5])] = found
+        self._closed.append(table)
+        self._open.clear()
+
+    def _errors(
+        self, index: list[int], vectors: list[CalibratedVector], estimates: tuple[Estimate | None, ...]
+    ) -> Array:
+        """(k, 3) error without the sample's noise, its sigma, and the bias's largest sigma [nT]."""
+        by = [estimate for estimate in estimates if estimate is not None]
+        d = d_matrix(np.array([(0.0, 0.0, 0.0, *estimate.D) for estimate in by]))
+        noise = self.noise[index] + np.einsum("nij,nj->ni", d, self.noise[index])
+        error = np.array([vector.field_body_nt for vector in vectors]) - noise - self.sent.field_nt[index]
+        size = np.linalg.norm(error, axis=1)
+        covariance = np.zeros((len(by), STATE_SIZE, STATE_SIZE))
+        covariance[:, _UPPER[0], _UPPER[1]] = [estimate.covariance for estimate in by]
+        covariance += np.triu(covariance, 1).swapaxes(1, 2)
+        towards = error / np.maximum(size, 1e-9)[:, None]
+        along = np.einsum("nij,ni->nj", field_jacobian(self.noisefree[index]), towards)
+        sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", along, covariance, along), 0.0))
+        bias = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3].max(axis=1))
+        return np.stack([size, sigma, bias], axis=1)
 
 
-def _matrix(upper: tuple[float, ...]) -> Array:
-    """The covariance (9, 9) of its upper triangle (45,)."""
-    matrix = np.zeros((STATE_SIZE, STATE_SIZE))
-    matrix[_UPPER] = upper
-    return np.asarray(matrix + np.triu(matrix, 1).T)
-
+_BLOCK: Final = 1024
+"""Answers that are worked out at once: 2 MB, and numpy's calls cost nothing beside them."""
 
 _UPPER: Final = np.triu_indices(STATE_SIZE)
 
 
-def _heard(rows: list[tuple[float, ...]], doubts: list[float], reasons: dict[str, int]) -> Heard:
-    table = np.array(rows).reshape(-1, 6)
+def _heard(table: Array, doubts: list[float], reasons: dict[str, int]) -> Heard:
     time_s, error, sigma, protection, trusted, bias = table.T
     return Heard(time_s, error, sigma, protection, trusted > 0.5, bias, np.array(doubts), reasons)
 
