@@ -9,9 +9,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from magcal_service.version import __version__
+from magcal_service.base.version import __version__
 
 if TYPE_CHECKING:
+    from magcal_service.base.errors import ExtraMissingError, InputRefusedError, MagcalError
     from magcal_service.config.settings import CraftConfig as Craft
     from magcal_service.config.settings import FilterConfig as Filter
     from magcal_service.config.settings import SensorConfig as Sensor
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from magcal_service.config.settings import TrustConfig as Trust
     from magcal_service.daemon.pipeline import Pipeline
     from magcal_service.diagnosis.answer import Answer, JointAnswer, diagnose
-    from magcal_service.errors import ExtraMissingError, InputRefusedError, MagcalError
     from magcal_service.offline.calibrate import Calibration, calibrate
     from magcal_service.offline.fit import Fit, fit
     from magcal_service.offline.no_solution import NoSolutionError
@@ -32,12 +32,12 @@ _HOMES: Final = {
     "Answer": ("diagnosis.answer", "Answer"),
     "Calibration": ("offline.calibrate", "Calibration"),
     "Craft": ("config.settings", "CraftConfig"),
-    "ExtraMissingError": ("errors", "ExtraMissingError"),
+    "ExtraMissingError": ("base.errors", "ExtraMissingError"),
     "Filter": ("config.settings", "FilterConfig"),
     "Fit": ("offline.fit", "Fit"),
-    "InputRefusedError": ("errors", "InputRefusedError"),
+    "InputRefusedError": ("base.errors", "InputRefusedError"),
     "JointAnswer": ("diagnosis.answer", "JointAnswer"),
-    "MagcalError": ("errors", "MagcalError"),
+    "MagcalError": ("base.errors", "MagcalError"),
     "NoSolutionError": ("offline.no_solution", "NoSolutionError"),
     "Pipeline": ("daemon.pipeline", "Pipeline"),
     "Recording": ("recordings.recording", "Recording"),

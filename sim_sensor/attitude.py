@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.typed_toml.keys import number
-from magcal_service.typed_toml.record import Reading
+from magcal_service.base.typed_toml.keys import number
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.wire.messages import Vector
 from sim_sensor.declarations import RPM, direction
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.base.typed_toml.keys import inline, number, sections, text
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.config.rules import RESERVED_SOURCE
-from magcal_service.typed_toml.keys import inline, number, sections, text
-from magcal_service.typed_toml.record import Reading
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Vector
 from sim_sensor.declarations import LONGEST_S, vector

@@ -16,16 +16,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from magcal_service.base.errors import ConfigError, FileFault, MagcalError
+from magcal_service.base.progress import Work, duration, is_wanted, showing
+from magcal_service.base.version import __version__
 from magcal_service.cli.common import Parser, described
 from magcal_service.cli.completion import Names, add_completion
-from magcal_service.errors import ConfigError, FileFault, MagcalError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
 from magcal_service.links.silence import why_silent
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
-from magcal_service.progress import Work, duration, is_wanted, showing
-from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
 from sim_sensor.beside import is_own

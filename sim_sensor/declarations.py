@@ -1,6 +1,7 @@
 """Kinds of values that several parts of a scenario share: vectors, directions, the six of D, instants.
 
-Each function declares a dataclass field that is read from the scenario's TOML, as ``magcal_service.typed_toml.keys``.
+Each function declares a dataclass field that is read from the scenario's TOML, as those of
+``magcal_service.base.typed_toml.keys``.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ import math
 from datetime import UTC, datetime
 from typing import Any, Final, Unpack
 
-from magcal_service.typed_toml import Table
-from magcal_service.typed_toml.keys import Options, numbers, special
-from magcal_service.typed_toml.record import REQUIRED, Reading
+from magcal_service.base.typed_toml import Table
+from magcal_service.base.typed_toml.keys import Options, numbers, special
+from magcal_service.base.typed_toml.record import REQUIRED, Reading
 from magcal_service.wire.messages import Vector
 
 Six = tuple[float, float, float, float, float, float]

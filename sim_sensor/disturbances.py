@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.typed_toml.keys import flag, number, numbers, special
-from magcal_service.typed_toml.record import Reading
+from magcal_service.base.typed_toml.keys import flag, number, numbers, special
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.wire.messages import Vector
 from sim_sensor.declarations import LONGEST_S, Six, direction, six, vector
 

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from magcal_service.typed_toml import Table
-from magcal_service.typed_toml.keys import choice, special
-from magcal_service.typed_toml.record import Limits, Reading, read_record
+from magcal_service.base.typed_toml import Table
+from magcal_service.base.typed_toml.keys import choice, special
+from magcal_service.base.typed_toml.record import Limits, Reading, read_record
 from magcal_service.wire.messages import (
     MagnetometerSample,
     Message,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service import geomagnetic
-from magcal_service.typed_toml.keys import number
+from magcal_service.base.typed_toml.keys import number
+from magcal_service.earth import geomagnetic
 from sim_sensor.declarations import instant
 from sim_sensor.orbit import Orbit
 

@@ -12,10 +12,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
-from magcal_service.orbit_elements import propagate, satellite
-from magcal_service.typed_toml.keys import flag, number
-from magcal_service.typed_toml.record import Reading
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.typed_toml.keys import flag, number
+from magcal_service.base.typed_toml.record import Reading
+from magcal_service.earth.orbit_elements import propagate, satellite
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
-from magcal_service.orbit_elements import LINE, is_element_line
-from magcal_service.typed_toml import Table
-from magcal_service.typed_toml.record import Reading, read_record
+from magcal_service.base.errors import MagcalError
+from magcal_service.base.typed_toml import Table
+from magcal_service.base.typed_toml.record import Reading, read_record
+from magcal_service.earth.orbit_elements import LINE, is_element_line
 from sim_sensor.orbit import EARTH_RADIUS_KM, KeplerOrbit, Sgp4Orbit
 
 

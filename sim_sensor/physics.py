@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service import geomagnetic
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.units import CHANNEL_UNITS
+from magcal_service.earth import geomagnetic
 from magcal_service.model import BIAS, D_ALL, measure
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, at_origin, bind, described, followed
@@ -28,7 +29,6 @@ from magcal_service.physics.effects import (
     torquer,
 )
 from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
-from magcal_service.units import CHANNEL_UNITS
 from sim_sensor.scenario import UNITS, Channel, Scenario
 
 Floats = npt.NDArray[np.float64]

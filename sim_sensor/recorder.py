@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.progress import Work, counted
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Channel as RecordedChannel
 from magcal_service.recordings.recording import Position

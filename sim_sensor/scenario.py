@@ -11,8 +11,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from magcal_service.typed_toml import Table, nearest
-from magcal_service.typed_toml.keys import (
+from magcal_service.base.typed_toml import Table, nearest
+from magcal_service.base.typed_toml.keys import (
     choice,
     defaulted_section,
     flag,
@@ -23,7 +23,7 @@ from magcal_service.typed_toml.keys import (
     text,
     whole,
 )
-from magcal_service.typed_toml.record import Reading, read_record
+from magcal_service.base.typed_toml.record import Reading, read_record
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 from sim_sensor.attitude import Spin

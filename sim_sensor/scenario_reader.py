@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml import Table, nearest, open_toml
-from magcal_service.typed_toml.record import read_record
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml import Table, nearest, open_toml
+from magcal_service.base.typed_toml.record import read_record
 from sim_sensor.scenario import Channel, Scenario
 from sim_sensor.sensor import Effects, symmetric
 

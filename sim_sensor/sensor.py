@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.typed_toml.keys import number, section, sections
+from magcal_service.base.typed_toml.keys import number, section, sections
 from magcal_service.wire.messages import Vector
 from sim_sensor.declarations import Six, per_axis, six, vector
 from sim_sensor.disturbances import Craft, Panel, Step, Thermal, Torquer

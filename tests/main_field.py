@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magcal_service.geomagnetic import Floats, Times, ecef_from_geodetic, igrf_ecef_nt, ned_from_ecef
+from magcal_service.earth.geomagnetic import Floats, Times, ecef_from_geodetic, igrf_ecef_nt, ned_from_ecef
 
 
 def igrf_ned_nt(times_utc_ns: Times, latitude_deg: Floats, longitude_deg: Floats, altitude_km: Floats) -> Floats:

@@ -10,7 +10,7 @@ import math
 import sys
 from pathlib import Path
 
-from magcal_service.igrf14 import HIGHEST_DEGREE, RADIUS_KM, coefficients
+from magcal_service.earth.igrf14 import HIGHEST_DEGREE, RADIUS_KM, coefficients
 
 HEADER = Path(__file__).with_name("magcal_igrf.h")
 FROM = (2025, 2030)

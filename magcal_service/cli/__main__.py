@@ -10,6 +10,9 @@ import os
 import sys
 from collections.abc import Sequence
 
+from magcal_service.base.errors import MagcalError
+from magcal_service.base.progress import showing
+from magcal_service.base.version import __version__
 from magcal_service.cli.apply import add_apply
 from magcal_service.cli.calibrate import add_calibrate
 from magcal_service.cli.common import DONE, Parser, add_quiet, described, subparsers
@@ -29,9 +32,6 @@ from magcal_service.cli.study import add_study
 from magcal_service.cli.view import add_view
 from magcal_service.cli.watch import add_watch
 from magcal_service.cli.xtce import add_xtce
-from magcal_service.errors import MagcalError
-from magcal_service.progress import showing
-from magcal_service.version import __version__
 
 # Matrices of nine rows gain nothing from threads, and waiting for them costs a quarter of a replay's time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -38,11 +38,11 @@ def add_apply(parser: Parser) -> None:
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from magcal_service.errors import Fault, InputRefusedError
+    from magcal_service.base.errors import Fault, InputRefusedError
+    from magcal_service.base.progress import Work, counted
     from magcal_service.offline.apply import apply
     from magcal_service.offline.given import read_given
     from magcal_service.offline.vector_file import refuse_suffix, write_vectors
-    from magcal_service.progress import Work, counted
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless

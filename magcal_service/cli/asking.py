@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.base.errors import ConfigError, Fault, LinkAddressError, MagcalError
 from magcal_service.cli.common import REFUSED, within
-from magcal_service.errors import ConfigError, Fault, LinkAddressError, MagcalError
 
 if TYPE_CHECKING:
     from magcal_service.links import Link
@@ -108,7 +108,7 @@ class Desk:
 
     def give(self, craft: str, name: str, arguments: Mapping[str, str | int | float | bool] | None = None) -> int:
         """Send a command; its number."""
-        from magcal_service.errors import DecodeError
+        from magcal_service.base.errors import DecodeError
         from magcal_service.wire.codec import encode
         from magcal_service.wire.messages import Command
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
@@ -25,7 +26,6 @@ from magcal_service.cli.common import (
     write_json,
 )
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
-from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration

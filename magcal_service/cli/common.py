@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.errors import ConfigError, Fault, FileFault
+from magcal_service.base.errors import ConfigError, Fault, FileFault
 
 if TYPE_CHECKING:
     from magcal_service.many.executor import Executor
@@ -89,7 +89,7 @@ def write_json(path: Path | None, text: str) -> None:
 
 def write_text(path: Path | None, text: str) -> None:
     """Write to a file, to standard output without one; raises ``InputRefusedError``."""
-    from magcal_service.errors import unwritable
+    from magcal_service.base.errors import unwritable
 
     if path is None:
         sys.stdout.write(text)
@@ -172,7 +172,7 @@ def refuse_unwritable(path: Path | None, *inputs: Path | None) -> None:
 
     Nor may it be one of the ``inputs``, nor a file that one of them names, such as the log of a description.
     """
-    from magcal_service.errors import InputRefusedError, unwritable
+    from magcal_service.base.errors import InputRefusedError, unwritable
 
     if path is None or path == STDOUT:
         return

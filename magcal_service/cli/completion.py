@@ -53,7 +53,7 @@ def magcal_names() -> Names:
 
 
 def _completion(whole: Parser, names: Callable[[], Names], options: argparse.Namespace) -> int:
-    from magcal_service.errors import ExtraMissingError
+    from magcal_service.base.errors import ExtraMissingError
 
     try:
         import shtab

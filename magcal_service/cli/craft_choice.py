@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.common import check_method
-from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.config.settings import CraftConfig

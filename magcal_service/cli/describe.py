@@ -9,8 +9,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+from magcal_service.base.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, refuse_unwritable, write_text
-from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.describe.describe import Described
@@ -37,7 +37,7 @@ def _keys_text() -> str:
 
 
 def _describe(options: argparse.Namespace) -> int:
-    from magcal_service.progress import Work, counted
+    from magcal_service.base.progress import Work, counted
     from magcal_service.recordings.describe.describe import describe
 
     refuse_unwritable(options.out, options.log)

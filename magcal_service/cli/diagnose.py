@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from magcal_service.base.errors import ConfigError, Fault, InputRefusedError
 from magcal_service.cli.common import (
     CRAFT_HELP,
     DONE,
@@ -19,7 +20,6 @@ from magcal_service.cli.common import (
     print_asked,
     refuse_executor,
 )
-from magcal_service.errors import ConfigError, Fault, InputRefusedError
 
 
 def add_diagnose(parser: Parser) -> None:
@@ -59,9 +59,9 @@ def _diagnose(options: argparse.Namespace) -> int:
             diagnose_each(options.recordings, options.simulation, options.craft, options.out, executor_of(options))
         )
     refuse_executor(options, "it is for many recordings at once: add --separately")
+    from magcal_service.base.progress import steps
     from magcal_service.diagnosis.command import Request, run
     from magcal_service.diagnosis.stages import STEPS
-    from magcal_service.progress import steps
 
     if len(options.recordings) > 1:
         return _diagnose_together(options)
@@ -88,9 +88,9 @@ def _kept_if_refused(folder: Path) -> Iterator[None]:
 
 def _diagnose_together(options: argparse.Namespace) -> int:
     """Recordings of one craft: what physics they have in common."""
+    from magcal_service.base.progress import steps
     from magcal_service.diagnosis.joint.command import JointRequest, run_together
     from magcal_service.diagnosis.stages import JOINT_STEPS
-    from magcal_service.progress import steps
 
     if options.simulation is not None:
         accepted = "one recording is compared with a scenario; leave it out, or add --separately"

@@ -36,10 +36,10 @@ def forms_text() -> str:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from magcal_service.errors import ConfigError, Fault
+    from magcal_service.base.errors import ConfigError, Fault
+    from magcal_service.base.typed_toml import nearest
     from magcal_service.offline.exports import FORMS, Wanted
     from magcal_service.offline.given import read_given
-    from magcal_service.typed_toml import nearest
 
     form = FORMS.get(options.format)
     if form is None:

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError
 from magcal_service.cli.common import DONE, NOT_TRUSTED, SOURCE_HELP, Parser
-from magcal_service.errors import Fault, FileFault, InputRefusedError
 
 if TYPE_CHECKING:
     from magcal_service.recordings.mcap_reader import McapReader

@@ -37,11 +37,11 @@ def add_reference(parser: Parser) -> None:
 
 
 def _reference(options: argparse.Namespace) -> int:
-    from magcal_service import log
+    from magcal_service.base import log
+    from magcal_service.base.errors import ConfigError, Fault
     from magcal_service.cli.asking import viewers_address
     from magcal_service.config.settings import DEFAULT_LINK, default_craft
     from magcal_service.daemon.reference_node import Elements, cost_of, run_along, run_beside
-    from magcal_service.errors import ConfigError, Fault
     from magcal_service.links import Role, open_link
     from magcal_service.links.silence import why_silent
 

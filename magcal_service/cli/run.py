@@ -23,7 +23,7 @@ def add_run(parser: Parser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from magcal_service import log
+    from magcal_service.base import log
     from magcal_service.config.private_files import check_unaltered
     from magcal_service.config.reader import load_config
     from magcal_service.daemon.check import check_daemon

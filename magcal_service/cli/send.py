@@ -7,10 +7,10 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml import nearest
 from magcal_service.cli.asking import LONGEST_SOURCE, Desk, NotReachedError, add_where, whom
 from magcal_service.cli.common import DONE, REFUSED, Parser
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml import nearest
 from magcal_service.wire.fields import NAME, NAME_LENGTH
 
 if TYPE_CHECKING:

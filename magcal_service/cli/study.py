@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.common import (
     DONE,
     STDOUT,
@@ -15,7 +16,6 @@ from magcal_service.cli.common import (
     methods_text,
     write_json,
 )
-from magcal_service.errors import ConfigError, Fault
 
 
 def add_study(parser: Parser) -> None:

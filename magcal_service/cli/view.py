@@ -8,10 +8,10 @@ import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.asking import add_link, whom
 from magcal_service.cli.common import DONE, REPLAY_SPEED, SOURCE_HELP, Parser, port_number
 from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
-from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.views.sources import ReplaySource, Source

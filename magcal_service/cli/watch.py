@@ -9,11 +9,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.asking import NotReachedError, add_where, whom
 from magcal_service.cli.common import DONE, NOT_TRUSTED, REPLAY_SPEED, SOURCE_HELP, Parser
 from magcal_service.cli.craft_choice import CONFIG_HELP
 from magcal_service.cli.view import replayed
-from magcal_service.errors import ConfigError, Fault
 
 if TYPE_CHECKING:
     from magcal_service.cli.screen import Screen

@@ -18,7 +18,7 @@ def add_xtce(parser: Parser) -> None:
 
 
 def _xtce(options: argparse.Namespace) -> int:
-    from magcal_service.errors import LinkAddressError
+    from magcal_service.base.errors import LinkAddressError
     from magcal_service.links import Role, open_link
     from magcal_service.links.ccsds import DEFAULT_ADDRESS, CcsdsLink
     from magcal_service.wire.xtce import xtce

@@ -1,4 +1,4 @@
 """What a user may write: settings, their TOML, link addresses, and the check that files are private.
 
-Imports the ground and wire.
+Imports the physics file, wire and the ground.
 """

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 from urllib.parse import unquote
 
-from magcal_service.errors import LinkAddressError
-from magcal_service.typed_toml import nearest
+from magcal_service.base.errors import LinkAddressError
+from magcal_service.base.typed_toml import nearest
 
 SCHEMES: Final = ("zenoh", "serial", "loop", "recording", "ccsds")
 """What may stand before the colon; ``links`` has the link of each."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from magcal_service.base.typed_toml.keys import number, special, whole
 from magcal_service.config import rules
-from magcal_service.typed_toml.keys import number, special, whole
 
 
 @dataclass(frozen=True, slots=True)

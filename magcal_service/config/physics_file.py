@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.errors import InputRefusedError
-from magcal_service.typed_toml import Table
-from magcal_service.typed_toml.record import Reading
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.base.typed_toml import Table
+from magcal_service.base.typed_toml.record import Reading
 
 
 @dataclass(frozen=True, slots=True)

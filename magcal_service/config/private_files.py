@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import ConfigError, Fault, FileFault
+from magcal_service.base.errors import ConfigError, Fault, FileFault
 
 __all__ = [
     "MIN_KEY_BYTES",

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
+from magcal_service.base.errors import ConfigError
+from magcal_service.base.typed_toml import Table, open_toml
+from magcal_service.base.typed_toml.record import read_record
 from magcal_service.config.physics_file import physics_of
 from magcal_service.config.settings import Config
-from magcal_service.errors import ConfigError
-from magcal_service.typed_toml import Table, open_toml
-from magcal_service.typed_toml.record import read_record
 
 __all__ = ["load_config", "physics_of", "read_config"]
 

@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 from typing import Final
 
+from magcal_service.base.errors import LinkAddressError
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.config.address import OUTPUT_SCHEMES, parse_address
-from magcal_service.errors import LinkAddressError
-from magcal_service.typed_toml import nearest
-from magcal_service.typed_toml.record import Reading
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 

@@ -10,17 +10,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from magcal_service.config import rules
-from magcal_service.config.daemon_settings import (
-    CommandsConfig,
-    HealthConfig,
-    OutputConfig,
-    RecordConfig,
-    StateConfig,
-)
-from magcal_service.config.physics_file import PhysicsConfig, physics_setting
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml.keys import (
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml.keys import (
     choice,
     defaulted_section,
     flag,
@@ -33,7 +24,16 @@ from magcal_service.typed_toml.keys import (
     text,
     whole,
 )
-from magcal_service.typed_toml.record import REQUIRED, Limits, Reading, read_record
+from magcal_service.base.typed_toml.record import REQUIRED, Limits, Reading, read_record
+from magcal_service.config import rules
+from magcal_service.config.daemon_settings import (
+    CommandsConfig,
+    HealthConfig,
+    OutputConfig,
+    RecordConfig,
+    StateConfig,
+)
+from magcal_service.config.physics_file import PhysicsConfig, physics_setting
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 

@@ -9,11 +9,11 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml import parse_toml
+from magcal_service.base.typed_toml.record import declared
 from magcal_service.config.reader import read_config
 from magcal_service.config.settings import CraftConfig
-from magcal_service.errors import ConfigError, Fault
-from magcal_service.typed_toml import parse_toml
-from magcal_service.typed_toml.record import declared
 
 
 def craft_as_toml(craft: CraftConfig) -> str:

@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from magcal_service.base.errors import ConfigError, Fault, MagcalError
 from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import Config
 from magcal_service.daemon.run import check_directories, check_history
-from magcal_service.errors import ConfigError, Fault, MagcalError
 from magcal_service.links.checking import check_link
 
 

@@ -9,11 +9,11 @@ import re
 from collections.abc import Callable
 from typing import Final
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.config.private_files import check_input
 from magcal_service.config.reader import physics_of
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
 from magcal_service.wire.messages import Command, CommandReply
 
 _FILE: Final = re.compile(r"[A-Za-z0-9_-]{1,64}\.toml")

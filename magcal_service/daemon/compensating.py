@@ -17,18 +17,18 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.craft import Craft, CraftMemory, learned
 from magcal_service.daemon.plain_branch import PlainBranch, newest_of
 from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.daemon.settling import Settling
-from magcal_service.errors import InputRefusedError
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit
 from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
-from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample

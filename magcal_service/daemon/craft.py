@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import SnapshotError, Stateful, restored
 from magcal_service.config.magnetometers import label
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.events import Event
@@ -20,7 +21,6 @@ from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator, Phase, StateEstimate, TickOutcome
 from magcal_service.model import Array
-from magcal_service.snapshot import SnapshotError, Stateful, restored
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.ticks.rejection import Rejection
 from magcal_service.trust.hazards import Hazard

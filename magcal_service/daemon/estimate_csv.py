@@ -14,8 +14,8 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, InputRefusedError, unwritable
 from magcal_service.config.magnetometers import label_of
-from magcal_service.errors import Fault, InputRefusedError, unwritable
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.wire.messages import Estimate
 

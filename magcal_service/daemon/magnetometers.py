@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.magnetometers import beside, label, own_magnetometer
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.command_table import WHICH
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import ConfigError
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Command, CommandReply, MagnetometerSample, Message
 

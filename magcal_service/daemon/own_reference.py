@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import InputRefusedError
-from magcal_service.geomagnetic import eci_from_ecef, igrf_eci_nt
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.earth.geomagnetic import eci_from_ecef, igrf_eci_nt
 from magcal_service.wire.messages import Clock, Frame, PositionSample, ReferenceSample
 
 NOT_USED: Final = "reference_not_used"

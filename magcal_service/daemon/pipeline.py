@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from magcal_service.base.errors import DecodeError
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.config.settings import CraftConfig, ReferenceModel
 from magcal_service.daemon.command_table import unknown
 from magcal_service.daemon.compensating import CompensatingCraft, CompensatingMemory
@@ -19,9 +21,7 @@ from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.events import BY_COMMAND, Event
 from magcal_service.daemon.outbox import calibrated_vector, command_reply, status_message
 from magcal_service.daemon.own_reference import NOT_USED, reference_at
-from magcal_service.errors import DecodeError
 from magcal_service.estimators.interface import Phase
-from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.time_window import is_usable
 from magcal_service.trust.vector_gate import strays
 from magcal_service.wire.codec import encode

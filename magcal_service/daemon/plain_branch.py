@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.craft import learned
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Estimator
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.trust.harm import HarmWatch
 from magcal_service.trust.monitor import TrustMonitor

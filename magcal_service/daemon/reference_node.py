@@ -12,11 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.daemon.own_reference import reference_at
-from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.earth.orbit_elements import read_element_sets
 from magcal_service.links.base import Link
 from magcal_service.links.silence import why_silent
-from magcal_service.orbit_elements import read_element_sets
 from magcal_service.wire.messages import Clock, Frame, PositionSample
 
 log = logging.getLogger("magcal")

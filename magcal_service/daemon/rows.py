@@ -6,8 +6,8 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.daemon.estimate_csv import EstimateCsv
-from magcal_service.errors import InputRefusedError
 from magcal_service.wire.messages import Estimate
 
 log = logging.getLogger("magcal")

@@ -7,6 +7,7 @@ import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import check_input, check_state_directory, check_way
 from magcal_service.config.settings import Config
@@ -17,7 +18,6 @@ from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.health.metrics_server import MetricsServer
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.service import Service
-from magcal_service.errors import ConfigError, Fault
 from magcal_service.links import Role, open_link
 from magcal_service.ticks.reference_track import REMEMBERED
 

@@ -19,11 +19,11 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit, magnitude_fit
 from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample
 

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array, calibrate
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.channels import Axes

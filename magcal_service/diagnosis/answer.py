@@ -10,6 +10,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.diagnose import diagnose as run
@@ -19,7 +20,6 @@ from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.result import as_json as joint_json
 from magcal_service.diagnosis.joint.result import summary as joint_summary
 from magcal_service.diagnosis.result import entries, held_out_rms
-from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.recordings.inspect.inspection import inspect

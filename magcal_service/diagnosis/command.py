@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from magcal_service.base.disk import write_whole
+from magcal_service.base.errors import unwritable
 from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.entry import Entry
@@ -18,8 +20,6 @@ from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.simulation import simulation_errors
 from magcal_service.diagnosis.stages import WRITING
 from magcal_service.diagnosis.summary import summary
-from magcal_service.disk import write_whole
-from magcal_service.errors import unwritable
 from magcal_service.model import Array
 from magcal_service.offline.result_files import (
     DIAGNOSIS,

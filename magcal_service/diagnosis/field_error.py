@@ -26,9 +26,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
-from magcal_service.geomagnetic import LOWEST_ORBIT_KM
-from magcal_service.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
+from magcal_service.earth import geomagnetic
+from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM
+from magcal_service.earth.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 

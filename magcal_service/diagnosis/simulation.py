@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml import Table, nearest, open_toml
 from magcal_service.diagnosis.problem import is_collapsed
-from magcal_service.errors import ConfigError, Fault
 from magcal_service.model import Array
-from magcal_service.typed_toml import Table, nearest, open_toml
 
 _ACCEPTED: Final = "give a scenario's TOML file, or the name of one that comes with sim-sensor"
 

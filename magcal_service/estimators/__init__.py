@@ -3,6 +3,7 @@
 A file of this package that defines ``METHOD`` (an ``interface.Method``) is a method; nothing has to be registered.
 One that is no ``interface.Estimator``, or is named otherwise than its file, is refused before it is run.
 Method ``two-step`` is in ``two_step.py``: one that is asked for by name is imported without the others.
+Imports ticks, config and the ground; no clock, no I/O.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import importlib
 import pkgutil
 from functools import cache
 
-from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.base.errors import ConfigError, Fault, MagcalError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.estimators.interface import Method
-from magcal_service.typed_toml import nearest
 
 
 @cache

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.noise_level import NoiseLevel
@@ -28,7 +29,6 @@ from magcal_service.model import (
     scalar_innovation_value,
     variance_of_v,
 )
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _FIRST_NOISE = 0.01

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
-from magcal_service.errors import ConfigError, Fault
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.bias_only import BiasState
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.model import scalar_residual
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _LEAK_MEMORY_S = 1500.0

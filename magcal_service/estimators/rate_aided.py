@@ -23,12 +23,12 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.bias_only import BiasState
 from magcal_service.estimators.parts.spin_window import LEO_FIELD_RATE_RAD_S
 from magcal_service.model import Array, scalar_residual
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 GYRO_NOISE_RAD_S: Final = 1e-3

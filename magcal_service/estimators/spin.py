@@ -21,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.spin_window import across_axis
@@ -30,7 +31,6 @@ from magcal_service.estimators.steady_spin.state import ERRORS, SPIN_STATE_SIZE,
 from magcal_service.estimators.steady_spin.watch import SpinGate, SpinWatch
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _PHASE_LOST_RAD: Final = 0.3

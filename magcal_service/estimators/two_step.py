@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Method, Phase, StartGate, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.magnitude_sums import (
@@ -41,7 +42,6 @@ from magcal_service.estimators.parts.start_gates import (
     stopped_by,
 )
 from magcal_service.model import STATE_SIZE, Array, mean_of_v, scalar_residual, state_of
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 _ITERATIONS: Final = 60

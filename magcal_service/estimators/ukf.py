@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.adaptive import ChangeDetector
@@ -33,7 +34,6 @@ from magcal_service.estimators.parts.unscented import (
     scalar_innovation,
 )
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix, field_jacobian
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 REJECTED_MEMORY: Final = 60

@@ -1,7 +1,7 @@
 """Links: one interface, chosen by one address.
 
 ``open_link("zenoh:tcp/127.0.0.1:7447", Role.SERVICE, crafts=["alpha"])``; each link's module is imported only where
-its scheme is asked for.
+its scheme is asked for.  Imports recordings, config, wire and base.
 """
 
 from __future__ import annotations

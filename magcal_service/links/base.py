@@ -12,7 +12,7 @@ from enum import StrEnum
 from types import TracebackType
 from typing import Self
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.links.sequence import SequenceTracker, SourceRecord
 from magcal_service.links.states import LinkLife, LinkState
 from magcal_service.wire.codec import decode, encode

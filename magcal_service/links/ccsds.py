@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
 
+from magcal_service.base.errors import LinkError, why_not
 from magcal_service.config.address import LinkAddress
-from magcal_service.errors import LinkError, why_not
 from magcal_service.links.base import Link, Role
 from magcal_service.links.states import LinkEvent
 from magcal_service.wire.fields import NAME

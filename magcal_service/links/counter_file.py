@@ -6,7 +6,7 @@ import re
 import zlib
 from pathlib import Path
 
-from magcal_service.disk import write_whole
+from magcal_service.base.disk import write_whole
 from magcal_service.wire.seal import MAX_COUNTER
 
 _CONTENT = re.compile(rb"magcal counter ([0-9]{1,20}) ([0-9a-f]{8})\n")

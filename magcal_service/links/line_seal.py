@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from magcal_service.base.errors import DecodeError, why_not
 from magcal_service.config.private_files import check_state_directory, read_key
-from magcal_service.errors import DecodeError, why_not
 from magcal_service.links.base import Role
 from magcal_service.links.counter_file import CounterFile
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder

@@ -9,8 +9,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 
+from magcal_service.base.errors import LinkError
 from magcal_service.config.address import LinkAddress
-from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.inbox import Inbox
 from magcal_service.links.states import LinkEvent, LinkLife

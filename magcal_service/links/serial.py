@@ -20,8 +20,8 @@ from typing import Final
 
 import serial
 
+from magcal_service.base.errors import DecodeError
 from magcal_service.config.address import LinkAddress
-from magcal_service.errors import DecodeError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.line_seal import open_coders
 from magcal_service.links.line_text import TextWatch

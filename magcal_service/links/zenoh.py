@@ -15,8 +15,8 @@ from functools import partial
 
 import zenoh
 
+from magcal_service.base.errors import LinkError
 from magcal_service.config.address import LinkAddress
-from magcal_service.errors import LinkError
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
 from magcal_service.links.joining import Joining, StreamName

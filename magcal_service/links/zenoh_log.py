@@ -18,7 +18,7 @@ from typing import Final
 
 import zenoh
 
-from magcal_service import log
+from magcal_service.base import log
 from magcal_service.wire.keys import ROOT
 
 _log = logging.getLogger("magcal.links.zenoh")

@@ -11,10 +11,10 @@ from typing import Any
 
 import zenoh
 
+from magcal_service.base.typed_toml import nearest
 from magcal_service.config.address import LinkAddress
 from magcal_service.config.private_files import check_secret, check_unaltered
 from magcal_service.links.base import Role
-from magcal_service.typed_toml import nearest
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES
 from magcal_service.wire.fields import NAME
 

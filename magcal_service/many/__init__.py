@@ -2,4 +2,5 @@
 
 ``pieces`` what a piece is and what becomes of it, ``plain`` values as data, ``identity`` what makes two pieces
 the same, ``store`` finished ones on disk, ``pool`` and ``cluster`` the engines, ``executor`` all of it together.
+Imports base alone.
 """

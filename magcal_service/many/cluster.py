@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
-from magcal_service.errors import ConfigError, ExtraMissingError, Fault, MagcalError
+from magcal_service.base.errors import ConfigError, ExtraMissingError, Fault, MagcalError
 from magcal_service.many.pieces import THREAD_COUNTS, Failed, Outcome, Refused, Task, failure, perform
 
 _ANSWER_S: Final = 10.0

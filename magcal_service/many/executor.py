@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
-from magcal_service.errors import ConfigError, Fault, MagcalError
+from magcal_service.base.errors import ConfigError, Fault, MagcalError
+from magcal_service.base.progress import Work
 from magcal_service.many.cluster import Cluster
 from magcal_service.many.identity import code_of, content_of, key_of
 from magcal_service.many.pieces import Done, Failed, Outcome, Piece, Refused, Task
 from magcal_service.many.pool import Pool
 from magcal_service.many.progress import shown
 from magcal_service.many.store import Store
-from magcal_service.progress import Work
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.version import __version__
 from magcal_service.many.plain import home_of, pack
-from magcal_service.version import __version__
 
 _ABSENT: Final = "absent"
 _SCRIPT: Final = "__main__"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, InputRefusedError, MagcalError
+from magcal_service.base.errors import Fault, InputRefusedError, MagcalError
 from magcal_service.many.identity import code_of, content_of
 
 THREAD_COUNTS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

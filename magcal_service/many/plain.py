@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgpack
 import numpy as np
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 
 _AS_IT_IS: Final = (type(None), bool, float, str, bytes)
 _LEAST_INT, _LARGEST_INT = -(2**63), 2**64 - 1  # of msgpack

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from magcal_service.progress import Work, counted, wants_lines
+from magcal_service.base.progress import Work, counted, wants_lines
 
 _LINE_EVERY_S: Final = 30.0
 """Between two lines where there is no terminal [s]; choice: a log of an hour stays below 120 lines."""

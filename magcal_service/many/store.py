@@ -7,8 +7,8 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from magcal_service.disk import write_whole
-from magcal_service.errors import unwritable
+from magcal_service.base.disk import write_whole
+from magcal_service.base.errors import unwritable
 from magcal_service.many.pieces import Done
 from magcal_service.many.plain import NotKnownError, pack, unpack
 

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.config.settings import DEFAULT_METHOD, CraftConfig
-from magcal_service.errors import Fault, RecordingError
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method, StartGate
 from magcal_service.estimators.parts.start import batch_start

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.disk import write_whole
-from magcal_service.errors import Fault, InputRefusedError, RecordingError, unwritable
+from magcal_service.base.disk import write_whole
+from magcal_service.base.errors import Fault, InputRefusedError, RecordingError, unwritable
 from magcal_service.many.executor import Executor
 from magcal_service.many.pieces import Done, Outcome, Piece, Refused
 from magcal_service.offline.result_files import SUMMARY, earlier_files, remove, removed_line

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.config.settings import FilterConfig
-from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.start import batch_solution, gated
 from magcal_service.model import Array, scalar_residual

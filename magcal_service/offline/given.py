@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.result_head import SCHEMAS, head, schema_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.model import BIAS, Array, calibrate, d_matrix
 
 

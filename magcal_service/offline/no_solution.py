@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.start import BatchSolution
 from magcal_service.estimators.parts.start_gates import (

@@ -6,8 +6,8 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.config.settings import CraftConfig
-from magcal_service.errors import Fault, InputRefusedError
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.parts.start_gates import handover_sigma, vector_sigma
 from magcal_service.model import Array

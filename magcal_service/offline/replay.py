@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.progress import Work, counted
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.magnetometers import label_of
 from magcal_service.config.settings import (
@@ -34,7 +35,6 @@ from magcal_service.offline.given import Given
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import go_on
 from magcal_service.offline.published import ObservedPipeline, Published
-from magcal_service.progress import Work, counted
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording

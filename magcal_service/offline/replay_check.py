@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.session import decoded

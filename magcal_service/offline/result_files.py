@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, FileFault, InputRefusedError, unwritable
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError, unwritable
 
 CALIBRATION: Final = "calibration.json"
 DIAGNOSIS: Final = "diagnosis.json"

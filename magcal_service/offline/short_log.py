@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.config.settings import CraftConfig
-from magcal_service.errors import ConfigError, Fault
 from magcal_service.estimators.interface import StartGate, StateEstimate
 from magcal_service.estimators.parts.start import batch_solution, gated
 from magcal_service.model import STATE_SIZE, Array, scalar_residual

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.disk import beside
-from magcal_service.errors import Fault, InputRefusedError, unwritable
+from magcal_service.base.disk import beside
+from magcal_service.base.errors import Fault, InputRefusedError, unwritable
+from magcal_service.base.version import __version__
 from magcal_service.recordings.table_file import write_table
 from magcal_service.recordings.timestamps import ns_to_iso8601, ns_to_seconds
-from magcal_service.version import __version__
 from magcal_service.wire.messages import SCHEMA_VERSION, CalibratedVector, Clock
 
 SUFFIXES: Final = (".csv", ".parquet", ".mcap")

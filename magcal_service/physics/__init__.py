@@ -1,4 +1,4 @@
 """What disturbs a magnetometer: what an effect is, the catalogue, what a recording offers, and their application.
 
-Imports config, recordings by type, and the ground.
+Imports wire's messages and the ground.
 """

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.base.errors import Fault, InputRefusedError, Lacking
 from magcal_service.diagnosis.report.drawing import DIVERGING
 from magcal_service.diagnosis.report.figures import coastlines
-from magcal_service.errors import Fault, InputRefusedError, Lacking
+from magcal_service.earth import geomagnetic
 from magcal_service.model import STATE_NAMES, STATE_SIZE, Array, calibrate
 from magcal_service.offline import short_log
 from magcal_service.offline.apply import apply

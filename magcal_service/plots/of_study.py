@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service.base.errors import ExtraMissingError, Fault, InputRefusedError
 from magcal_service.plots.paper import AFTER, BEFORE, LINES, QUIET, Sheet
 
 _COLUMNS: Final = 3

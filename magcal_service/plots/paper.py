@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError, unwritable
-from magcal_service.progress import Work, counted
+from magcal_service.base.errors import ExtraMissingError, Fault, InputRefusedError, unwritable
+from magcal_service.base.progress import Work, counted
 from magcal_service.views.colours import LIGHT
 
 BEFORE: Final = LIGHT["before"]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError
 from magcal_service.offline.given import read_given
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.recordings.defects import Code
-from magcal_service.typed_toml import nearest
-from magcal_service.typed_toml.record import Reading
 
 
 def read_accepted(reading: Reading, name: str) -> tuple[Code, ...]:

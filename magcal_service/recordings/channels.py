@@ -6,10 +6,10 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from magcal_service.typed_toml import Table, nearest
-from magcal_service.typed_toml.keys import optional_choice, special
-from magcal_service.typed_toml.record import Reading, read_record
-from magcal_service.units import CHANNEL_UNITS
+from magcal_service.base.typed_toml import Table, nearest
+from magcal_service.base.typed_toml.keys import optional_choice, special
+from magcal_service.base.typed_toml.record import Reading, read_record
+from magcal_service.base.units import CHANNEL_UNITS
 
 _ATTITUDE = ("order", "from", "to")
 _NOT_ON_THE_WIRE = re.compile(r"[^A-Za-z0-9_-]")

@@ -8,7 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.typed_toml import Table, open_toml
+from magcal_service.base.typed_toml.record import read_record
+from magcal_service.base.units import FieldUnit
 from magcal_service.recordings.specs import (
     DESCRIPTOR_NAME,
     SESSION_SUFFIX,
@@ -22,9 +25,6 @@ from magcal_service.recordings.specs import (
     TimeSpec,
     VectorReference,
 )
-from magcal_service.typed_toml import Table, open_toml
-from magcal_service.typed_toml.record import read_record
-from magcal_service.units import FieldUnit
 from magcal_service.wire.messages import Clock
 
 _VERSION = 1

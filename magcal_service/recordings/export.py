@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import Fault, FileFault, InputRefusedError, RecordingError
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError, RecordingError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.session import decoded
 from magcal_service.recordings.session_arrays import session_recording
 from magcal_service.recordings.table_file import Columns, write_table
-from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import KINDS
 from magcal_service.wire.messages import Message
 

@@ -9,7 +9,9 @@ from typing import Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.typed_toml import Table, nearest
+from magcal_service.base.units import CHANNEL_UNITS, FieldUnit
 from magcal_service.recordings.channels import Axes, ChannelSpec, QuaternionOrder
 from magcal_service.recordings.descriptor import SAMPLES_IN_MEMORY, descriptor_of
 from magcal_service.recordings.reader import read_rows
@@ -24,8 +26,6 @@ from magcal_service.recordings.specs import (
     TimeSpec,
 )
 from magcal_service.recordings.table import FloatArray, IntArray, TextTable
-from magcal_service.typed_toml import Table, nearest
-from magcal_service.units import CHANNEL_UNITS, FieldUnit
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Frame, Vector
 

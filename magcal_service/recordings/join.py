@@ -7,14 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.join_spec import JoinSpec
 from magcal_service.recordings.report import RowCount, RowFault
 from magcal_service.recordings.row_arrays import RowArrays
 from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.specs import Descriptor
 from magcal_service.recordings.table import POINT, IntArray, TextTable, read_table
-from magcal_service.typed_toml import nearest
 
 
 def join_files(descriptor: Descriptor, table: TextTable) -> TextTable:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from magcal_service.base.typed_toml.keys import number, special, text
+from magcal_service.base.typed_toml.record import Reading, read_part, read_record
 from magcal_service.recordings.row_form import PLAIN_ROWS, RowForm
 from magcal_service.recordings.time_spec import TimeSpec
-from magcal_service.typed_toml.keys import number, special, text
-from magcal_service.typed_toml.record import Reading, read_part, read_record
 from magcal_service.wire.fields import NAME
 
 

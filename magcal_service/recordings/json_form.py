@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.fields import shown
 from magcal_service.wire.kinds import KINDS, Kind, kind_of
 from magcal_service.wire.messages import Clock, Message

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NoReturn
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES
 
 _AT_LEAST: Final = 1 << 24  # 16 MiB

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
-from magcal_service.errors import ExtraMissingError, Fault, RecordingError
-from magcal_service.progress import Work, counted
+from magcal_service.base.errors import ExtraMissingError, Fault, RecordingError
+from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
 from magcal_service.recordings.mcap_limits import McapLimits
 from magcal_service.recordings.mcap_records import (

@@ -7,7 +7,7 @@ import struct
 import zlib
 from typing import Any, Final
 
-from magcal_service.errors import ExtraMissingError
+from magcal_service.base.errors import ExtraMissingError
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES
 
 try:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
 
-from magcal_service.errors import ExtraMissingError
+from magcal_service.base.errors import ExtraMissingError
 from magcal_service.recordings.mcap import MAGIC, PROFILE, RawMessage, Topic
 
 try:

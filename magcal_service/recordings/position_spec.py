@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from magcal_service.typed_toml.keys import choice, number, section, text
-from magcal_service.typed_toml.record import Reading, read_record
-from magcal_service.units import AngleUnit, LengthUnit
+from magcal_service.base.typed_toml.keys import choice, number, section, text
+from magcal_service.base.typed_toml.record import Reading, read_record
+from magcal_service.base.units import AngleUnit, LengthUnit
 from magcal_service.wire.messages import Frame
 
 _GEODETIC = 2  # columns: latitude and longitude

@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, FileFault, RecordingError
-from magcal_service.progress import Work, counted
+from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.base.progress import Work, counted
+from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.join import join_files
 from magcal_service.recordings.recording import Recording
@@ -29,7 +30,6 @@ from magcal_service.recordings.specs import (
 )
 from magcal_service.recordings.table import TextTable, read_table
 from magcal_service.recordings.unit_words import unit_of
-from magcal_service.typed_toml import nearest
 
 _HEAD_BYTES: Final = 1 << 16  # far more than stands above the first section of a descriptor
 _OF_A_DESCRIPTOR: Final = re.compile(rb"^\s*(version\s*=|\[samples\])", re.MULTILINE)

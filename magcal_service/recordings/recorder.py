@@ -19,14 +19,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
+from magcal_service.base.errors import DecodeError, Fault, FileFault, InputRefusedError, why_not
+from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import RecordConfig
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import digest
-from magcal_service.errors import DecodeError, Fault, FileFault, InputRefusedError, why_not
 from magcal_service.recordings.session_file import SessionFile
 from magcal_service.recordings.session_files import SessionFolder, recover_in_place
 from magcal_service.recordings.state_text import state_as_text
-from magcal_service.version import __version__
 from magcal_service.wire.messages import SCHEMA_VERSION, Message
 
 _log = logging.getLogger("magcal.recorder")

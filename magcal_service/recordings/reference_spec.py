@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from magcal_service.typed_toml import Table
-from magcal_service.typed_toml.keys import choice, special, text, texts
-from magcal_service.typed_toml.record import Reading, read_record
-from magcal_service.units import FIELD_NT, FieldUnit
+from magcal_service.base.typed_toml import Table
+from magcal_service.base.typed_toml.keys import choice, special, text, texts
+from magcal_service.base.typed_toml.record import Reading, read_record
+from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.wire.messages import Frame
 
 MAX_FIELD_NT = 1e6

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
 
-from magcal_service.errors import printable
+from magcal_service.base.errors import printable
 
 _SHOWN = 40
 """Characters of a cell that are shown."""

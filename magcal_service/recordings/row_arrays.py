@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.base.units import ANGLE_DEG, FIELD_NT, LENGTH_KM
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Reference
 from magcal_service.recordings.report import RowCount, RowFault, shown
@@ -37,7 +38,6 @@ from magcal_service.recordings.table import (
 )
 from magcal_service.recordings.time_cells import time_parser
 from magcal_service.recordings.timestamps import MAX_TIME_NS
-from magcal_service.units import ANGLE_DEG, FIELD_NT, LENGTH_KM
 from magcal_service.wire.messages import Frame
 
 _MAX_CHANNEL = 1e18  # as on the wire
@@ -186,7 +186,7 @@ class RowArrays:
         return Position(km, frame)
 
     def _by_elements(self, spec: ElementsPosition, path: Path, time_ns: IntArray) -> tuple[FloatArray, Codes]:
-        from magcal_service.orbit_elements import read_element_sets
+        from magcal_service.earth.orbit_elements import read_element_sets
 
         sets = read_element_sets(path)
         ages_days = sets.ages_ns(time_ns) / _DAY_NS
@@ -202,7 +202,7 @@ class RowArrays:
         return km, codes
 
     def _geodetic(self, spec: GeodeticPosition) -> tuple[FloatArray, Codes]:
-        from magcal_service.geomagnetic import ecef_from_geodetic
+        from magcal_service.earth.geomagnetic import ecef_from_geodetic
 
         degrees, codes = self._vectors(spec.columns, ANGLE_DEG[spec.unit])
         altitude_km = np.full(len(codes), spec.altitude_km or 0.0)
@@ -273,7 +273,7 @@ def _or_absurd(codes: Codes, absurd: npt.NDArray[np.bool_]) -> Codes:
 
 def _igrf_eci(time_ns: IntArray, position: Position | None, wanted: npt.NDArray[np.bool_]) -> tuple[FloatArray, Codes]:
     """IGRF (n, 3) [nT] in ECI where the position and the date are within the model's domain, and the fault codes."""
-    from magcal_service import geomagnetic
+    from magcal_service.earth import geomagnetic
 
     assert position is not None, "the descriptor was refused without a position"
     radius_km = np.linalg.norm(position.km, axis=1)
@@ -291,6 +291,6 @@ def _igrf_eci(time_ns: IntArray, position: Position | None, wanted: npt.NDArray[
 
 
 def _igrf_eci_at_ecef(time_ns: IntArray, position_ecef_km: FloatArray) -> FloatArray:
-    from magcal_service import geomagnetic
+    from magcal_service.earth import geomagnetic
 
     return geomagnetic.eci_from_ecef(time_ns, geomagnetic.igrf_ecef_nt(time_ns, position_ecef_km))

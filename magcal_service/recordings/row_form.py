@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.typed_toml.keys import flag, text, whole
-from magcal_service.typed_toml.record import Reading
+from magcal_service.base.typed_toml.keys import flag, text, whole
+from magcal_service.base.typed_toml.record import Reading
 
 WHITESPACE: Final = "whitespace"
 """The delimiter of columns that any number of blanks keep apart."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
 
 DEFAULT_MAX_ROWS: Final = 2_000_000
 """Choice: five hours at 100 Hz, two days at 10 Hz; a row of seven columns takes about 0.8 kB of memory."""

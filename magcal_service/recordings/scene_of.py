@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_service import geomagnetic
-from magcal_service.errors import ExtraMissingError, InputRefusedError
+from magcal_service.base.errors import ExtraMissingError, InputRefusedError
+from magcal_service.base.units import CHANNEL_UNITS
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.smooth import smooth_course
@@ -16,7 +17,6 @@ from magcal_service.recordings.channels import Axes, QuaternionOrder
 from magcal_service.recordings.recording import Channel, Recording
 from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
 
 

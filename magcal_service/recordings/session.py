@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from magcal_service.base.errors import ConfigError, DecodeError, Fault, FileFault, RecordingError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import craft_from_toml
-from magcal_service.errors import ConfigError, DecodeError, Fault, FileFault, RecordingError
 from magcal_service.recordings.json_form import from_json
 from magcal_service.recordings.mcap import CRAFT, DROPPED, MOST_MISSING, PROFILE, STATE, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.state_text import state_from_text
-from magcal_service.typed_toml import nearest
 from magcal_service.wire.kinds import FIRST_RESULT, KINDS
 from magcal_service.wire.messages import Command, CommandReply, Message
 

@@ -17,9 +17,11 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.units import CHANNEL_UNITS, FieldUnit, LengthUnit
 from magcal_service.config.magnetometers import of_source
 from magcal_service.config.settings import CraftConfig, SpinConfig, TickConfig
-from magcal_service.errors import Fault, RecordingError
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Recording, Reference
 from magcal_service.recordings.report import RowCount, RowFault, RowReport
@@ -36,8 +38,6 @@ from magcal_service.recordings.specs import (
     VectorReference,
 )
 from magcal_service.recordings.table import FloatArray, IntArray
-from magcal_service.typed_toml import nearest
-from magcal_service.units import CHANNEL_UNITS, FieldUnit, LengthUnit
 from magcal_service.wire.messages import (
     Clock,
     Frame,

@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.disk import beside, sync_folder
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.disk import beside, sync_folder
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.version import __version__
 from magcal_service.recordings.mcap import DROPPED, MAGIC, RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
-from magcal_service.version import __version__
 
 LIBRARY: Final = f"magcal {__version__}"
 _NAME = re.compile(r"(\d{8})-\d{8}T\d{6}Z(\.recovered)?\.(mcap|unreadable)")

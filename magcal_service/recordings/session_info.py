@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from magcal_service.errors import FileFault, RecordingError
+from magcal_service.base.errors import FileFault, RecordingError
 from magcal_service.recordings.mcap import DROPPED, SESSION, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.timestamps import ns_to_iso8601

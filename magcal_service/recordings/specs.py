@@ -8,6 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from magcal_service.base.typed_toml.keys import choice, number, section, sections, special, text, texts
+from magcal_service.base.typed_toml.record import Reading, read_part, read_record
+from magcal_service.base.units import FieldUnit
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
@@ -33,9 +36,6 @@ from magcal_service.recordings.reference_spec import (
 from magcal_service.recordings.row_form import PLAIN_ROWS, RowForm
 from magcal_service.recordings.row_limits import DEFAULT_MAX_ROWS, HIGHEST_MAX_ROWS
 from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
-from magcal_service.typed_toml.keys import choice, number, section, sections, special, text, texts
-from magcal_service.typed_toml.record import Reading, read_part, read_record
-from magcal_service.units import FieldUnit
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
 

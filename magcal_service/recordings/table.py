@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, FileFault, RecordingError
-from magcal_service.progress import Work, counted
+from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
 from magcal_service.recordings.row_limits import RowLimits

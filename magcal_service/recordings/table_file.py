@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from magcal_service.disk import beside
-from magcal_service.errors import ExtraMissingError, unwritable
+from magcal_service.base.disk import beside
+from magcal_service.base.errors import ExtraMissingError, unwritable
 
 Columns = dict[str, list[Any]]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+from magcal_service.base.typed_toml.keys import number, special
+from magcal_service.base.typed_toml.record import Reading
 from magcal_service.recordings.timestamps import iso8601_to_ns
-from magcal_service.typed_toml.keys import number, special
-from magcal_service.typed_toml.record import Reading
 from magcal_service.wire.messages import Clock
 
 

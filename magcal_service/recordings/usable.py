@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.recordings.recording import Recording
 
 FEWEST_SAMPLES: Final = 50

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.disk import write_whole
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.disk import write_whole
+from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.channels import Axes, ChannelSpec
 from magcal_service.recordings.recording import Channel, Position
 from magcal_service.recordings.specs import DESCRIPTOR_NAME, MAX_FIELD_NT, SpinSpec
 from magcal_service.recordings.timestamps import ns_to_iso8601, ns_to_seconds
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame
 
 

@@ -1,6 +1,7 @@
 """Studies, one a file, found by its presence: Monte-Carlo ones, and of real recordings.
 
 A file of this package that defines ``STUDY`` (a ``study.Study``) is a study; nothing has to be registered.
+Imports any room but cli and views.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.typed_toml import nearest
 from magcal_service.estimators import find_method
 from magcal_service.plots import paper
 from magcal_service.plots.of_study import of_study
 from magcal_service.studies.report import Report, write
 from magcal_service.studies.study import Request, Study
-from magcal_service.typed_toml import nearest
 
 MOST_RUNS = 1_000_000
 """Runs of one study: a mean is known to a thousandth of a sigma then, after a week of a core with `spin`."""

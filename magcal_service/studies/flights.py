@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig
+from magcal_service.earth.geomagnetic import WGS84_A_KM, igrf_eci_nt
 from magcal_service.estimators.parts.spin_window import across_axis
-from magcal_service.geomagnetic import WGS84_A_KM, igrf_eci_nt
 from magcal_service.model import Array, measure
 from magcal_service.studies.bounds import Flight
 from magcal_service.ticks.assembler import Tick

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.errors import unwritable
-from magcal_service.version import __version__
+from magcal_service.base.errors import unwritable
+from magcal_service.base.version import __version__
 
 Cell = str | int | float | bool | None
 

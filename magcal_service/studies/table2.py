@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.settings import FilterConfig
-from magcal_service.errors import ConfigError
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import InformationSet
 from magcal_service.model import BIAS, STATE_NAMES, Array

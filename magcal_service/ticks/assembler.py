@@ -44,9 +44,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import SensorConfig, TickConfig
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.axis_watch import AxisWatch
 from magcal_service.ticks.held_watch import HeldWatch
 from magcal_service.ticks.rate_track import RateTrack

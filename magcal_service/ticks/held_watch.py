@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Stateful
+from magcal_service.base.snapshot import Stateful
 from magcal_service.wire.messages import Vector
 
 _FEWEST: Final = 10

@@ -10,8 +10,8 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Stateful
-from magcal_service.units import CHANNEL_UNITS
+from magcal_service.base.snapshot import Stateful
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, TelemetrySample, Vector
 
 _MOST: Final = 8192

@@ -20,7 +20,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Stateful
+from magcal_service.base.snapshot import Stateful
 from magcal_service.wire.messages import Clock, Frame, ReferenceSample, Vector
 
 _MOST: Final = 8192

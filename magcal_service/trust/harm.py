@@ -22,9 +22,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.estimators.parts.magnitude_fit import are_near, magnitude_fit
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 
 BLOCK_S: Final = 150.0
 """Length of a block [s]: many turns of a spinning craft, a fortieth of an orbit."""

@@ -15,11 +15,11 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, largest_variance
 from magcal_service.residuals import white_floor
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust.hazards import REMEDY
 from magcal_service.trust.protector import Protector

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import SnapshotError, Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import STATE_SIZE, Array, largest_variance
-from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_sums as sums
 from magcal_service.trust.hazard_look import CHUNK, LOOK_CHUNKS, Accumulated, Look, look

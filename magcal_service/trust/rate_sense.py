@@ -17,8 +17,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.trust.signed_axes import SAME, SIGNED_AXES, any_of
 
 _LARGEST_TURN: Final = 1.2

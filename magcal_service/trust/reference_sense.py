@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.snapshot import Stateful
+from magcal_service.base.snapshot import Stateful
 
 _EVERY: Final = 5
 """Ticks of which one is kept for the spread."""

@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import BIAS, d_matrix
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import SECOND_NS, Tick
 from magcal_service.trust.axes_watch import AxesWatch
 from magcal_service.trust.rate_sense import RateSense

@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import SpinConfig
-from magcal_service.snapshot import Stateful
 from magcal_service.wire.messages import Vector
 
 _SLOWEST_RPM: Final = 0.25

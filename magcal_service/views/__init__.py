@@ -1,4 +1,7 @@
-"""What people look at while a calibration runs: messages in, what a page or a terminal shows out."""
+"""What people look at while a calibration runs: messages in, what a page or a terminal shows out.
+
+Imports offline, links and rooms below them; no pipeline of the daemon.
+"""
 
 from pathlib import Path
 from typing import Final

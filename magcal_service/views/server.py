@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from magcal_service.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service.base.errors import ExtraMissingError, Fault, InputRefusedError
 from magcal_service.views import PAGE
 from magcal_service.views.feed import Feed
 from magcal_service.views.sources import COMMANDS, Source

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from magcal_service.base.errors import MagcalError
 from magcal_service.config.settings import CraftConfig
-from magcal_service.errors import MagcalError
 from magcal_service.links.base import Link
 from magcal_service.recordings.inspect.inspection import Inspection
 from magcal_service.views.result import Replayed

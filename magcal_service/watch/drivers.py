@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.base.snapshot import Stateful
+from magcal_service.base.units import CHANNEL_UNITS
+from magcal_service.earth import geomagnetic
 from magcal_service.physics.acting import LIGHT, WARMTH
 from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.scene.sunlight import sun_eci, sunlit
-from magcal_service.snapshot import Stateful
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame, PositionSample, TelemetrySample
 
 DRIVING: Final = ("temperature", "current", "magnetic moment", "sun")

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.snapshot import SnapshotError, Stateful
 from magcal_service.estimators.interface import StateEstimate
 from magcal_service.model import (
     BIAS,
@@ -31,7 +32,6 @@ from magcal_service.model import (
 )
 from magcal_service.physics.acting import Watched
 from magcal_service.physics.catalogue import watched_as
-from magcal_service.snapshot import SnapshotError, Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch.drivers import Driver, DriverTrack, value_of
 from magcal_service.watch.evidence import (

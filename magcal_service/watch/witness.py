@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcome
 from magcal_service.model import STATE_SIZE, Array, scalar_residual, vector_jacobian
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 from magcal_service.wire.messages import Clock
 

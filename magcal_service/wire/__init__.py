@@ -1,1 +1,4 @@
-"""The wire: typed messages to and from bytes, without any input or output of its own."""
+"""The wire: typed messages to and from bytes, without any input or output of its own.
+
+Imports base alone.
+"""

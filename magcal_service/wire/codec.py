@@ -11,7 +11,7 @@ from typing import Any
 
 import msgpack
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire import fields as check
 from magcal_service.wire.kinds import KIND_BY_CODE, KINDS, MAX_COUNTERS, Kind, kind_names, kind_of
 from magcal_service.wire.messages import SCHEMA_VERSION, Message

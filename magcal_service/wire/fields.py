@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any, NoReturn
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 
 Check = Callable[[Any, str], Any]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES, decode, encode
 from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import Command, Message

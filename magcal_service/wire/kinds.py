@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire import fields as check
 from magcal_service.wire.messages import (
     CalibratedVector,

@@ -15,7 +15,7 @@ from enum import StrEnum
 from itertools import combinations_with_replacement
 from typing import Any, Final, get_args, get_type_hints
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.kinds import KIND_BY_CODE, Field, Kind, kind_of
 from magcal_service.wire.messages import SCHEMA_VERSION, Message
 

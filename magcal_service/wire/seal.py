@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.errors import DecodeError, why_not
+from magcal_service.base.errors import DecodeError, why_not
 
 SEALED: Final = 0x40
 """Added to the kind in a frame's header where the payload is sealed."""

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from magcal_service.base.errors import ExtraMissingError, MagcalError
 from magcal_service.cli.common import port_number
-from magcal_service.errors import ExtraMissingError, MagcalError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Estimate, Message
 from sim_sensor.beside import is_own

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 
 __all__ = ["DaemonDiedError", "DaemonProcess"]
 

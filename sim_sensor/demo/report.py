@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 from magcal_service.wire.messages import CalibratedVector, Estimate, Message, Status, Verdict
 from sim_sensor.beside import is_own
 from sim_sensor.demo.before_after import before_after

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ExtraMissingError
+from magcal_service.base.errors import ExtraMissingError
 from magcal_service.views.nine import PARAMETERS
 from sim_sensor.view.history import History
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from magcal_service.errors import ExtraMissingError
+from magcal_service.base.errors import ExtraMissingError
 from magcal_service.views.nine import PARAMETERS, sigmas, values
 from magcal_service.wire.messages import Estimate, Verdict
 from sim_sensor.view.history import inside

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import scalar_residual

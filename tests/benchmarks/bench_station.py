@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from sgp4.api import Satrec
 
-from magcal_service import geomagnetic
 from magcal_service.diagnosis.diagnose import diagnose
 from magcal_service.diagnosis.prepare import baseline_start
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.solution import solve
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.scene_of import cleaned, scene_of

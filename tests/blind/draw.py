@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from tests.blind.attitude import RPM
 from tests.blind.case import Answer, Case, EffectTruth, Verdict
 from tests.blind.catalogue import ABSORBED, BUILDERS, DRIVEN, DRIVEN_OUTSIDE, EFFECTS, OUTSIDE, PAIRS, SEVERAL

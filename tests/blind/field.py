@@ -1,7 +1,7 @@
 """The main field along a path, and the field of a ring current round the Earth.
 
-The main field is IGRF-14 through ``magcal_service.geomagnetic`` on an even grid of times, with cubic pieces between.
-The part above a degree comes from ppigrf directly.
+The main field is IGRF-14 through ``magcal_service.earth.geomagnetic`` on an even grid of times, with cubic pieces
+between.  The part above a degree comes from ppigrf directly.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 import numpy as np
 import ppigrf
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from tests.blind.vectors import Floats, OverTime, dot, hermite, turn, unit
 
 STEP_S = 20.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from tests.blind.cause import Cause, plain
 from tests.blind.field import times_ns
 from tests.blind.noise import remembering

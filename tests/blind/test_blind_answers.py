@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from tests.blind import Case, draw_case
 from tests.blind.field import YEAR_S, dipole_axis_eci, ring_current_field, times_ns
 from tests.blind.vectors import Floats, hermite, unit

@@ -89,10 +89,10 @@ def test_package_shares_nothing_with_the_diagnosis() -> None:
         names = {name.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for name in node.names}
         used = {module for module in modules if module.split(".")[0] not in {*sys.stdlib_module_names, "tests"}}
         if path.name.startswith("test_"):
-            assert used <= {"numpy", "pytest", "magcal_service", *READING}
+            assert used <= {"numpy", "pytest", "magcal_service.earth", *READING}
         else:
-            assert used <= {"numpy", "numpy.typing", "ppigrf", "magcal_service"}
-        assert "magcal_service" not in used or "geomagnetic" in names
+            assert used <= {"numpy", "numpy.typing", "ppigrf", "magcal_service.earth"}
+        assert "magcal_service.earth" not in used or "geomagnetic" in names
 
 
 def test_detectability_is_what_is_left_beside_the_calibration() -> None:

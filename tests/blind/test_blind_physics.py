@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from tests.blind.attitude import Motion, RateProfile
 from tests.blind.field import ring_current_field, times_ns
 from tests.blind.orbit import EQUATOR_KM, Orbit, draw_orbit, solve_kepler

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.version import __version__
 from magcal_service.daemon.estimate_csv import COLUMNS
 from magcal_service.estimators import find_method, methods
 from magcal_service.trust.reasons import Reason
-from magcal_service.version import __version__
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service import log
+from magcal_service.base import log
 from magcal_service.cli.__main__ import whole_parser
 from magcal_service.cli.common import Parser, subparsers
 from magcal_service.studies import studies

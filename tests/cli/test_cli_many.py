@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.offline.each import Asked, folders_of
 from magcal_service.offline.result_files import SUMMARY
 from sim_sensor.recorder import record_simulation

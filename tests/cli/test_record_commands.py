@@ -14,8 +14,8 @@ import pyarrow.parquet
 import pytest
 from mcap.reader import make_reader
 
+from magcal_service.base.errors import how_to_install
 from magcal_service.cli.__main__ import main
-from magcal_service.errors import how_to_install
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter
 from magcal_service.recordings.reader import read_recording

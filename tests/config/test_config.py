@@ -13,6 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from magcal_service.base.errors import ConfigError
+from magcal_service.base.typed_toml.record import declared
 from magcal_service.config.daemon_settings import CommandsConfig, HealthConfig, OutputConfig, RecordConfig, StateConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
@@ -30,8 +32,6 @@ from magcal_service.config.settings import (
     TrustConfig,
     default_craft,
 )
-from magcal_service.errors import ConfigError
-from magcal_service.typed_toml.record import declared
 
 MINIMAL = 'version = 1\n[[craft]]\nname = "demo"\n'
 

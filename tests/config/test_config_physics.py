@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.reader import load_config
 from magcal_service.daemon.checkpoints.files import config_digest
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import ConfigError
 from magcal_service.physics.apply.model_file import parse_model, text_of
 
 DOC = (Path(__file__).resolve().parents[2] / "docs/physics-file.md").read_text(encoding="utf-8")

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from magcal_service.base.errors import ConfigError
+from magcal_service.base.typed_toml import Table
 from magcal_service.config.reader import read_config
 from magcal_service.config.settings import (
     CraftConfig,
@@ -23,8 +25,6 @@ from magcal_service.config.settings import (
     TrustConfig,
 )
 from magcal_service.config.text import craft_as_toml, craft_from_toml, digest
-from magcal_service.errors import ConfigError
-from magcal_service.typed_toml import Table
 from tests.physics.live_models import THERMAL, physics
 
 CRAFT = CraftConfig(

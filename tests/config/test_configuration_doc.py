@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from magcal_service.base.typed_toml.record import REQUIRED, Key, declared
 from magcal_service.config.daemon_settings import CommandsConfig, HealthConfig, OutputConfig, RecordConfig, StateConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import (
@@ -22,7 +23,6 @@ from magcal_service.config.settings import (
     TickConfig,
     TrustConfig,
 )
-from magcal_service.typed_toml.record import REQUIRED, Key, declared
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs/configuration.md").read_text(encoding="utf-8")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import LinkAddressError
+from magcal_service.base.errors import LinkAddressError
 from magcal_service.links import Role, open_link, parse_address
 
 

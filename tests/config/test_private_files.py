@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.private_files import (
     check_input,
     check_secret,
@@ -17,7 +18,6 @@ from magcal_service.config.private_files import (
     check_way,
     read_key,
 )
-from magcal_service.errors import ConfigError
 from magcal_service.links import Role, open_link
 from tests.config.test_config_physics import EXAMPLE
 

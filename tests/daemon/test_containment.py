@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import Config
 from magcal_service.daemon.checkpoints.store import Checkpoints
@@ -20,7 +21,6 @@ from magcal_service.daemon.containment import contained
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
-from magcal_service.snapshot import SnapshotError
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message, Status
 from tests.daemon.pipeline_streams import handle_all, paper, quick_craft

@@ -15,7 +15,7 @@ from magcal_service.config.settings import CraftConfig, ReferenceConfig, Referen
 from magcal_service.daemon.own_reference import reference_at
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
-from magcal_service.geomagnetic import ecef_from_eci
+from magcal_service.earth.geomagnetic import ecef_from_eci
 from magcal_service.links import Role, open_link
 from magcal_service.trust.modes import MODES, Mode
 from magcal_service.trust.reasons import Reason

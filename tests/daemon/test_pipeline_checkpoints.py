@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.snapshot import SnapshotError
 from magcal_service.wire.messages import Estimate, Message
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
 

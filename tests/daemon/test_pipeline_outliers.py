@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import DecodeError
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import DecodeError
 from magcal_service.trust.reasons import Reason
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.messages import MagnetometerSample, Vector, Verdict

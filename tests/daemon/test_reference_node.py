@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.daemon.reference_node import SOURCE, Elements, cost_of, run_along, run_beside
-from magcal_service.errors import InputRefusedError
-from magcal_service.geomagnetic import igrf_eci_nt
+from magcal_service.earth.geomagnetic import igrf_eci_nt
+from magcal_service.earth.orbit_elements import checksum
 from magcal_service.links import Role, open_link
-from magcal_service.orbit_elements import checksum
 from magcal_service.wire.messages import Clock, Frame, PositionSample, ReferenceSample
 from tests.cli.cli_inputs import run
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.cli.asking import Desk
 from magcal_service.cli.send import commands_text, request
 from magcal_service.daemon.command_table import COMMANDS
 from magcal_service.daemon.outbox import Stamp, command_reply
-from magcal_service.errors import ConfigError
 from magcal_service.links import Role, open_link
 from magcal_service.wire.messages import Clock, Command
 from sim_sensor.demo.pty_pair import PtyPair

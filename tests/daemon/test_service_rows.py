@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.estimate_csv import COLUMNS, EstimateCsv
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
-from magcal_service.errors import InputRefusedError
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.wire.messages import CalibratedVector, Estimate, Message, Status

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.reader import load_config
 from magcal_service.daemon.checkpoints.files import decode
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.run import run_daemon
-from magcal_service.errors import ConfigError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Status
 from sim_sensor.demo.pty_pair import PtyPair

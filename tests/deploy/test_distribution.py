@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service import errors
-from magcal_service.errors import DISTRIBUTION, ExtraMissingError, how_to_install
+from magcal_service.base.errors import DISTRIBUTION, ExtraMissingError, how_to_install
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -114,7 +113,7 @@ def test_the_hint_of_a_checkout_that_nobody_installed_names_its_folder(monkeypat
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "distribution", missing)
-    assert how_to_install("view") == f"pip install -e '{Path(errors.__file__).parents[1]}[view]'"
+    assert how_to_install("view") == f"pip install -e '{ROOT}[view]'"
 
 
 def test_the_hint_printed_here_is_one_that_pip_takes() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.geomagnetic import igrf_ecef_nt
+from magcal_service.earth.geomagnetic import igrf_ecef_nt
 
 KIT = Path(__file__).parents[2] / "deploy" / "firmware"
 CC = shutil.which("cc")

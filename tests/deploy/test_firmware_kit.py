@@ -22,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder, pack_frame
 from magcal_service.wire.kinds import FIRST_RESULT, MAX_COUNTERS, kind_of

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.recordings.recording import Recording
 from tests.regimes.attitude import spinning
 from tests.regimes.orbit import Floats, Orbit

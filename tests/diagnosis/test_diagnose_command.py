@@ -12,7 +12,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from magcal_service import progress
+from magcal_service.base import progress
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema

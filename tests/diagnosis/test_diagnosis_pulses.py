@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service import Recording, geomagnetic
+from magcal_service import Recording
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from magcal_service.diagnosis.result import entries
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.earth import geomagnetic
 from magcal_service.model import measure
 from magcal_service.physics.catalogue import effect_named
 from tests.physics.scenes import ORIGIN_NS, X, orbit_eci_km

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.sun_seen import SunSeen, sun_seen
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.apply.forward import bind
 from magcal_service.physics.apply.model_file import ModelTerm

@@ -12,8 +12,8 @@ from types import ModuleType
 import pytest
 
 from magcal_service import estimators
+from magcal_service.base.errors import MagcalError
 from magcal_service.cli.__main__ import main
-from magcal_service.errors import MagcalError
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.interface import Method
 

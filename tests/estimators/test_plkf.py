@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, SpinWindow
-from magcal_service.errors import ConfigError
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.plkf import Plkf
 from magcal_service.model import Array

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.estimators.steady_spin import fit as fit_module
 from magcal_service.estimators.steady_spin.fit import AxisTie, Prior, Samples, SpinFit, contradiction, fit_spin
 from magcal_service.estimators.steady_spin.sample_buffer import CAPACITY, SampleBuffer
@@ -29,7 +30,6 @@ from magcal_service.estimators.steady_spin.state import (
 )
 from magcal_service.estimators.steady_spin.watch import FitQuality, SpinGate, SpinWatch, fit_quality
 from magcal_service.model import field_jacobian, measure
-from magcal_service.snapshot import SnapshotError
 
 X = np.array([900.0, -1400.0, 2100.0, 0.05, -0.08, 0.11, 0.03, -0.04, 0.06])
 MATRIX = np.eye(3) + X[np.array([[3, 6, 7], [6, 4, 8], [7, 8, 5]])]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import magcal_service as magcal
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.wire.messages import Clock, Frame
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario_reader import load_scenario

@@ -11,8 +11,8 @@ from typing import Any
 
 import msgpack
 
+from magcal_service.base.errors import MagcalError
 from magcal_service.daemon.checkpoints.files import MAGIC
-from magcal_service.errors import MagcalError
 from magcal_service.recordings.mcap import RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.mcap_writer import McapWriter

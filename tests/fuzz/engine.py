@@ -19,7 +19,7 @@ from pathlib import Path
 from random import Random
 from types import FrameType
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from tests.fuzz.limits import HANG_S, MOST_MB
 from tests.fuzz.mutate import mutate
 from tests.fuzz.targets import Target

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_service.base.errors import DecodeError
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import CraftConfig
 from magcal_service.config.text import craft_as_toml, craft_from_toml
 from magcal_service.daemon.checkpoints.store import MISFITS
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import DecodeError
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.json_form import from_json, schema_name, to_json
 from magcal_service.recordings.mcap import CRAFT, STATE, RawMessage, Topic

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.config.settings import CraftConfig, PhysicsConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.physics.apply.model_file import parse_model, read_model, text_of
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Frame, Message, PositionSample, TelemetrySample
 from tests.fuzz.inputs import ROOT, file_of, flight

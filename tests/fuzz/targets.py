@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.errors import ConfigError, DecodeError, LinkAddressError, MagcalError, RecordingError
+from magcal_service.base.errors import ConfigError, DecodeError, LinkAddressError, MagcalError, RecordingError
 from magcal_service.physics.apply.model_file import ModelError
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.json_form import to_json

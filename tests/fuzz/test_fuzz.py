@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from tests.fuzz import __main__ as command
 from tests.fuzz import engine
 from tests.fuzz.engine import fuzz

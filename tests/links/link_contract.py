@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from magcal_service.errors import LinkAddressError
+from magcal_service.base.errors import LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.messages import Message
 from tests.links.link_messages import (

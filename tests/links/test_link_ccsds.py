@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import ConfigError, LinkAddressError, LinkError
 from magcal_service.config.daemon_settings import OutputConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.service import Service
-from magcal_service.errors import ConfigError, LinkAddressError, LinkError
 from magcal_service.links import Role, open_link
 from magcal_service.links.ccsds import CcsdsLink
 from magcal_service.wire.messages import Status

@@ -8,7 +8,7 @@ from typing import cast
 
 import pytest
 
-from magcal_service.errors import LinkError
+from magcal_service.base.errors import LinkError
 from magcal_service.links import Role, open_link
 from magcal_service.links.loop import LoopLink
 from tests.links.link_contract import Ends, LinkContract

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import DecodeError
 from magcal_service.config.address import parse_address
-from magcal_service.errors import DecodeError
 from magcal_service.links import Role, open_link, presence
 from magcal_service.links.fair_inbox import FairInbox
 from magcal_service.links.presence import Presence, PresenceBoard

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import LinkAddressError
+from magcal_service.base.errors import LinkAddressError
 from magcal_service.links import recording as module
 from magcal_service.links.recording import RecordingLink
 from magcal_service.links.states import LinkState

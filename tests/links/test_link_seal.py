@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import ConfigError, LinkAddressError
+from magcal_service.base.errors import ConfigError, LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.counter_file import CounterFile
 from magcal_service.wire.framing import FrameEncoder

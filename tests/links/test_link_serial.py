@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import LinkAddressError
+from magcal_service.base.errors import LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.wire.framing import FrameEncoder, StreamDecoder
 from sim_sensor.demo.pty_pair import PtyPair

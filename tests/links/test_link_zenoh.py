@@ -17,7 +17,7 @@ from typing import cast
 import pytest
 import zenoh
 
-from magcal_service.errors import LinkAddressError, LinkError
+from magcal_service.base.errors import LinkAddressError, LinkError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.zenoh import ZenohLink
 from magcal_service.wire.codec import encode

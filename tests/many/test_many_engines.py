@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.errors import ConfigError, ExtraMissingError
+from magcal_service.base.errors import ConfigError, ExtraMissingError
 from magcal_service.many.cluster import Cluster
 from magcal_service.many.executor import (
     Executor,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from magcal_service.base.progress import Work, showing
 from magcal_service.many import progress
 from magcal_service.many.executor import Executor
 from magcal_service.many.pieces import Piece
 from magcal_service.many.progress import shown
 from magcal_service.many.store import Store
-from magcal_service.progress import Work, showing
 from tests.many import work
 from tests.many.here import Here
 

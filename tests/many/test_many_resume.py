@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.many import identity
 from magcal_service.many.executor import Executor
 from magcal_service.many.identity import content_of, key_of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
 
 
 def squared(value: int) -> int:

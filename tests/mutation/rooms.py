@@ -50,8 +50,8 @@ S: Final = "magcal_service"
 ROOMS: Final = (
     Room(
         "model",
-        tuple(f"{S}/{name}.py" for name in ("model", "residuals", "snapshot", "units", "geomagnetic")),
-        ("tests/ground",),
+        tuple(f"{S}/{name}.py" for name in ("model", "residuals", "base/snapshot", "base/units", "earth/geomagnetic")),
+        ("tests/ground", "tests/base", "tests/earth"),
     ),
     Room("ticks", (f"{S}/ticks",), ("tests/ticks",)),
     Room("estimators", (f"{S}/estimators",), ("tests/estimators",)),

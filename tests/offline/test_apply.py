@@ -11,8 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import Array
 from magcal_service.offline.apply import apply

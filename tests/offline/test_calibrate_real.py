@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.offline.calibrate import Calibration, calibrate
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.recordings.reader import read_recording

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.offline.result_files import earlier_files, kept_line, remove, removed_line
 
 OF_ONE = ("diagnosis.json", "physics.toml", "report.html")

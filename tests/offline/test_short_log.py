@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import magcal_service as magcal
-from magcal_service.errors import ConfigError
+from magcal_service.base.errors import ConfigError
 from magcal_service.model import Array
 from magcal_service.offline.calibrate import Calibration, calibrate
 from magcal_service.offline.replay import craft_of

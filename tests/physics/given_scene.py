@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array, measure
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from sim_sensor.scenario_reader import load_scenario

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.live_drivers import positions_km

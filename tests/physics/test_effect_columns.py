@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.drivers.change import instants

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import ConfigError
+from magcal_service.base.errors import ConfigError
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import Empirical, Kind, hats
 from magcal_service.physics.apply.forward import DriverMissingError

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis

@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from magcal_service.geomagnetic import geodetic_from_ecef
+from magcal_service.earth.geomagnetic import geodetic_from_ecef
 from magcal_service.model import Array
 from magcal_service.physics.scene.sunlight import carried, first_order, hold_over_nan, sun_eci, sunlit
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci

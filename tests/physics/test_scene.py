@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene.motion import smooth_slope
 from magcal_service.physics.scene.recent import Recent

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.cli.__main__ import main as magcal
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.result import entries
-from magcal_service.errors import ConfigError
 from magcal_service.physics.apply.model_file import parse_model, read_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.reader import read_recording

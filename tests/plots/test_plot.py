@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import magcal_service as magcal
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.offline.given import read_given
 from magcal_service.physics.apply.model_file import ModelTerm, text_of
 from magcal_service.plots.of_recording import before_after, errors, shown, spectrum

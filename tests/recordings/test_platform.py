@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import RecordingError
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
-from magcal_service.errors import RecordingError
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.recording import Recording

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.mcap import RawMessage
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import InputRefusedError, RecordingError
+from magcal_service.base.errors import InputRefusedError, RecordingError
 from magcal_service.recordings.recorder import Recorder, open_recorder
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import SessionFolder

@@ -16,7 +16,7 @@ from mcap.reader import SeekingReader, make_reader
 from mcap.records import SummaryOffset
 from mcap.stream_reader import StreamReader
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.recordings.json_form import from_json, schema_name, schema_of, to_json
 from magcal_service.recordings.mcap import RawMessage, Topic
 from magcal_service.recordings.mcap_reader import McapReader

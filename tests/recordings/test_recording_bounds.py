@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import zstandard
 
+from magcal_service.base.errors import InputRefusedError, RecordingError
 from magcal_service.cli.__main__ import main
-from magcal_service.errors import InputRefusedError, RecordingError
 from magcal_service.offline.given import read_given
 from magcal_service.recordings import mcap_limits, mcap_records, row_limits
 from magcal_service.recordings.mcap import MAGIC

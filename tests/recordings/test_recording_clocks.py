@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.report import RowFault

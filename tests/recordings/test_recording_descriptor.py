@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.channels import Axes, QuaternionOrder
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.specs import (

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.report import RowFault
-from magcal_service.units import CHANNEL_UNITS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text()
 EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)

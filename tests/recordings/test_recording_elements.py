@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import ExtraMissingError, RecordingError
-from magcal_service.orbit_elements import checksum, read_element_sets
+from magcal_service.base.errors import ExtraMissingError, RecordingError
+from magcal_service.earth.orbit_elements import checksum, read_element_sets
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 

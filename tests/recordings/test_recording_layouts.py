@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.in_memory import from_dataframe
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording

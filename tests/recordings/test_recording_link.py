@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.errors import LinkAddressError, RecordingError
+from magcal_service.base.errors import LinkAddressError, RecordingError
 from magcal_service.links.base import Role
 from magcal_service.links.recording import RecordingLink
 from magcal_service.recordings.messages import messages

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings import messages as module
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 from magcal_service.wire.messages import Frame
@@ -74,7 +74,7 @@ def test_against_pygeomag_the_model_reference_has_the_same_magnitude(tmp_path: P
 def test_the_model_reference_is_the_local_field_turned_into_inertial_axes(
     tmp_path: Path, where: tuple[float, ...]
 ) -> None:
-    from magcal_service import geomagnetic
+    from magcal_service.earth import geomagnetic
 
     latitude, longitude, altitude = (np.array([value]) for value in where)
     times = np.array([TIME_S * 10**9])
@@ -87,7 +87,7 @@ def test_the_model_reference_is_the_local_field_turned_into_inertial_axes(
 
 @pytest.mark.parametrize("frame", ["eci", "ecef"])
 def test_the_model_reference_is_the_same_from_every_form_of_one_position(tmp_path: Path, frame: str) -> None:
-    from magcal_service import geomagnetic
+    from magcal_service.earth import geomagnetic
 
     geodetic = read_recording(igrf_log(tmp_path, place(*PLACES[0])))
     assert geodetic.position is not None

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import parse_numbers

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_service.units import CHANNEL_UNITS, FIELD_NT, LENGTH_KM, FieldUnit, LengthUnit
+from magcal_service.base.units import CHANNEL_UNITS, FIELD_NT, LENGTH_KM, FieldUnit, LengthUnit
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.channels import Axes, ChannelSpec, QuaternionOrder
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Channel, Position, Recording

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.replay import craft_of
 from magcal_service.recordings.json_form import schema_name, to_json

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import ConfigError
+from magcal_service.base.errors import ConfigError
 from magcal_service.links import Role, open_link
 from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message, Status, Verdict

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_service import geomagnetic
-from magcal_service.errors import ExtraMissingError, InputRefusedError, how_to_install
+from magcal_service.base.errors import ExtraMissingError, InputRefusedError, how_to_install
+from magcal_service.earth import geomagnetic
 from sim_sensor.field import DIPOLE_NORTH_ECEF, FieldModel
 from sim_sensor.orbit import EARTH_GM_KM3_S2, KeplerOrbit, Sgp4Orbit
 from sim_sensor.sunlight import lit_fraction, sun_direction_eci

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import ConfigError
+from magcal_service.base.errors import ConfigError
 from sim_sensor.faults import FaultKind
 from sim_sensor.orbit import KeplerOrbit
 from sim_sensor.scenario import Channel, resolve

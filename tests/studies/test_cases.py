@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from magcal_service.errors import ConfigError, InputRefusedError
+from magcal_service.base.errors import ConfigError, InputRefusedError
 from magcal_service.many.pieces import Done, Failed, Refused
 from magcal_service.studies.cases.ask import Named, Said, ask, said_of
 from magcal_service.studies.cases.folders import cases_of

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.cli.__main__ import main
-from magcal_service.errors import ConfigError
 from magcal_service.studies import run_study
 from magcal_service.studies.real import plan
 from magcal_service.studies.real.plan import Known, questions_of

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import ConfigError, InputRefusedError
 from magcal_service.config.settings import FilterConfig, SpinConfig
-from magcal_service.errors import ConfigError, InputRefusedError
 from magcal_service.many.executor import Executor
 from magcal_service.many.pool import Pool
 from magcal_service.model import calibrate, measure

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.scene.sunlight import sun_eci
 from magcal_service.watch.drivers import Driver, DriverTrack, value_of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.cli.status import as_text, is_healthy
 from magcal_service.config.settings import Config, TrustConfig
 from magcal_service.daemon.health.report import Health
@@ -12,7 +13,6 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link
 from magcal_service.physics.apply.model_file import ModelTerm
-from magcal_service.snapshot import SnapshotError
 from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import Command, Message, Status, TelemetrySample, Verdict
 from tests.physics.live_models import ZERO, physics

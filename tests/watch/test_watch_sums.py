@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.base.snapshot import SnapshotError
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import BIAS, D_SCALE, STATE_SIZE, calibrate, field_jacobian, without_radial_noise
-from magcal_service.snapshot import SnapshotError
 from magcal_service.ticks.assembler import Tick
 from magcal_service.watch import residual_watch as module
 from magcal_service.watch.evidence import (

@@ -11,7 +11,7 @@ import wire_cases as cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.codec import MAX_PAYLOAD_BYTES, decode, encode
 from magcal_service.wire.kinds import KINDS, kind_of
 from magcal_service.wire.messages import (

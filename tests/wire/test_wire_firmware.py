@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import wire_cases as cases
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.framing import StreamDecoder, pack_frame
 from magcal_service.wire.kinds import kind_of

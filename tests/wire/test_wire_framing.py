@@ -11,7 +11,7 @@ import wire_cases as cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.framing import (
     FRAME_REFUSALS,
     MAX_ENCODED_BYTES,

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from magcal_service.base.errors import DecodeError
 from magcal_service.config.address import parse_address
-from magcal_service.errors import DecodeError
 from magcal_service.links.ccsds import DEFAULT_ADDRESS, apids_of
 from magcal_service.wire.fields import TEXT_BYTES
 from magcal_service.wire.kinds import KIND_BY_CODE, MAX_COUNTERS, kind_of

@@ -8,7 +8,7 @@ import struct
 import pytest
 import wire_cases as cases
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire import fields
 from magcal_service.wire.messages import Estimate
 from magcal_service.wire.seal import MAX_COUNTER, seal, split

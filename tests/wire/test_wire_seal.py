@@ -14,7 +14,7 @@ import wire_cases as cases
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_service.errors import DecodeError
+from magcal_service.base.errors import DecodeError
 from magcal_service.wire.codec import encode
 from magcal_service.wire.framing import FRAME_REFUSALS, FrameEncoder, StreamDecoder, pack_frame
 from magcal_service.wire.messages import REFUSALS, Command

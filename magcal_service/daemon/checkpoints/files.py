@@ -30,13 +30,13 @@ from typing import Any, Final
 
 import msgpack
 
+from magcal_service.base.disk import write_whole
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError, MagcalError
+from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.floor import Floor
-from magcal_service.disk import write_whole
-from magcal_service.errors import Fault, FileFault, InputRefusedError, MagcalError
-from magcal_service.version import __version__
 from magcal_service.wire.fields import NAME
 
 SIGNED_MAGIC: Final = b"magcal-signed 6\n"

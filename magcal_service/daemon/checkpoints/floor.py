@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from magcal_service.errors import FileFault, InputRefusedError
+from magcal_service.base.errors import FileFault, InputRefusedError
 from magcal_service.links.counter_file import CounterFile
 
 

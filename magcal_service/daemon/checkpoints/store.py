@@ -11,6 +11,9 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.base.errors import InputRefusedError, why_not
+from magcal_service.base.snapshot import SnapshotError
+from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.magnetometers import label
 from magcal_service.config.settings import CraftConfig
@@ -18,9 +21,6 @@ from magcal_service.daemon.checkpoints.files import Checkpoint, StateError, Stat
 from magcal_service.daemon.containment import contained, in_a_line
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError, why_not
-from magcal_service.snapshot import SnapshotError
-from magcal_service.version import __version__
 
 log = logging.getLogger("magcal")
 

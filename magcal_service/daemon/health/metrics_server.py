@@ -13,9 +13,9 @@ import threading
 import time
 from typing import Final
 
+from magcal_service.base.errors import Fault, InputRefusedError, why_not
+from magcal_service.base.version import __version__
 from magcal_service.daemon.health.metrics import Metrics
-from magcal_service.errors import Fault, InputRefusedError, why_not
-from magcal_service.version import __version__
 
 _log = logging.getLogger("magcal.metrics")
 

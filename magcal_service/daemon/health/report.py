@@ -7,13 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
+from magcal_service.base.version import __version__
 from magcal_service.daemon.health.figures import BOUNDS_S, Flow, Process, TickLateness, troubles
 from magcal_service.daemon.health.metrics import Labels, Metrics
 from magcal_service.daemon.health.overload import Overload
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.links.base import Link
 from magcal_service.ticks.rejection import Rejection
-from magcal_service.version import __version__
 from magcal_service.wire.messages import Verdict
 
 FRESH_S: Final = 1.0

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.leftover import significant
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
-from magcal_service.units import CHANNEL_UNITS
 
 _BINS: Final = 20
 """Ranges of a driver; choice: enough to see a bend, each still with a twentieth of the samples."""

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from magcal_service.errors import ExtraMissingError
+from magcal_service.base.errors import ExtraMissingError
 from magcal_service.views.colours import DARK, LIGHT
 
 BEFORE: Final = LIGHT["before"]

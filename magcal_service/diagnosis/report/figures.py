@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.report.curves import Against, against, binned_rms, spectrum
@@ -27,6 +26,7 @@ from magcal_service.diagnosis.report.drawing import (
     readable,
 )
 from magcal_service.diagnosis.words import curve_driver
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import Empirical
 

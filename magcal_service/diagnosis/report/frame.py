@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.errors import ExtraMissingError
-from magcal_service.version import __version__
+from magcal_service.base.errors import ExtraMissingError
+from magcal_service.base.version import __version__
 from magcal_service.views import PAGE
 
 

@@ -32,8 +32,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
-from magcal_service.snapshot import Stateful
 
 EVERY_TICKS: Final = 16
 """Ticks between two tests, and between the newest candidates for the time of a jump."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.parts.noise_level import NoiseLevel
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.model import BIAS, STATE_SIZE, Array
-from magcal_service.snapshot import Stateful
 
 
 @dataclass(init=False, repr=False, eq=False)

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.model import BIAS, D_ALL, Array, calibrate, d_matrix, field_jacobian
-from magcal_service.snapshot import Stateful
 
 _MEMORY: Final = 600
 """Samples over which an unknown noise level is averaged: 3 % of its value."""

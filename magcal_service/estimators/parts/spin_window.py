@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import SpinConfig, SpinWindow
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 LEO_FIELD_RATE_RAD_S: Final = 2.3e-3

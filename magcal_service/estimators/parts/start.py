@@ -21,6 +21,7 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig, FilterConfig
 from magcal_service.estimators.interface import StartGate
 from magcal_service.estimators.parts.spin_window import Window
@@ -28,7 +29,6 @@ from magcal_service.estimators.parts.start_gates import BAD_FIT, Proposal, hando
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.residuals import MEDIAN_TO_SIGMA, white_floor
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 Entry = TypeVar("Entry")

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import SnapshotError, Stateful, plain, restored
 from magcal_service.estimators.steady_spin.fit import Samples
 from magcal_service.model import Array
-from magcal_service.snapshot import SnapshotError, Stateful, plain, restored
 
 CAPACITY: Final = 16384
 """Samples kept, 0.9 MB: three orbits at 1 Hz, half an orbit at 6 Hz."""

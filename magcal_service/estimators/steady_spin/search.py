@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.parts.start import prior_sigma
@@ -38,7 +39,6 @@ from magcal_service.estimators.steady_spin.state import (
 )
 from magcal_service.estimators.steady_spin.watch import SpinGate, fit_quality
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 from magcal_service.ticks.assembler import Tick
 
 RATE_WALKS: Final = (0.0, 1e-8, 1e-7, 1e-6, 1e-5)

@@ -24,8 +24,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.model import BIAS, STATE_SIZE, Array, d_matrix
-from magcal_service.snapshot import Stateful
 
 SPIN_STATE_SIZE: Final = 15
 """The nine errors, three of the attitude, three of the rate: the slices below."""

@@ -18,10 +18,10 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.estimators.steady_spin.fit import SpinFit
 from magcal_service.estimators.steady_spin.state import Innovation
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 
 MEMORY: Final = 300
 """Samples over which the running ratio of across to along is averaged: 1 +- 0.1."""

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.offline.exports.form import Exported, Form, Wanted, about, refuse_beyond
 from magcal_service.offline.given import Given
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.version import __version__
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.offline.given import Given
 from magcal_service.offline.result_head import EQUATION
-from magcal_service.version import __version__
 
 _REMEDY = "degauss or move the sensor, or calibrate it elsewhere"
 

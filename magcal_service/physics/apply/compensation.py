@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array, calibrate, d_matrix
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
@@ -29,7 +30,6 @@ from magcal_service.physics.apply.live_terms import WARMTH, live_terms
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.scene.scene import AT_START_S, Memory, Scene
-from magcal_service.snapshot import Stateful
 from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
     Clock,

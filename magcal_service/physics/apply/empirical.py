@@ -15,14 +15,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.typed_toml.keys import choice, numbers, special, text, whole
+from magcal_service.base.typed_toml.record import Reading
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.model import Array
 from magcal_service.physics.apply.named_arrays import MOST_NUMBERS, array_of
 from magcal_service.physics.drivers.computed import COMPUTED, driver_values
 from magcal_service.physics.scene.scene import Scene
-from magcal_service.typed_toml import nearest
-from magcal_service.typed_toml.keys import choice, numbers, special, text, whole
-from magcal_service.typed_toml.record import Reading
-from magcal_service.units import CHANNEL_UNITS
 
 NAME: Final = "empirical"
 """What stands for an effect's name in counters and in what is said."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel

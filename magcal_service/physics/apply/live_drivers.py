@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
+from magcal_service.base.units import CHANNEL_UNITS
+from magcal_service.earth import geomagnetic
 from magcal_service.physics.scene.scene import Telemetry
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.messages import Clock, Frame, PositionSample, TelemetrySample, Vector
 
 _MOST_CHANNELS: Final = 64

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind

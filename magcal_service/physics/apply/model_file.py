@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.base.typed_toml import Table, open_toml, parse_toml
+from magcal_service.base.typed_toml.record import read_record
 from magcal_service.model import BIAS, D_ALL
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.apply.physics_model import (
@@ -26,8 +28,6 @@ from magcal_service.physics.apply.physics_model import (
 )
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.drivers.computed import driver_unit
-from magcal_service.typed_toml import Table, open_toml, parse_toml
-from magcal_service.typed_toml.record import read_record
 
 __all__ = [
     "MOST_EFFECTS",

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.typed_toml import Table, nearest
 from magcal_service.model import Array
-from magcal_service.typed_toml import Table, nearest
 
 MOST_NUMBERS: Final = 64
 """In one block; the largest of the catalogue has 5 x 3."""

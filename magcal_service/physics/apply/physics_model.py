@@ -14,14 +14,14 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.typed_toml.keys import choice, number, numbers, section, sections, special, text
+from magcal_service.base.typed_toml.record import Reading, read_record
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.apply.empirical import MOST_CURVES, Empirical
 from magcal_service.physics.apply.named_arrays import named_arrays, named_numbers
 from magcal_service.physics.catalogue import catalogue
-from magcal_service.typed_toml import nearest
-from magcal_service.typed_toml.keys import choice, number, numbers, section, sections, special, text
-from magcal_service.typed_toml.record import Reading, read_record
 from magcal_service.wire.messages import Clock, Vector
 
 VERSION: Final = 1

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
-from magcal_service.units import CHANNEL_UNITS
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear

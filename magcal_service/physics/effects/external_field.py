@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
+from magcal_service.earth.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns

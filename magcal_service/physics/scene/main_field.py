@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
-from magcal_service.errors import ExtraMissingError, InputRefusedError
+from magcal_service.base.errors import ExtraMissingError, InputRefusedError
+from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 
 _DIPOLE_POLE_DEG = (80.8, -72.8)  # geomagnetic north pole (IGRF-14, epoch 2025): latitude, longitude

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.geomagnetic import WGS84_A_KM
+from magcal_service.earth.geomagnetic import WGS84_A_KM
 from magcal_service.model import Array
 
 _DAY_S = 86400.0

@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import LENGTH_KM, LengthUnit
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.over_ground import EARTH_KM
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import ALTITUDE
 from magcal_service.recordings.inspect.motion import kepler_rad_s
-from magcal_service.units import LENGTH_KM, LengthUnit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.recordings.describe.columns import Column, Log, words_of
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.place import Place

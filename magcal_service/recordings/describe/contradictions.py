@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.draft import Draft
 from magcal_service.recordings.describe.field import size_of
 from magcal_service.recordings.describe.magnetometer import Magnetometer
-from magcal_service.units import FIELD_NT, FieldUnit
 
 _OFF: Final = 5.0  # times the reference or a part of it: no bias or scale of a sensor, and less than units differ by
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.errors import Fault, InputRefusedError, RecordingError, printable
+from magcal_service.base.errors import Fault, InputRefusedError, RecordingError, printable
+from magcal_service.base.typed_toml.parse import parse_toml
 from magcal_service.recordings.describe.attitude import find_attitude
 from magcal_service.recordings.describe.columns import Log, read_log, triples
 from magcal_service.recordings.describe.contradictions import warn_of_unit
@@ -22,7 +23,6 @@ from magcal_service.recordings.describe.telemetry import find_channels, left_out
 from magcal_service.recordings.describe.times import find_times
 from magcal_service.recordings.descriptor import descriptor_of
 from magcal_service.recordings.specs import DESCRIPTOR_NAME
-from magcal_service.typed_toml.parse import parse_toml
 
 _SHOWN = 12  # columns that are named where many are left out
 _ORDER = ("time", "magnetometer", "reference", "position", "platform", "channels")

@@ -10,9 +10,9 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.describe.columns import Column, Log
-from magcal_service.typed_toml import nearest
 
 KEYS: Final = (
     "samples.delimiter",

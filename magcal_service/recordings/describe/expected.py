@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service import geomagnetic
-from magcal_service.errors import MagcalError
+from magcal_service.base.errors import MagcalError
+from magcal_service.earth import geomagnetic
 from magcal_service.recordings.describe.place import Place
 from magcal_service.recordings.describe.times_found import Times
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.units import FIELD_NT, FieldUnit
+from magcal_service.base.units import FIELD_NT, FieldUnit
 
 FloatArray = npt.NDArray[np.float64]
 

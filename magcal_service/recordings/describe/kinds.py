@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from magcal_service.base.units import FieldUnit
 from magcal_service.recordings.describe.columns import Triple
 from magcal_service.recordings.describe.vocabulary import Kind, kind_of
-from magcal_service.units import FieldUnit
 
 _MILLIGAUSS: Final = re.compile(r"mG|[Gg][Aa][Uu][Ss]|mgs", re.ASCII)
 _BY_UNIT: Final = {

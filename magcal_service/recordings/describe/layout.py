@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from magcal_service.errors import Fault, RecordingError
+from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.recordings.describe.cells import COMMA_NUMBER, NUMBER, WHITESPACE, is_value, split
 from magcal_service.recordings.describe.header import Header, find_header
 from magcal_service.recordings.describe.sample import Sample

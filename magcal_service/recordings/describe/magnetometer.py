@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.columns import Column, Triple, words_of
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.field import (
@@ -23,7 +24,6 @@ from magcal_service.recordings.describe.field import (
 )
 from magcal_service.recordings.describe.kinds import kind_of_triple, may_be_milli_g
 from magcal_service.recordings.describe.vocabulary import STRONG_MAGNETOMETER, Kind, kind_of
-from magcal_service.units import FIELD_NT, FieldUnit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import LENGTH_KM, AngleUnit, LengthUnit
 from magcal_service.recordings.describe.altitude import ORBITAL_KM_S, find_altitude
 from magcal_service.recordings.describe.columns import Column, Log, Triple
 from magcal_service.recordings.describe.draft import NO, Draft, Question, answered
@@ -27,7 +28,6 @@ from magcal_service.recordings.describe.place_unit import Degrees, in_degrees
 from magcal_service.recordings.describe.time_check import doubt_by_way
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import LATITUDE, LONGITUDE, Kind, frame_of
-from magcal_service.units import LENGTH_KM, AngleUnit, LengthUnit
 
 FloatArray = npt.NDArray[np.float64]
 

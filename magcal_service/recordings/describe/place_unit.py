@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import ANGLE_DEG, AngleUnit
 from magcal_service.recordings.describe.columns import Column
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.over_ground import is_place, moves_as_orbit
 from magcal_service.recordings.describe.times_found import Times
-from magcal_service.units import ANGLE_DEG, AngleUnit
 
 _PARTS: Final = (AngleUnit.E7, AngleUnit.E6)
 _BY_WORD: Final = {"7": AngleUnit.E7, "6": AngleUnit.E6}

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.expected import frame_of_field
@@ -19,7 +20,6 @@ from magcal_service.recordings.describe.reference_unit import reference_unit, wa
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.recordings.reference_spec import MAX_FIELD_NT
-from magcal_service.units import FIELD_NT, FieldUnit
 
 _CONSTANT: Final = re.compile(r"(?:constant\s+|=)?\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*(nT|uT|mT|T|mG|G)?", re.ASCII)
 _FIELD: Final = re.compile(r"(?:constant\s|=|[+-]?\.?[0-9])[^,]*$")

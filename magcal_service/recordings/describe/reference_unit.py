@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.draft import Draft, answered
 from magcal_service.recordings.describe.field import EARTH_NT, Size, UnitFound, find_unit, in_earth_field
-from magcal_service.units import FIELD_NT, FieldUnit
 
 _EARTH: Final = f"the {EARTH_NT[0] / 1e3:g} to {EARTH_NT[1] / 1e3:g} uT that the Earth's field can be"
 

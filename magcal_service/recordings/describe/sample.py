@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.errors import Fault, FileFault, RecordingError
+from magcal_service.base.errors import Fault, FileFault, RecordingError
 
 _WHOLE_BYTES: Final = 1 << 21
 """2 MiB: up to here a log is read whole, in well under a second."""

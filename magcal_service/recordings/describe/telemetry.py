@@ -9,15 +9,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.typed_toml import nearest
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.fahrenheit import steps_of_degf, swings_as_degf
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
-from magcal_service.typed_toml import nearest
-from magcal_service.units import CHANNEL_UNITS
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.recording import Channel
 from magcal_service.recordings.scene_of import recorded_attitude
 from magcal_service.recordings.table import FloatArray
-from magcal_service.units import CHANNEL_UNITS
 
 _FEWEST: Final = 200  # differences: 24 hypotheses are compared, and each is free in three numbers
 _LONGEST_TURN: Final = 0.35

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.errors import printable
-from magcal_service.progress import each
+from magcal_service.base.errors import printable
+from magcal_service.base.progress import each
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
 from magcal_service.recordings.inspect.bursts import bursts

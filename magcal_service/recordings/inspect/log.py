@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.base.units import FIELD_NT
 from magcal_service.recordings.inspect.finding import Rows
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.specs import ModelReference
 from magcal_service.recordings.table import FloatArray, IntArray
-from magcal_service.units import FIELD_NT
 
 
 @dataclass(frozen=True, eq=False)

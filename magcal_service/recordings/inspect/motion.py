@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.geomagnetic import WGS84_A_KM
+from magcal_service.earth.geomagnetic import WGS84_A_KM
 from magcal_service.recordings.inspect.finding import Rows
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.table import FloatArray

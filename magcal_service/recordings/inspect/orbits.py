@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.geomagnetic import EARTH_KM, LOWEST_ORBIT_KM
+from magcal_service.base.units import LengthUnit
+from magcal_service.earth.geomagnetic import EARTH_KM, LOWEST_ORBIT_KM
 from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.motion import (
@@ -21,7 +22,6 @@ from magcal_service.recordings.inspect.motion import (
 )
 from magcal_service.recordings.specs import GeodeticPosition
 from magcal_service.recordings.table import FloatArray
-from magcal_service.units import LengthUnit
 from magcal_service.wire.messages import Frame
 
 _MOST_PLACES: Final = 400

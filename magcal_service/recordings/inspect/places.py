@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.geomagnetic import LOWEST_ORBIT_KM, WGS84_A_KM
+from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM, WGS84_A_KM
 from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.inspect.motion import distinct, escape_km_s, placed_rows

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.studies.cases.truth import Truth, read_answers
 
 CASES: Final = "case-*"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.errors import ConfigError, Fault, FileFault
+from magcal_service.base.errors import ConfigError, Fault, FileFault
 from magcal_service.physics.effects import (
     bias_step,
     coloured_noise,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from magcal_service.errors import ConfigError, Fault
+from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.physics.effects import (
     bias_step,
     current_loop,

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.geomagnetic import WGS84_A_KM, igrf_eci_nt
+from magcal_service.earth.geomagnetic import WGS84_A_KM, igrf_eci_nt
 from magcal_service.model import Array
 from magcal_service.studies.flights import EARTH_GM_KM3_S2, START_UTC_NS
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import msgpack
 import pytest
 
+from magcal_service.base.errors import ConfigError, InputRefusedError
+from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import default_craft
 from magcal_service.daemon.checkpoints.files import (
@@ -23,8 +25,6 @@ from magcal_service.daemon.checkpoints.files import (
     encode,
 )
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import ConfigError, InputRefusedError
-from magcal_service.version import __version__
 
 CRAFT = default_craft("demo")
 

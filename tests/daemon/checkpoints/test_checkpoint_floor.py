@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.reader import load_config
 from magcal_service.config.settings import Config, CraftConfig
@@ -15,7 +16,6 @@ from magcal_service.daemon.checkpoints.files import Checkpoint, StateStore
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.run import check_directories
-from magcal_service.errors import ConfigError
 from tests.daemon.checkpoints.test_checkpoint_files import KEY, checkpoint
 
 CRAFT = CraftConfig("demo")

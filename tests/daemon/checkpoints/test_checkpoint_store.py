@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.files import (
@@ -24,8 +26,6 @@ from magcal_service.daemon.checkpoints.files import (
 )
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
-from magcal_service.version import __version__
 from magcal_service.wire.messages import MagnetometerSample
 from tests.daemon.pipeline_streams import handle_all, paper, quick_craft
 

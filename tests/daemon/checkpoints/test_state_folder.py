@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.files import MAGIC, Checkpoint, StateError, StateStore, encode
 from magcal_service.daemon.checkpoints.store import Checkpoints
-from magcal_service.errors import InputRefusedError
 from magcal_service.recordings.state_text import state_from_text
 
 ONE, OTHER = CraftConfig("one"), CraftConfig("other")

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.health import figures
 from magcal_service.daemon.health.figures import BOUNDS_S, TickLateness
@@ -23,7 +24,6 @@ from magcal_service.daemon.health.metrics import Metrics
 from magcal_service.daemon.health.metrics_server import MOST_CONNECTIONS, PATIENCE_S, MetricsServer
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import InputRefusedError
 from magcal_service.links import Role, open_link
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation

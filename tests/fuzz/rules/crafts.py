@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from magcal_service.base.errors import ConfigError
 from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
@@ -19,7 +20,6 @@ from magcal_service.config.settings import (
     TickConfig,
 )
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.errors import ConfigError
 from magcal_service.estimators import find_method, methods
 from magcal_service.wire.messages import (
     Frame,

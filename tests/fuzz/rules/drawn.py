@@ -7,9 +7,9 @@ from typing import Any, Final
 
 from hypothesis import strategies as st
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.daemon.command_table import COMMANDS
 from magcal_service.ticks.time_window import EARLIEST_NS, FURTHEST_NS, LATEST_NS, LONGEST_NS
-from magcal_service.units import CHANNEL_UNITS
 from magcal_service.wire.kinds import MAX_POSITION_KM, MAX_SAMPLE_FIELD_NT, MAX_TELEMETRY, MAX_VALUES
 from magcal_service.wire.messages import Clock, Frame, Vector
 from tests.fuzz.rules.crafts import SECOND_NS, START_NS

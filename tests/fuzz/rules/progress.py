@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Final
 
-from magcal_service.disk import write_whole
+from magcal_service.base.disk import write_whole
 
 _COLUMNS: Final = ("worlds", "steps", "messages", "starts", "checkpoints", "contained", "escapes")
 

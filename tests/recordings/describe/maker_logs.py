@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.geomagnetic import ecef_from_geodetic, igrf_ecef_nt
+from magcal_service.earth.geomagnetic import ecef_from_geodetic, igrf_ecef_nt
 
 FloatArray = npt.NDArray[np.float64]
 

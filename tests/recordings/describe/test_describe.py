@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import InputRefusedError
-from magcal_service.geomagnetic import eci_from_ecef, igrf_ecef_nt
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.earth.geomagnetic import eci_from_ecef, igrf_ecef_nt
 from magcal_service.recordings.describe.describe import Described, describe
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.recordings.describe.describe import Described, describe
 from tests.recordings.describe import maker_logs
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from magcal_service.errors import InputRefusedError
-from magcal_service.geomagnetic import ecef_from_geodetic, igrf_ecef_nt
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.earth.geomagnetic import ecef_from_geodetic, igrf_ecef_nt
 from magcal_service.recordings.describe.describe import Described, describe
 from magcal_service.recordings.reader import read_recording
 from tests.recordings.describe import maker_logs

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service import geomagnetic
+from magcal_service.earth import geomagnetic
 from magcal_service.recordings.inspect.finding import Code, Finding
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
 from magcal_service.recordings.reader import read_recording
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log

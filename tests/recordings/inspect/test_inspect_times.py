@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.errors import RecordingError
+from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.timestamps import ns_to_iso8601

@@ -8,7 +8,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.wire.messages import Status, Verdict
 from sim_sensor.demo.page import FlightSource, live_page
 

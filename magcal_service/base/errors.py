@@ -177,7 +177,7 @@ def how_to_install(extra: str) -> str:
     try:
         origin = loads(distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
     except PackageNotFoundError:  # run from a checkout that nobody installed
-        return f"pip install -e '{Path(__file__).resolve().parents[1]}[{extra}]'"
+        return f"pip install -e '{Path(__file__).resolve().parents[2]}[{extra}]'"
     url = origin.get("url", "")
     if not url.startswith("file:"):
         return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -20,12 +20,12 @@ from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast, ge
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.errors import MagcalError
-from magcal_service.model import Array
+from magcal_service.base.errors import MagcalError
 
 _MOST_ELEMENTS: Final = 1_000_000
 """Elements of an array; the largest that is saved has 4096 samples of 7."""
 
+_FLOATS: Final = NDArray[np.floating[Any]]
 _BOOLS: Final = NDArray[np.bool_]
 
 _SCALARS: Final = frozenset((bool, int, float, str))
@@ -40,7 +40,7 @@ class Stateful:
 
     ``class Ukf(Stateful, UkfMemory)``: the fields of ``UkfMemory`` are attributes of the filter, they are saved and
     restored whole, and what else is set after the construction is named in ``worked_out``, because it follows from
-    them.  ``tests/ground/test_stateful.py`` holds every class to that.
+    them.  ``tests/base/test_stateful.py`` holds every class to that.
     """
 
     worked_out: ClassVar[tuple[str, ...]] = ()
@@ -149,8 +149,8 @@ def restored(data: Any, hint: Any, where: str, template: Any = None, given: Mapp
     if isinstance(template, Stateful):
         template.restore_state(data, where, _arguments(kind))
         return template
-    if kind in (Array, _BOOLS):
-        return _array(data, np.dtype(np.float64 if kind == Array else np.bool_), where, template)
+    if kind in (_FLOATS, _BOOLS):
+        return _array(data, np.dtype(np.float64 if kind == _FLOATS else np.bool_), where, template)
     if kind in _SCALARS:
         return _scalar(data, kind, where)
     if isinstance(kind, type) and issubclass(kind, StrEnum):

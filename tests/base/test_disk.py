@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_service.disk import beside, write_whole
+from magcal_service.base.disk import beside, write_whole
 
 
 def test_the_content_is_on_the_disk_before_its_name_and_the_name_before_it_counts(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeVar
 
-from magcal_service.typed_toml.table import Table
+from magcal_service.base.typed_toml.table import Table
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Any, Final, TypeVar
 
-from magcal_service.errors import Fault
+from magcal_service.base.errors import Fault
 
 E = TypeVar("E", bound=StrEnum)
 

@@ -2,10 +2,10 @@
 
 ``open_toml`` gives a ``Table``; a dataclass declares with the functions of ``keys`` how each field stands in a table;
 ``read_record`` reads the table into the dataclass and refuses unknown keys.  The caller raises once, with all faults.
-Imports ``errors`` alone.
+Imports ``base.errors`` alone.
 """
 
-from magcal_service.typed_toml.parse import open_toml, parse_toml
-from magcal_service.typed_toml.table import Table, nearest
+from magcal_service.base.typed_toml.parse import open_toml, parse_toml
+from magcal_service.base.typed_toml.table import Table, nearest
 
 __all__ = ["Table", "nearest", "open_toml", "parse_toml"]

@@ -9,8 +9,8 @@ from contextlib import redirect_stderr
 
 import pytest
 
-from magcal_service import progress
-from magcal_service.progress import Work, counted, duration, each, showing, steps
+from magcal_service.base import progress
+from magcal_service.base.progress import Work, counted, duration, each, showing, steps
 
 
 class Terminal(io.StringIO):

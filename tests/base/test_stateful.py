@@ -19,9 +19,9 @@ import pytest
 from numpy.typing import NDArray
 
 import magcal_service
+from magcal_service.base.snapshot import Stateful
 from magcal_service.estimators.interface import Estimator
 from magcal_service.model import Array
-from magcal_service.snapshot import Stateful
 
 CHANGING = {"append", "appendleft", "extend", "insert", "clear", "update", "pop", "popleft", "popitem", "add", "remove"}
 CHANGING |= {"discard", "setdefault", "sort", "reverse", "fill"}

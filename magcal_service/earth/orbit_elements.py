@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.errors import ExtraMissingError, Fault, FileFault, RecordingError
+from magcal_service.base.errors import ExtraMissingError, Fault, FileFault, RecordingError
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]

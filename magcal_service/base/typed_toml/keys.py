@@ -11,8 +11,8 @@ from dataclasses import replace
 from enum import StrEnum
 from typing import Any, TypedDict, TypeVar, Unpack
 
-from magcal_service.typed_toml.record import REQUIRED, Key, Limits, Reading, declare, read_part, read_record
-from magcal_service.typed_toml.table import Table
+from magcal_service.base.typed_toml.record import REQUIRED, Key, Limits, Reading, declare, read_part, read_record
+from magcal_service.base.typed_toml.table import Table
 
 __all__ = [
     "choice",

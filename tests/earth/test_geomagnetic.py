@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_service import geomagnetic as geo
-from magcal_service.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.earth import geomagnetic as geo
 from tests.main_field import igrf_ned_nt
 
 HERE = Path(__file__).parent

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from magcal_service.units import ANGLE_DEG, CHANNEL_UNITS, FIELD_NT, LENGTH_KM, AngleUnit, FieldUnit, LengthUnit
+from magcal_service.base.units import ANGLE_DEG, CHANNEL_UNITS, FIELD_NT, LENGTH_KM, AngleUnit, FieldUnit, LengthUnit
 
 ONE_IN_BASE = {
     "degC": 1.0, "K": -272.15, "degF": -17.22222222222222, "A": 1.0, "mA": 0.001, "uA": 0.000001,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from magcal_service.base.snapshot import SnapshotError, Stateful, plain, restored
 from magcal_service.model import Array
-from magcal_service.snapshot import SnapshotError, Stateful, plain, restored
 
 T = TypeVar("T")
 

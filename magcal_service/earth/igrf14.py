@@ -31,7 +31,7 @@ HIGHEST_DEGREE: Final = 13
 @cache
 def coefficients() -> tuple[tuple[int, ...], tuple[tuple[int, int], ...], Floats]:
     """Epochs [years], degree and order of each row, and the coefficients (k, epochs) [nT]."""
-    lines = (resources.files("magcal_service") / "igrf14.csv").read_text(encoding="ascii").splitlines()
+    lines = (resources.files("magcal_service.earth") / "igrf14.csv").read_text(encoding="ascii").splitlines()
     years = tuple(int(one) for one in lines[0].split(",")[2:])
     cells = [line.split(",") for line in lines[1:]]
     orders = tuple((int(row[0]), int(row[1])) for row in cells)

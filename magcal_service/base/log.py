@@ -11,7 +11,7 @@ import sys
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from magcal_service.errors import printable
+from magcal_service.base.errors import printable
 
 
 class JsonLines(logging.Formatter):

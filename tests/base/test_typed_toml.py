@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from magcal_service.errors import ConfigError
-from magcal_service.typed_toml import Table, parse_toml
-from magcal_service.typed_toml.keys import (
+from magcal_service.base.errors import ConfigError
+from magcal_service.base.typed_toml import Table, parse_toml
+from magcal_service.base.typed_toml.keys import (
     choice,
     defaulted_section,
     flag,
@@ -25,7 +25,7 @@ from magcal_service.typed_toml.keys import (
     texts,
     whole,
 )
-from magcal_service.typed_toml.record import REQUIRED, Limits, Reading, declared, read_record
+from magcal_service.base.typed_toml.record import REQUIRED, Limits, Reading, declared, read_record
 
 
 class Colour(StrEnum):

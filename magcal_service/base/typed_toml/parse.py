@@ -6,8 +6,8 @@ import itertools
 import tomllib
 from pathlib import Path
 
-from magcal_service.errors import Fault, FileFault, InputRefusedError
-from magcal_service.typed_toml.table import Table
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.typed_toml.table import Table
 
 _MAX_FILE_BYTES = 1 << 20
 """1 MiB: thousands of craft fit in, and a log given by mistake is refused before it is parsed."""

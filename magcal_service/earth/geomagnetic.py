@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service import igrf14
-from magcal_service.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.earth import igrf14
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
