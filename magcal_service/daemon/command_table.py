@@ -68,7 +68,8 @@ COMMANDS: Final[Mapping[str, CommandSpec]] = {
     "reset": CommandSpec(By.CRAFT, "estimate and verdict begin anew; samples and counters stay"),
     "process_noise": CommandSpec(
         By.CRAFT,
-        "random walk from now on, 0 where not given; kept in checkpoints",
+        "random walk from now on, 0 where not given; kept in checkpoints; no protection level until the filter's next "
+        "start without it",
         {
             name: Argument(f"0 to {limit:g} {PROCESS_NOISE_UNITS[name]}", is_number=True)
             for name, limit in PROCESS_NOISE_LIMITS.items()

@@ -163,6 +163,8 @@ class Craft(Stateful, CraftMemory):
         estimator = find_method(settings.method).build(replace(self.config, filter=settings))
         estimator.restore_state(self.estimator.export_state())
         self.estimator, self._process_noise, self._walk = estimator, (bias_nt, d), _walk_of(settings)
+        self._state = self.estimator.estimate()
+        self.trust = self.monitor.judge(self._state)
 
     def _fresh_estimator(self) -> Estimator:
         """Of the craft's configuration, with the process noise that a command has set."""

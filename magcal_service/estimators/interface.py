@@ -70,8 +70,8 @@ class StateEstimate:
     restarts: times the estimator lost consistency and restarted.
     waiting_for: the gate that stopped the last attempt at a start, None where none did.
     spin_given_up: the spin windows contradicted the scalar measurement and are no longer used.
-    is_least_squares: it is that of least squares on the scalar residuals of all ticks since its start, weighted
-        alike, so that what a disturbance does to it follows from its covariance (``trust.protector``).
+    departure: what makes it another than that of least squares on the scalar residuals of all ticks since its start,
+        weighted alike, in a word or two; empty where nothing does.
     """
 
     x: Array
@@ -83,7 +83,12 @@ class StateEstimate:
     restarts: int
     waiting_for: StartGate | None
     spin_given_up: bool
-    is_least_squares: bool = False
+    departure: str = "its method"
+
+    @property
+    def is_least_squares(self) -> bool:
+        """Whether what a disturbance does to it follows from its covariance (``trust.protector``)."""
+        return not self.departure
 
 
 class InformationSet(StrEnum):

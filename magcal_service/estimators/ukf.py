@@ -197,8 +197,11 @@ class Ukf(Stateful, UkfMemory):
             restarts=self._restarts,
             waiting_for=self._start.gate if self._phase is Phase.STARTING else None,
             spin_given_up=self._spin_given_up,
-            is_least_squares=self._walk is None and self._detector is None,
+            departure="" if self._walk is None and self._detector is None else self._departure(),
         )
+
+    def _departure(self) -> str:
+        return "process noise" if self._walk is not None else "adaptive"
 
     def handle(self, tick: Tick) -> TickOutcome:
         """Take one tick: collect it towards the start, or update with its samples and the window it ends."""

@@ -110,9 +110,10 @@ class Replay(NineErrors):
 
     @property
     def protection(self) -> str:
-        """The last estimate's protection level, what sets it and its limit, in words; empty while unknown."""
-        level = self.pipeline.trust.protection.removeprefix(", ")
-        return f"{level}; trusted up to {self.pipeline.config.trust.protection_nt:g} nT" if level else ""
+        """The last estimate's protection level, what sets it and its limit, or why there is none, in words."""
+        trust, limit_nt = self.pipeline.trust, self.pipeline.config.trust.protection_nt
+        said = trust.protection.removeprefix(", ")
+        return said if trust.protection_nt is None else f"{said}; trusted up to {limit_nt:g} nT"
 
     @property
     def remedy(self) -> str:

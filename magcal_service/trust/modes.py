@@ -92,7 +92,8 @@ MODES: Final = {
         Verdict.TRUSTED,
         None,
         "troubles",
-        "at the first sample; spin windows restart after gap_s, and after 6000 s the mode is stale",
+        "at the first sample; spin windows restart after gap_s; after 320 s the protection level is unknown until 64 "
+        "ticks have been looked at, and after 6000 s the mode is stale",
     ),
     Mode.SATURATED_AXIS: Row(
         "a component reaches sensor.range_nt",
@@ -236,7 +237,8 @@ MODES: Final = {
         Verdict.TRUSTED,
         Reason.FROZEN,
         "ticks_frozen",
-        "command resume; what lies before counts as before a gap",
+        "command resume; what lies before counts as before a gap; after 320 s there is no protection level, and no "
+        "trust where one is asked for, until 64 ticks have been looked at",
     ),
     Mode.STALE: Row(
         "nothing was learned for more than 6000 s of samples' time: frozen, without reference or without samples",

@@ -21,8 +21,7 @@ from magcal_service.estimators.interface import Phase, StateEstimate, TickOutcom
 from magcal_service.model import BIAS, D_ALL, Array, d_matrix, largest_variance
 from magcal_service.residuals import white_floor
 from magcal_service.ticks.assembler import Tick
-from magcal_service.trust.hazards import REMEDY
-from magcal_service.trust.protector import Protector
+from magcal_service.trust.protector import UNLOOKED_S, Protector
 from magcal_service.trust.reasons import REMEDIES, Reason, reason_of
 from magcal_service.trust.senses import DOUBTS, Senses
 from magcal_service.trust.verdict import Trust
@@ -276,13 +275,16 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._fault = fault
 
     def observe_unchecked(self, seconds: float) -> bool:
-        """The newest sample is so much newer than those learned from [s]; whether staleness came or went."""
-        before = self._is_stale()
+        """The newest sample is so much newer than those learned from [s]; whether a verdict depends on the change."""
+        before = self._is_stale(), self._is_unlooked()
         self._unchecked_s = seconds
-        return self._is_stale() != before
+        return (self._is_stale(), self._is_unlooked()) != before
 
     def _is_stale(self) -> bool:
         return self._unchecked_s > _Levels.stale_s
+
+    def _is_unlooked(self) -> bool:
+        return self._unchecked_s > UNLOOKED_S
 
     def judge(self, estimate: StateEstimate) -> Trust:
         """The verdict on an estimate as it stands."""
@@ -297,16 +299,15 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             verdict = Verdict.CONVERGING
         else:
             verdict = Verdict.TRUSTED
-        return self._trust(verdict, everything)
+        return self._trust(verdict, everything, estimate)
 
-    def _trust(self, verdict: Verdict, reasons: tuple[Reason, ...]) -> Trust:
-        level = self.protector.level
-        if level is None:
-            return Trust(verdict, reasons, self._remedy(reasons[0]) if reasons else "")
+    def _trust(self, verdict: Verdict, reasons: tuple[Reason, ...], estimate: StateEstimate) -> Trust:
+        level = self.protector.level_of(estimate, self._unchecked_s)
+        remedy = self._remedy(reasons[0]) if reasons else ""
         if reasons and reasons[0] is Reason.UNPROTECTED:
-            remedy = REMEDY[level.by]
-        else:
-            remedy = self._remedy(reasons[0]) if reasons else ""
+            remedy = self.protector.remedy(estimate, level) or remedy
+        if level is None:
+            return Trust(verdict, reasons, remedy, no_level=self.protector.why_none(estimate, self._unchecked_s))
         return Trust(verdict, reasons, remedy, level.nt, str(level.by))
 
     def _before_start(self, estimate: StateEstimate) -> Trust:
@@ -388,10 +389,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
             unfinished.append(Reason.POOR_COVERAGE if late else Reason.NOT_SETTLED)
         elif self._since_start < settings.min_ticks:
             unfinished.append(Reason.NOT_SETTLED)
-        if estimate.phase is Phase.RUNNING and self.protector.applies_to(estimate) and not self._is_protected():
-            unfinished.append(Reason.UNPROTECTED)
+        if estimate.phase is Phase.RUNNING and self.protector.applies_to(estimate):
+            level = self.protector.level_of(estimate, self._unchecked_s)
+            if level is None or level.nt > settings.protection_nt:
+                unfinished.append(Reason.UNPROTECTED)
         return unfinished
-
-    def _is_protected(self) -> bool:
-        level = self.protector.level
-        return level is not None and level.nt <= self.config.trust.protection_nt

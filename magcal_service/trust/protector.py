@@ -20,7 +20,7 @@ from magcal_service.model import STATE_SIZE, Array, largest_variance
 from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import hazard_sums as sums
 from magcal_service.trust.hazard_look import CHUNK, LOOK_CHUNKS, Accumulated, Look, look
-from magcal_service.trust.hazards import Hazard
+from magcal_service.trust.hazards import REMEDY, Hazard
 from magcal_service.trust.protection import Level
 
 FREE_CHUNKS: Final = 16
@@ -34,6 +34,18 @@ _SAME_SIZE: Final = 3
 
 _ROUGH_SIGMA: Final = 3.5
 """By how much a chunk's mean square has to exceed the usual one to be looked at: once in a day by chance."""
+
+UNLOOKED_S: Final = float(CHUNK * LOOK_CHUNKS)
+"""Time without a tick that is learned from [s] after which a level says nothing: as long as between two looks at 1 Hz.
+
+Nobody looks meanwhile: what began to drift at 1000 nT/h then is 90 nT off, and 1700 nT before the estimate is stale.
+"""
+
+_MISSED_START: Final = (
+    "the filter has learned from ticks that are in no sum, so no level is known until it starts anew: "
+    "reset, or set protection = false"
+)
+"""What to do where the filter's start lies before what was observed, as after a process noise that was taken away."""
 
 _DIRECTIONS: Final = 24
 """Samples whose vectors the level holds for: three of each of the newest eight chunks, ten minutes at 1 Hz."""
@@ -63,6 +75,8 @@ class ProtectorMemory:
     _variance_nt2: float
     _memory: list[float]
     _directions: list[tuple[float, ...]]
+    _newest_s: float | None
+    _paused: bool
 
 
 class Protector(Stateful, ProtectorMemory):
@@ -74,7 +88,7 @@ class Protector(Stateful, ProtectorMemory):
 
     Attributes
     ----------
-    level: the protection level; None while unknown.
+    level: the protection level; None while unknown, and after a pause of ``UNLOOKED_S`` until the next look.
     seen: the hazard with the largest evidence beyond the alarm at the last look; None where there is none.
     evidence: the largest of all hazards at the last look, in units of the alarm's.
     """
@@ -88,6 +102,38 @@ class Protector(Stateful, ProtectorMemory):
     def applies_to(self, estimate: StateEstimate) -> bool:
         """Whether a level can be given: it is asked for, and how the estimate responds to a disturbance is known."""
         return self.config.trust.watch and self.config.trust.protection and estimate.is_least_squares
+
+    def level_of(self, estimate: StateEstimate, unlooked_s: float) -> Level | None:
+        """The level, where the estimate still is one that it holds for.
+
+        Parameters
+        ----------
+        estimate: as it stands.
+        unlooked_s: how much newer the newest sample is than those learned from [s].
+        """
+        return None if unlooked_s > UNLOOKED_S or not self.applies_to(estimate) else self.level
+
+    def why_none(self, estimate: StateEstimate, unlooked_s: float) -> str:
+        """Why there is no level, in a few words, where none comes by itself after the start; else empty."""
+        if estimate.phase is not Phase.RUNNING:
+            return ""
+        whys = (
+            ("protection = false", not self.config.trust.protection),
+            ("watch = false", not self.config.trust.watch),
+            (estimate.departure, not estimate.is_least_squares),
+            ("until the filter's next start", self._missed_start(estimate)),
+            (f"nothing learned for {unlooked_s / 60.0:.0f} min", unlooked_s > UNLOOKED_S),
+        )
+        return next((why for why, holds in whys if holds), "")
+
+    def remedy(self, estimate: StateEstimate, level: Level | None) -> str:
+        """What would lower the level, or bring one; empty where it comes by itself."""
+        if level is not None:
+            return REMEDY[level.by]
+        return _MISSED_START if self._missed_start(estimate) else ""
+
+    def _missed_start(self, estimate: StateEstimate) -> bool:
+        return self._information is None and estimate.phase is Phase.RUNNING and self.applies_to(estimate)
 
     def reset(self) -> None:
         """Discard all, as after a reset of the estimator."""
@@ -105,6 +151,7 @@ class Protector(Stateful, ProtectorMemory):
         self._response = np.zeros((STATE_SIZE, sums.RESIDUAL - STATE_SIZE))
         self._variance_nt2 = 0.0
         self._memory = [0.0, 0.0]
+        self._newest_s, self._paused = None, False
 
     def restore_state(self, saved: object, where: str = "state", given: Mapping[Any, Any] | None = None) -> None:
         """Restore an exported state; SnapshotError where its parts don't belong together."""
@@ -144,6 +191,10 @@ class Protector(Stateful, ProtectorMemory):
         self._ticks += 1
         self._samples += len(tick.times_s)
         row = (float(tick.times_s[-1]), *tick.field_body_nt[-1].tolist(), float(tick.reference_magnitude_nt[-1]))
+        if self._newest_s is not None and row[0] - self._newest_s > UNLOOKED_S:
+            self._rows.clear()  # the next look is at a whole chunk of what came after the pause
+            self.level, self._paused = None, True
+        self._newest_s = row[0]
         if estimate.phase is not Phase.RUNNING:
             self._history.append(row)
             del self._history[: -CHUNK * FREE_CHUNKS]
@@ -206,7 +257,8 @@ class Protector(Stateful, ProtectorMemory):
         self._merge()
         self._keep_directions(rows)
         early = self._chunks <= EARLY_CHUNKS
-        if early or self._chunks % LOOK_CHUNKS == 0 or self._is_rough(own, used):
+        if early or self._paused or self._chunks % LOOK_CHUNKS == 0 or self._is_rough(own, used):
+            self._paused = False
             self._look()
 
     def _is_rough(self, own: Array, used: int) -> bool:

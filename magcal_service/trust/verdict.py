@@ -13,7 +13,8 @@ from magcal_service.wire.messages import Verdict
 class Trust:
     """A verdict with the reasons against it and the first one's remedy, and the protection level.
 
-    ``protection_nt`` [nT] and what sets it, ``protection_by``, are None while unknown.
+    ``protection_nt`` [nT] and what sets it, ``protection_by``, are None while unknown; ``no_level`` says why, where
+    none comes by itself.
     """
 
     verdict: Verdict
@@ -21,13 +22,14 @@ class Trust:
     remedy: str
     protection_nt: float | None = None
     protection_by: str | None = None
+    no_level: str = ""
 
     @property
     def protection(self) -> str:
-        """The level in words, empty while unknown."""
-        return (
-            "" if self.protection_nt is None else f", protected to {self.protection_nt:.0f} nT ({self.protection_by})"
-        )
+        """The level in words, or why there is none; empty while it is to come."""
+        if self.protection_nt is None:
+            return f", no protection level ({self.no_level})" if self.no_level else ""
+        return f", protected to {self.protection_nt:.0f} nT ({self.protection_by})"
 
 
 NOT_STARTED: Final = Trust(Verdict.NOT_STARTED, (Reason.COLLECTING,), REMEDIES[Reason.COLLECTING])

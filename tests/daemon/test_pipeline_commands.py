@@ -10,11 +10,12 @@ import pytest
 from magcal_service.daemon.command_table import COMMANDS
 from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
 
-SECONDS = 1000
+SECONDS = 1400
 
 
 @pytest.fixture
@@ -26,9 +27,10 @@ def pipeline() -> Pipeline:
     return pipeline
 
 
-def messages(first_s: int, end_s: int) -> list[Message]:
-    """What the paper's craft sends in a stretch of time: a reference and a sample a second."""
-    return list(paper(11, SECONDS).messages())[2 * first_s : 2 * end_s]
+def messages(first_s: int, end_s: int, later_s: int = 0) -> list[Message]:
+    """What the paper's craft sends in a stretch of time, so much later: a reference and a sample a second."""
+    stretch = list(paper(11, SECONDS).messages())[2 * first_s : 2 * end_s]
+    return [replace(one, time_ns=one.time_ns + later_s * 10**9) for one in stretch] if later_s else stretch
 
 
 def ask(pipeline: Pipeline, name: str, **arguments: float | str | bool) -> CommandReply:
@@ -137,6 +139,38 @@ def test_process_noise_lets_the_covariance_grow_from_the_estimate_at_hand(pipeli
     estimates(pipeline, 900, 902)
     grown = pipeline.estimator.estimate().covariance[2, 2] - before.covariance[2, 2]
     assert grown > 0.5 * 100.0**2
+
+
+def test_process_noise_says_at_once_that_there_is_no_protection_level(pipeline: Pipeline) -> None:
+    """While it is set, and after it was taken away until the filter starts anew; a reset brings one again."""
+    assert pipeline.trust.protection_nt is not None
+    text = ask(pipeline, "process_noise", bias_nt=0.5).text
+    assert "; trusted, no protection level (process noise), " in text
+    assert all(one.protection_nt is None for one in estimates(pipeline, 900, 910))
+    text = ask(pipeline, "process_noise", bias_nt=0.0).text
+    assert "; converging (unprotected), no protection level (until the filter's next start), " in text
+    last = estimates(pipeline, 910, 920)[-1]
+    assert (last.verdict, last.reasons) == (Verdict.CONVERGING, ("unprotected",))
+    assert "reset" in last.remedy
+    ask(pipeline, "reset")
+    handle_all(pipeline, messages(0, 900, later_s=1000))
+    assert pipeline.trust.protection_nt is not None
+
+
+def test_what_is_frozen_loses_its_protection_level_after_as_long_as_between_two_looks(pipeline: Pipeline) -> None:
+    """Nobody looks meanwhile: a drift that began with the freeze was trusted for more than an hour."""
+    ask(pipeline, "freeze")
+    soon = estimates(pipeline, 900, 1210)[-1]
+    assert (soon.verdict, soon.reasons) == (Verdict.TRUSTED, ("frozen",))
+    assert soon.protection_nt is not None
+    late = estimates(pipeline, 1210, 1240)[-1]
+    assert (late.verdict, late.reasons) == (Verdict.CONVERGING, ("frozen", "unprotected"))
+    assert (late.protection_nt, late.remedy) == (None, REMEDIES[Reason.FROZEN])
+    assert "no protection level (nothing learned for 6 min)" in ask(pipeline, "status").text
+    ask(pipeline, "resume")
+    back = estimates(pipeline, 1240, 1330)
+    assert back[0].protection_nt is None
+    assert (back[-1].verdict, back[-1].reasons) == (Verdict.TRUSTED, ())
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 from magcal_service.config.settings import CraftConfig, FilterConfig, SensorConfig, SpinConfig, TrustConfig
 from magcal_service.estimators.ekf import Ekf
+from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.ukf import Ukf
 from magcal_service.model import calibrate, d_matrix, field_jacobian
 from magcal_service.residuals import log_tail
@@ -180,32 +181,60 @@ def test_what_is_asked_for_and_not_reached_is_a_reason_whose_remedy_is_the_hazar
 
 
 @pytest.mark.parametrize(
-    "config",
+    ("config", "why"),
     [
-        craft(protection=False),
-        craft(watch=False),
-        craft(FilterConfig(process_noise_bias_nt=(0.1, 0.1, 0.1))),
-        craft(FilterConfig(adaptive=True)),
+        (craft(protection=False), "protection = false"),
+        (craft(watch=False), "watch = false"),
+        (craft(FilterConfig(process_noise_bias_nt=(0.1, 0.1, 0.1))), "process noise"),
+        (craft(FilterConfig(adaptive=True)), "adaptive"),
     ],
 )
-def test_where_no_level_can_be_given_none_is_asked_for(config: CraftConfig) -> None:
-    monitor, _ = flown(clean()[:700], config)
+def test_where_no_level_can_be_given_none_is_asked_for_and_it_is_said_why(config: CraftConfig, why: str) -> None:
+    ukf, monitor = Ukf(config), TrustMonitor(config)
+    for tick in clean()[:700]:
+        monitor.observe(tick, ukf.handle(tick), ukf.estimate())
+    trust = monitor.judge(ukf.estimate())
     assert monitor.protector.level is None
-    assert Reason.UNPROTECTED not in monitor.judge(Ukf(config).estimate()).reasons
+    assert Reason.UNPROTECTED not in trust.reasons
+    assert trust.protection == f", no protection level ({why})"
 
 
 def test_of_a_method_that_weighs_otherwise_no_response_is_known() -> None:
-    assert not Ekf(craft()).estimate().is_least_squares
+    estimate = Ekf(craft()).estimate()
+    assert not estimate.is_least_squares
+    trust = TrustMonitor(craft()).judge(replace(estimate, phase=Phase.RUNNING))
+    assert trust.no_level == "its method"
 
 
-def test_who_has_not_seen_the_start_gives_no_level() -> None:
+def test_before_the_start_nothing_is_said_of_a_level() -> None:
+    assert TrustMonitor(craft()).judge(Ukf(craft()).estimate()).protection == ""
+
+
+def test_who_has_not_seen_the_start_gives_no_level_and_says_what_brings_one() -> None:
     ukf, monitor = Ukf(craft()), TrustMonitor(craft())
     for tick in clean():
         outcome = ukf.handle(tick)
         if tick.index > 1000:
             monitor.observe(tick, outcome, ukf.estimate())
+    trust = monitor.judge(ukf.estimate())
     assert monitor.protector.level is None
-    assert Reason.UNPROTECTED in monitor.judge(ukf.estimate()).reasons
+    assert trust.reasons == (Reason.UNPROTECTED,)
+    assert trust.no_level == "until the filter's next start"
+    assert trust.remedy.endswith("reset, or set protection = false")
+
+
+@pytest.mark.parametrize(("pause_s", "known"), [(320, True), (321, False)])
+def test_after_a_long_pause_the_level_is_unknown_until_the_next_look(pause_s: int, known: bool) -> None:
+    """What began meanwhile has not been looked for; the look is at the 64 ticks after the pause."""
+    ukf, monitor, last = Ukf(craft()), TrustMonitor(craft()), 1400 + pause_s
+    levels: dict[int, bool] = {}
+    for tick in clean():
+        if not 1400 < tick.index < last:
+            monitor.observe(tick, ukf.handle(tick), ukf.estimate())
+            levels[tick.index] = monitor.protector.level is not None
+    assert levels[1400]
+    assert [levels[last + after] for after in (0, 62)] == [known, known]
+    assert levels[last + 63]
 
 
 def test_what_it_remembers_goes_on_to_the_last_bit() -> None:

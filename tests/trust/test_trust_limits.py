@@ -17,6 +17,7 @@ from magcal_service.ticks.assembler import Tick
 from magcal_service.trust import modes
 from magcal_service.trust.modes import MODES, markdown
 from magcal_service.trust.monitor import TrustMonitor, reason_of
+from magcal_service.trust.protector import UNLOOKED_S
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.trust.verdict import NOT_STARTED
 from magcal_service.wire.messages import Verdict
@@ -65,7 +66,7 @@ def test_a_fresh_watch_has_seen_nothing() -> None:
     monitor = TrustMonitor(CONFIG)
     assert monitor.residual_rms_nt == monitor.innovation == monitor.rejected_share == monitor.noise_floor_nt == 0.0
     assert monitor.judge(replace(SETTLED, phase=Phase.STARTING)) == NOT_STARTED
-    assert not monitor.observe_unchecked(6000.0)
+    assert not monitor.observe_unchecked(UNLOOKED_S)
 
 
 def test_a_reset_watch_is_as_a_fresh_one() -> None:
@@ -307,10 +308,11 @@ def test_a_magnitude_within_half_a_percent_is_constant(half_nt: float, ticks: in
 @pytest.mark.parametrize(("seconds", "stale"), [(6000.0, False), (6000.1, True)])
 def test_an_estimate_is_stale_after_an_orbit_without_samples(seconds: float, stale: bool) -> None:
     monitor = observed([outcome()] * 300)
+    assert monitor.observe_unchecked(UNLOOKED_S + 0.1)  # there is no protection level from then on
     assert monitor.observe_unchecked(seconds) is stale
     assert (Reason.STALE in reasons(monitor)) is stale
     assert not monitor.observe_unchecked(seconds)  # nothing has changed
-    assert monitor.observe_unchecked(0.0) is stale
+    assert monitor.observe_unchecked(0.0)
     assert Reason.STALE not in reasons(monitor)
 
 
