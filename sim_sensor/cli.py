@@ -206,6 +206,8 @@ def _run(options: argparse.Namespace) -> None:
         report = _send(simulation, link, options.speed, stop, view)
         view.summary(report, link)
         silence = "" if stop.is_set() else _silence(report, view, link, crafts)
+        if not (silence or stop.is_set() or options.quiet):
+            _tell_missing(report, view, options.link)
     if options.record is not None:
         part = Simulation(_scenario(options), options.seed, _length_s(simulation, report, stop), simulation.model)
         _recorded(part, options.record, "--record")
@@ -218,7 +220,27 @@ def _silence(report: NodeReport, view: Progress, link: Link, crafts: Sequence[st
     sent = report.sent["MagnetometerSample"]
     if not sent or view.received["CalibratedVector"]:
         return ""
-    return f"none of {sent} samples was answered on {link.address}: {why_silent(link, crafts)}"
+    return (
+        f"{sent} samples were sent on {link.address} and none was answered: {why_silent(link, crafts)}\n"
+        f"next: {_what_next(link.address)}, then run this again"
+    )
+
+
+def _tell_missing(report: NodeReport, view: Progress, address: str) -> None:
+    """Say on stderr what became of samples that have no answer; nothing where all have one."""
+    sent, answered = report.sent["MagnetometerSample"], view.received["CalibratedVector"]
+    if answered < sent:
+        text = (
+            f"{sent - answered} of {sent} samples have no answer: the daemon refused them, or they were lost on the way"
+        )
+        print(f"{text}\nnext: {_what_next(address)}", file=sys.stderr)
+
+
+def _what_next(address: str) -> str:
+    """Where it is said what the daemon makes of the samples; a serial line has no third end to ask at."""
+    if address.startswith("zenoh:"):
+        return f"see what the daemon says by `magcal status --link {address}`"
+    return "see what the daemon says in its log and metrics (docs/health.md)"
 
 
 @contextlib.contextmanager
@@ -301,12 +323,13 @@ class Progress:
             return
         start = "\r\x1b[K" if is_wanted() else ""
         dropped = link.counters["dropped"]
-        print(f"{start}{self._line(report)}, {dropped} dropped by the link", file=sys.stderr)
+        print(f"{start}{self._line(report)}; messages dropped by the link: {dropped}", file=sys.stderr)
 
     def _line(self, report: NodeReport) -> str:
         share = report.elapsed_s / self.duration_s
-        text = f"{report.elapsed_s:9.1f} of {self.duration_s:.0f} s ({share:4.0%}), {report.messages} sent"
-        text += f", {self.received['CalibratedVector']} answered"
+        samples, answered = report.sent["MagnetometerSample"], self.received["CalibratedVector"]
+        text = f"{report.elapsed_s:9.1f} of {self.duration_s:.0f} s ({share:4.0%}), {report.messages} messages sent"
+        text += f", {answered} of {samples} samples answered"
         if self.newest is None:
             return text
         b = ", ".join(f"{value:.0f}" for value in self.newest.bias_nt)

@@ -48,7 +48,8 @@ class CommandLimit:
             f"craft {craft}; try again in {wait_s} s"
         )
         if craft not in self._answered:  # the first that is refused
-            log.warning("%s: %s; command %s of %s; others are counted", craft, why, command.name, command.source)
+            text = "%s: command %s of %s is refused: %s; the next ones are counted (commands_limited), not logged"
+            log.warning(text, craft, command.name, command.source, why)
             self._bucket(self._answered, craft)
         self._counters[LIMITED] += 1
         return why

@@ -86,7 +86,9 @@ class CompensatingCraft(Craft, CompensatingMemory):
         model = parse_model(physics.encode())
         if model.doubts:
             log.warning(
-                "%s: physics.toml is not to be acted on, says its diagnosis: %s", self.config.name, model.doubts
+                "%s: physics.toml is subtracted, though its diagnosis was not to be trusted: %s",
+                self.config.name,
+                model.doubts,
             )
         self.compensation = Compensation(model)
         self._physics = physics

@@ -59,7 +59,14 @@ class contained:  # noqa: N801  a context manager that is called, as those of co
         pipeline.failures[kind] += 1
         times = pipeline.failures[kind]
         if times == 1:
-            log.error("%s: failed: %s; it begins anew", pipeline.config.name, cause, exc_info=error)
+            log.error(
+                "%s: failed: %s; it begins anew, without its estimate", pipeline.config.name, cause, exc_info=error
+            )
         elif set(str(times)[1:]) == {"0"} and str(times)[0] == "1":
-            log.error("%s: failed: %s, for the %dth time; it begins anew", pipeline.config.name, cause, times)
+            log.error(
+                "%s: failed: %s, for the %dth time; it begins anew, without its estimate",
+                pipeline.config.name,
+                cause,
+                times,
+            )
         pipeline.begin_anew(cause, self._message)

@@ -154,7 +154,7 @@ def run_beside(link: Link, heard: Link, craft: str, stop: threading.Event) -> Se
             look_s = time.monotonic() + _LOOK_S
             _log_alone(link, craft)
             if not sent.references:
-                log.warning("no position of craft %s has come; it is sent as position messages, on UTC", craft)
+                log.warning("no position of craft %s has come yet: send position messages, with times in UTC", craft)
     return sent
 
 
@@ -162,7 +162,7 @@ def _send(link: Link, position: PositionSample | str, sent: Sent, *, with_positi
     found = position if isinstance(position, str) else reference_at(position)
     if isinstance(found, str):
         if found not in sent.refused:
-            log.error("no reference is sent: %s; others are counted", found)
+            log.error("no reference is sent for a position: %s; further ones are counted, not logged", found)
         sent.refused[found] = sent.refused.get(found, 0) + 1
         return
     if with_position and isinstance(position, PositionSample):
@@ -174,4 +174,4 @@ def _send(link: Link, position: PositionSample | str, sent: Sent, *, with_positi
 def _log_alone(link: Link, craft: str) -> None:
     served = link.served()
     if link.alone or (served is not None and craft not in served):
-        log.warning("craft %s does not hear it: %s", craft, why_silent(link, [craft]))
+        log.warning("the reference does not reach craft %s: %s", craft, why_silent(link, [craft]))

@@ -49,4 +49,4 @@ class Rows:
             self.error = error
             with suppress(InputRefusedError):
                 self._csv.close()
-            log.error("no more rows are written: %s", error)
+            log.error("estimates are no longer written as rows: %s; the calibration goes on", error)

@@ -23,7 +23,7 @@ from magcal_service.daemon.containment import contained
 from magcal_service.daemon.estimate_csv import EstimateCsv
 from magcal_service.daemon.events import Event
 from magcal_service.daemon.health.metrics_server import MetricsServer
-from magcal_service.daemon.health.report import Health
+from magcal_service.daemon.health.report import Health, in_words
 from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
@@ -190,7 +190,8 @@ class Service:
     def log_health(self) -> None:
         """Log how the daemon and each craft are."""
         with self._reporting("health"):
-            log.info("health", extra={"fields": {"health": self.health.summary(self.pipelines.values())}})
+            summary = self.health.summary(self.pipelines.values())
+            log.info("health: %s", in_words(summary), extra={"fields": {"health": summary}})
 
     def report_overload(self) -> None:
         """Report for each craft that the link's queue sheds its messages, and that it has stopped."""
@@ -205,7 +206,7 @@ class Service:
             yield
         except Exception:
             self.counters["untold"] += 1
-            log.exception("%s could not be reported", what)
+            log.exception("%s could not be reported; the calibration goes on", what)
 
     def save(self) -> bool:
         """Write a checkpoint of every craft that has taken samples since its last one; whether any was written."""
@@ -288,7 +289,7 @@ class Service:
         """Report a craft's first message that is left out."""
         if pipeline.label not in self._left_out:
             self._left_out.add(pipeline.label)
-            cause = f"a {kind_of(message).name} message has come again at which it failed"
+            cause = f"a {kind_of(message).name} message at which it failed before has come again, and is skipped"
             self._report([pipeline.event("left_out", cause)])
 
     def _publish(self, messages: Iterable[Message]) -> None:
@@ -310,13 +311,14 @@ class Service:
         """Write the row and log a changed verdict."""
         if not self.rows.add(estimate):
             self.counters["csv_lost"] += 1
-        state = " ".join((estimate.verdict, *estimate.reasons))
+        reasons = f" ({', '.join(estimate.reasons)})" if estimate.reasons else ""
+        state = f"verdict {estimate.verdict}{reasons}"
         name = label_of(estimate)
         if self._verdicts.get(name) != state:
             self._verdicts[name] = state
             if estimate.verdict is Verdict.TRUSTED:
                 self._schedule.ask()
-            log.info("%s: %s at tick %d; %s", name, state, estimate.tick, estimate.remedy or "nothing to do")
+            log.info("%s: %s at tick %d; to do: %s", name, state, estimate.tick, estimate.remedy or "nothing")
 
     def publish_status(self) -> None:
         """Send each craft's status, and put the rows written so far on disk."""
@@ -334,9 +336,9 @@ class Service:
         """Log once that nobody is at the other end of the link, and that somebody is again."""
         alone = self.link.alone
         if alone and not self._alone:
-            log.warning("%s: %s; trying on", self.link.address, alone)
+            log.warning("%s: %s; it is tried again", self.link.address, alone)
         elif self._alone and not alone:
-            log.info("%s: somebody is there now", self.link.address)
+            log.info("%s: connected: somebody is at the other end", self.link.address)
         self._alone = alone
 
     def _publish_metrics(self) -> None:

@@ -47,17 +47,18 @@ def summary(
     if len(found) > _MOST_EFFECTS:
         lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
     lines.append(
-        f"held-out rms: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} nT recalibrated, "
-        f"{held_out['with_effects']:.1f} nT with effects; noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
+        f"rms on rows held out of the fit: {held_out['simulation']:.1f} nT simulation, "
+        f"{held_out['recalibrated']:.1f} nT recalibrated, {held_out['with_effects']:.1f} nT with effects; "
+        f"noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
     )
     if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
-        lines.append("  recalibrated is worse than the simulation on data that took no part: what is missing moves it")
+        lines.append("  recalibrated is worse than the simulation on these rows: what is missing moves it")
     lines += _vectors(diagnosis)
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
         lines.append(
-            f"bias: a static calibration was off by {measured(*moved_bias(diagnosis))} nT unseen, at {_vector(before)} "
-            f"instead of {_vector(after)} nT"
+            f"bias: without these effects a calibration is off by {measured(*moved_bias(diagnosis))} nT, which its "
+            f"residual does not show: {_vector(before)} instead of {_vector(after)} nT"
         )
     if diagnosis.prepared.sun is not None:
         lines += wrapped(f"Sun: {diagnosis.prepared.sun}", "")

@@ -137,7 +137,7 @@ class CcsdsLink(Link):
         except OSError as error:
             opened.close()
             if self._life.happens(LinkEvent.FAILED).logged:
-                _log.warning("%s: %s; trying on with every message", self.address, why_not(error))
+                _log.warning("%s: %s; it is tried again with every message", self.address, why_not(error))
             return
         self._socket = opened
         self._life.happens(LinkEvent.OPENED)

@@ -276,7 +276,7 @@ class SerialLink(Link):
             words = _words_of(error)
             self._unopened = f": {words}"
             if self._life.happens(LinkEvent.FAILED).logged:
-                _log.warning("%s: cannot be opened (%s); trying on", self.address, words)
+                _log.warning("%s: cannot be opened (%s); it is tried again", self.address, words)
             self._next_attempt_s = time.monotonic() + self._back_off.next_s()
             return False
         self._life.happens(LinkEvent.OPENED)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from magcal_service.views.field import FieldView
-from magcal_service.views.nine import PARAMETERS
 from magcal_service.views.series import Row
 from magcal_service.views.sphere import AROUND, BANDS, CELLS
 from magcal_service.views.state import Magnetometer
-from magcal_service.views.text import BARS, UNKNOWN, Line, Span, Style, bars, columns, cut, fitted, wrapped
+from magcal_service.views.text import BARS, Line, Span, Style, bars, columns, cut, fitted, wrapped
 from magcal_service.wire.messages import Verdict
 
 WIDTH, HEIGHT = 80, 24
@@ -23,6 +22,7 @@ _FIGURE: Final = 32  # columns right of a trace
 _RECENT: Final = 300  # rows that the figures beside before and after are of
 _OLD_S: Final = 60.0  # sample time between a status and the newest estimate from which that is said
 _TOGETHER: Final = 3  # bands of the sphere in one row of the screen
+_SIDES: Final = BANDS // _TOGETHER  # rows of the screen that show the sphere
 _STYLES: Final = {
     Verdict.NOT_STARTED: Style.DIM,
     Verdict.CONVERGING: Style.WAIT,
@@ -132,7 +132,7 @@ def _reasons(shown: Mapping[str, Any], width: int) -> list[Line]:
         return [*_entry("why", codes, width, 1), *_entry("do", advice or "look it up in docs/trust.md", width, 2)]
     if shown["verdict"] == Verdict.TRUSTED:
         return [*_entry("why", "every question is answered well", width, 1), *_entry("do", "nothing", width, 1)]
-    return _entry("status", shown["status"], width, 3)
+    return _entry("status", shown["status"] or "awaited: the daemon sends one every output.status_period_s", width, 3)
 
 
 def _is_stale(one: Magnetometer, frame: Frame) -> bool:
@@ -176,11 +176,12 @@ def _entry(name: str, text: str, width: int, rows: int, style: Style = Style.PLA
 
 
 def _errors(shown: Mapping[str, Any]) -> list[Line]:
-    """The nine errors with 3 sigma, in three rows."""
+    """The nine errors with 3 sigma, in three rows; before the start, where there are none, that they are awaited."""
+    if not shown["started"]:
+        return _entry("errors", "awaited: there is no number before the filter starts", WIDTH, 1, Style.DIM)
     lines: list[Line] = [[Span(f"{'errors':<{_LABEL}}estimate, 3 sigma; D has no unit", Style.DIM)]]
-    nine = shown["nine"] if shown["started"] else [(one.name, UNKNOWN, "", one.unit) for one in PARAMETERS]
     for row in range(3):
-        cells = [_cell(*nine[place]) for place in (row, row + 3, row + 6)]
+        cells = [_cell(*shown["nine"][place]) for place in (row, row + 3, row + 6)]
         lines.append([Span("  " + "   ".join(f"{cell:<24}" for cell in cells).rstrip())])
     return lines
 
@@ -265,8 +266,8 @@ def _coverage_and_counters(
 ) -> list[Line]:
     """Where the field came from, beside what was counted, and when that was where it is long ago."""
     seen = field.sphere.seen if field is not None else frozenset[int]()
-    share = f"field came from {len(seen) / CELLS:.0%} of sides" if seen else "no sides of the field yet"
-    left = [f"{share:<32}", *(f"  {row:<30}" for row in _sides(seen, marks))]
+    share = f"field came from {len(seen) / CELLS:.0%} of sides" if seen else "sides of the field: awaited"
+    left = [f"{share:<32}", *(f"  {row:<30}" for row in (_sides(seen, marks) if seen else [""] * _SIDES))]
     counters = shown["counters"]
     counted = _counted(
         {name: count for name, count in counters.items() if not (recorded and name.startswith(_OF_LIVE))}
@@ -274,15 +275,16 @@ def _coverage_and_counters(
     estimate, status = one.result.estimate, one.result.status
     if estimate is not None and status is not None and (old_s := (estimate.time_ns - status.time_ns) * 1e-9) > _OLD_S:
         counted.insert(0, f"counted {duration(old_s)} ago")
-    rows = _packed(counted, width - 33, len(left)) or ["no status yet: no counters"]
+    rows = _packed(counted, width - 33, len(left)) or ["counters: awaited, in a status"]
     rows += [""] * (len(left) - len(rows))
-    return [[Span(side, Style.BAR), Span(" " + row)] for side, row in zip(left, rows, strict=True)]
+    shown_rows = zip(left, rows, strict=True)
+    return [[Span(side, Style.BAR), Span(" " + row)] for side, row in shown_rows if side.strip() or row]
 
 
 def _sides(seen: Set[int], marks: str) -> list[str]:
     """Four rows from +z to -z; each mark is as high as the share of its cells in which the field has pointed."""
     rows = list[str]()
-    for row in reversed(range(BANDS // _TOGETHER)):
+    for row in reversed(range(_SIDES)):
         bands = range(row * _TOGETHER, (row + 1) * _TOGETHER)
         counts = [sum(band * AROUND + place in seen for band in bands) for place in range(AROUND)]
         name = "+z" if not rows else "-z" if row == 0 else "  "

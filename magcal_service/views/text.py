@@ -15,8 +15,6 @@ BARS: Final = "▁▂▃▄▅▆▇█"
 ASCII_BARS: Final = "_.-:=+*#"
 """Where the terminal's encoding lacks blocks."""
 
-UNKNOWN: Final = "..."
-
 
 class Style(StrEnum):
     """How a span is shown, as the parameters of ANSI's SGR; every style says something that the words say too."""

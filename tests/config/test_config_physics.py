@@ -54,4 +54,6 @@ def test_a_model_that_is_not_to_be_acted_on_is_warned_of(tmp_path: Path, caplog:
     doubtful = EXAMPLE.replace('clock = "utc"', 'clock = "utc"\ndoubts = "name_uncertain"')
     Pipeline(load_config(written(tmp_path, doubtful)).crafts[0])
     (record,) = caplog.records
-    assert record.message == "demo: physics.toml is not to be acted on, says its diagnosis: name_uncertain"
+    assert (
+        record.message == "demo: physics.toml is subtracted, though its diagnosis was not to be trusted: name_uncertain"
+    )

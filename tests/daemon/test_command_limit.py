@@ -84,7 +84,8 @@ def test_what_is_refused_costs_no_record_no_event_and_one_line(
         session.give(*(command(number, name="reset") for number in range(3, 1000)))
     assert (len(session.recorded), session.service.counters["events"]) == before
     (line,) = caplog.messages
-    assert line.endswith("; command reset of s3; others are counted")
+    assert "command reset of s3 is refused: too many commands: " in line
+    assert line.endswith("; the next ones are counted (commands_limited), not logged")
 
 
 def test_when_the_next_may_pass() -> None:

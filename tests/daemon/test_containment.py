@@ -109,7 +109,7 @@ def test_what_it_failed_at_is_left_out_where_it_comes_again_after_a_restart_too(
         again = service.pipelines["sick"]
     assert (again.counters["failed"], again.counters["left_out"]) == (1, 3)
     events = [one.text for one in published if isinstance(one, Status)]
-    told = "last event: left_out (a magnetometer message has come again at which it failed"
+    told = "last event: left_out (a magnetometer message at which it failed before has come again"
     assert sum(told in event for event in events) == 1
 
 

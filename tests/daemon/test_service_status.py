@@ -50,6 +50,7 @@ def test_a_daemon_is_asked_and_found_healthy_once_its_estimate_is_sound(
         assert process.stop() == 0
     lines = [json.loads(line) for line in process.log.read_text().splitlines()]
     summaries = [line["health"] for line in lines if "health" in line]
+    assert [line["text"] for line in lines if "health" in line][-1] == "health: paper converging; no troubles"
     assert {"uptime_s", "tick_late_p99_us", "rss_kb", "open_files", "threads", "craft"} <= set(summaries[-1])
 
 
@@ -81,7 +82,11 @@ def test_a_node_whose_craft_nobody_serves_ends_with_three_and_says_what_is_serve
     arguments = ["--scenario", "paper", "--craft", "wrong", "--link", address, "--speed", "max", "--duration", "20"]
     with daemon(configured(tmp_path, int(address.rpartition(":")[2]), free_port())) as process:
         assert sensor(["run", *arguments, "--wait", "0.5", "--quiet"]) == 3
-        told = f"none of 20 samples was answered on {address}: no daemon there serves craft wrong; served: paper\n"
+        told = (
+            f"20 samples were sent on {address} and none was answered: no daemon there serves craft wrong; "
+            "served: paper\n"
+            f"next: see what the daemon says by `magcal status --link {address}`, then run this again\n"
+        )
         assert capsys.readouterr().err == told
         wait_for("messages of craft 'wrong' are refused; served: paper", process.log)
         assert main(["status", "--link", address, "--craft", "paper", "--timeout", "60"]) == 3

@@ -98,8 +98,10 @@ def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, fold
     assert len(lines) <= 16
     assert "verdict: named" in lines
     assert any(line.startswith("  thermal_bias: ") for line in lines)
-    assert any(line.startswith("held-out rms: ") and "noise floor 100.0 nT" in line for line in lines)
-    assert any(line.startswith("bias: a static calibration was off by ") for line in lines)
+    assert any(
+        line.startswith("rms on rows held out of the fit: ") and "noise floor 100.0 nT" in line for line in lines
+    )
+    assert any(line.startswith("bias: without these effects a calibration is off by ") for line in lines)
     assert all(str(folder / name) in lines[-1] for name in ("diagnosis.json", "report.html", "physics.toml"))
 
 

@@ -144,7 +144,7 @@ def test_json_summary_and_page_say_it_in_the_words_of_one_recording(found: Joint
     assert content["sentence"].startswith("3 recordings have in common a bias that follows the sensor's temperature; ")
     assert "; each recording has numbers of its own for " in content["sentence"]
     assert content["sentence"].endswith(("of the mismatch is explained.", "is not seen in the noise."))
-    assert all(f"{one.name}: held-out rms " in text for one in found.recordings)
+    assert all(f"{one.name}: rms on rows held out of the fit " in text for one in found.recordings)
 
 
 def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> None:

@@ -345,9 +345,10 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "    cannot be told from b here; what would: a heater test",
         "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
         "    It is hot.",
-        "held-out rms: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise floor 100.0 nT",
-        "bias: a static calibration was off by 13.00 ± 0.50 nT unseen, at (10.0, 20.0, 30.0) instead of "
-        "(13.0, 16.0, 42.0) nT",
+        "rms on rows held out of the fit: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; "
+        "noise floor 100.0 nT",
+        "bias: without these effects a calibration is off by 13.00 ± 0.50 nT, which its residual does not show: "
+        "(10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
         "left: nothing that could not be noise",
         "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
         "files: out/diagnosis.json, out/report.html",

@@ -91,7 +91,7 @@ def test_a_line_that_another_process_has_is_said_to_be_taken(caplog: pytest.LogC
             assert why_silent(second).startswith(
                 f"{pair.paths[0]} cannot be opened: another process has it; give the device "
             )
-    told = f"{own.address}: cannot be opened (another process has it); trying on"
+    told = f"{own.address}: cannot be opened (another process has it); it is tried again"
     assert [record.message for record in caplog.records] == [told]
 
 
@@ -109,10 +109,10 @@ def test_an_end_that_connects_to_nobody_says_so_and_that_somebody_came(caplog: p
             service.publish_status()
             assert "nobody is" not in service.statuses.of(service.pipelines["demo"]).text
     told = [record.message for record in caplog.records if record.name == "magcal"]
-    assert [message for message in told if "trying on" in message] == [
-        f"{link.address}: nobody is at {place}, or it refuses this end (certificate, password); trying on"
+    assert [message for message in told if "it is tried again" in message] == [
+        f"{link.address}: nobody is at {place}, or it refuses this end (certificate, password); it is tried again"
     ]
-    assert f"{link.address}: somebody is there now" in told
+    assert f"{link.address}: connected: somebody is at the other end" in told
 
 
 def test_the_craft_that_are_served_are_named_at_the_other_end() -> None:

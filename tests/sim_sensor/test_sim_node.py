@@ -20,7 +20,7 @@ from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message, Status, Verdict
 from sim_sensor import cli
 from sim_sensor.faults import FaultKind, LinkFault, Target
-from sim_sensor.node import run_node
+from sim_sensor.node import NodeReport, run_node
 from sim_sensor.recorder import Series, record_simulation
 from sim_sensor.scenario import Channel, PositionPlan, ReferenceForm, ReferencePlan, TelemetryPlan
 from sim_sensor.scenario_reader import load_scenario, shipped_scenarios
@@ -215,7 +215,7 @@ def test_run_at_full_speed_waits_for_a_slower_daemon_and_records(
         thread.join()
     assert code == 0
     assert seen == list(simulation(600.0).messages())
-    assert "1200 sent, 600 answered" in capsys.readouterr().err
+    assert "1200 messages sent, 600 of 600 samples answered" in capsys.readouterr().err
     assert len(read_recording(tmp_path / "RECORDING.toml").time_ns) == 600
 
 
@@ -241,3 +241,25 @@ def test_an_interrupted_record_says_so_and_writes_nothing(
     assert cli.main(["record", "--scenario", "paper", "--duration", "60", "--out", str(tmp_path / "out")]) == 130
     assert capsys.readouterr().err == "interrupted: what was asked for is not done\n"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "next_step"),
+    [
+        ("zenoh:tcp/127.0.0.1:7447", "see what the daemon says by `magcal status --link zenoh:tcp/127.0.0.1:7447`"),
+        ("serial:/dev/ttyUSB0", "see what the daemon says in its log and metrics (docs/health.md)"),
+    ],
+)
+def test_samples_without_an_answer_are_counted_and_said_with_what_to_do(
+    address: str, next_step: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, report = cli.Progress(20.0), NodeReport()
+    report.sent.update(MagnetometerSample=20, ReferenceSample=20)
+    view.received["CalibratedVector"] = 17
+    cli._tell_missing(report, view, address)
+    why = "the daemon refused them, or they were lost on the way"
+    assert capsys.readouterr().err == f"3 of 20 samples have no answer: {why}\nnext: {next_step}\n"
+    assert "40 messages sent, 17 of 20 samples answered" in view._line(report)
+    view.received["CalibratedVector"] = 20
+    cli._tell_missing(report, view, address)
+    assert capsys.readouterr().err == ""

@@ -130,7 +130,7 @@ def test_a_browser_shows_it_follows_it_and_asks_nobody_else(browser: Browser) ->
             for words in (
                 "TRUSTED",
                 "3000.0",
-                "120 nT unseen",
+                "120 nT before anything notices",
                 "heat <b>",
                 "<i>reset</i>",
                 "rms 40.0 nT after",

@@ -93,7 +93,9 @@ def test_before_the_start_no_number_is_shown_and_nothing_is_called_calibrated() 
     messages = [one for second in range(3) for one in second_of(second, verdict=Verdict.NOT_STARTED)]
     text = shown(fed(estimate(2, verdict=Verdict.NOT_STARTED), messages=messages))
     assert "NOT_STARTED" in text
-    assert "bx ...\n" in text.replace(" " * 3, "\n")
+    assert "errors    awaited: there is no number before the filter starts\n" in text
+    assert "status    awaited: the daemon sends one every output.status_period_s\n" in text
+    assert "counters: awaited, in a status\n" in text
     assert "+-" not in text
     assert "after     no calibrated vectors over this link so far" in text
 

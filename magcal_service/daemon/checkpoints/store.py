@@ -188,9 +188,10 @@ class Checkpoints:
         self.counters["state.failed"] += 1
         trouble = why_not(error)
         if trouble != self.trouble:
-            log.error(
-                "no checkpoint in %s, the one before is kept and the next is tried: %s", self._config.directory, trouble
+            text = (
+                "no checkpoint could be written into %s: %s; the one before is kept, the next is tried when it is due"
             )
+            log.error(text, self._config.directory, trouble)
         self.trouble = trouble
 
     def _count(self, *, restored: int = 0, dropped: int = 0) -> None:

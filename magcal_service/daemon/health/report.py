@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 from magcal_service.base.version import __version__
@@ -18,6 +18,9 @@ from magcal_service.wire.messages import Verdict
 
 FRESH_S: Final = 1.0
 """Figures of the process up to this old go into a status as they are: a thousand craft each have one [s]."""
+
+
+_MOST_NAMED: Final = 3  # craft that a log line names: more make it too long to read
 
 
 class Health:
@@ -164,6 +167,18 @@ class Health:
         for name, text, value in gauges:
             each: list[tuple[Labels, float]] = [(_whose(craft), value(craft)) for craft in crafts]
             metrics.add(name, "gauge", text, each)
+
+
+def in_words(summary: Mapping[str, Any]) -> str:
+    """A ``summary`` as a sentence: the verdict of each craft, of many how many have which, and what is amiss."""
+    craft = summary["craft"]
+    counts = Counter(one["verdict"] for one in craft.values())
+    many = len(craft) > _MOST_NAMED
+    verdicts = [f"{count} {verdict}" for verdict, count in counts.items()] if many else []
+    verdicts = verdicts or [f"{name} {one['verdict']}" for name, one in craft.items()]
+    amiss = [f"{name}: {', '.join(one['troubles'])}" for name, one in craft.items() if one["troubles"]]
+    more = f"; {len(amiss) - _MOST_NAMED} more craft with troubles" if len(amiss) > _MOST_NAMED else ""
+    return f"{', '.join(verdicts)}; {'; '.join(amiss[:_MOST_NAMED]) or 'no troubles'}{more}"
 
 
 def _whose(pipeline: Pipeline) -> dict[str, str]:

@@ -333,8 +333,8 @@ def _level_lines(diagnosis: JointDiagnosis) -> list[str]:
     names = [*(one.name for one in diagnosis.recordings), "all"]
     moved = [f"; bias moved by {nt:.1f} nT" if diagnosis.fit.terms else "" for nt in bias_moved_nt(diagnosis)]
     return [
-        f"{name}: held-out rms {levels.held_out_nt[0]:.1f} nT recalibrated, {levels.held_out_nt[1]:.1f} nT with "
-        f"effects; noise floor {levels.noise_nt:.1f} nT{more}"
+        f"{name}: rms on rows held out of the fit {levels.held_out_nt[0]:.1f} nT recalibrated, "
+        f"{levels.held_out_nt[1]:.1f} nT with effects; noise floor {levels.noise_nt:.1f} nT{more}"
         for name, levels, more in zip(
             names, [*levels_of_each(diagnosis), levels_of_all(diagnosis)], [*moved, ""], strict=True
         )

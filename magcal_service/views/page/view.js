@@ -117,7 +117,7 @@ function verdict(result) {
   listed("reasons", result.reasons, ([reason, remedy]) => [element("dt", reason), element("dd", remedy)]);
   listed("defects", result.defects, (one) => [element("li", one)]);
   say("protection", result.protection_nt == null ? "Protection level: none now; where none is to come, the status says why."
-    : `Protection level: a vector may be off by ${number(result.protection_nt, 0)} nT unseen, set by ${result.protection_by}.`);
+    : `Protection level: a vector may be off by ${number(result.protection_nt, 0)} nT before anything notices, set by ${result.protection_by}.`);
   at("finding").hidden = !result.finding;
   if (result.finding) { say("found", result.finding.what); say("diagnose", result.finding.command); }
 }
