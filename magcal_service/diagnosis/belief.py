@@ -43,7 +43,7 @@ _FEWEST_SWITCHED: Final = 4
 _EACH_ORBIT: Final = 0.03
 """Share of an orbit to which what is switched comes again after one: an eclipse to less, a command only by chance."""
 
-_INEXACT: Final = 0.02
+_INEXACT: Final = 0.03
 """Of a name's evidence, what the form it was fitted in may leave for others to take: no course, direction or lag of
 a cause is known to better than a tenth of it, whose square is 1 %.  What follows a record is held against that."""
 

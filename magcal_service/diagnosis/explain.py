@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
+from magcal_service.diagnosis.expansion import anew, clean_vectors
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
-from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances
+from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
-from magcal_service.model import STATE_SIZE, Array, measure
+from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
 HELD_OUT_SHARE: Final = 0.3
@@ -128,23 +129,26 @@ class Search(Screen):
         return self.compared(self._pruned(fit, floor_nt), floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
-        """Fit once more with all columns made of vectors that the fit has calibrated; the search continues there.
+        """Fit once more with all columns made of what the fit has found; the search continues there.
+
+        They are made of the vectors that it has calibrated, and expanded halfway to where it has moved the reference.
 
         Columns made of other vectors than the model's are inconsistent with it, and combinations of many of them
         then hold the radial noise that they were freed of one by one.
         """
         for _ in range(_MOST_REFRESHED):
-            clean, measured = self.clean(fit)
+            clean, measured, moved_s = self.clean(fit)
             scene = self.problem.scene
-            moved_nt = float(np.sqrt(np.mean((clean - scene.calibrated_nt) ** 2)))
-            problem = replace(self.problem, scene=scene.recalibrated(clean, measured))
+            further_s = moved_s if scene.moved_s is None else moved_s - scene.moved_s
+            moved_nt2 = float(
+                np.mean((clean - scene.calibrated_nt) ** 2 + (further_s * scene.magnitude_slope)[:, None] ** 2)
+            )
+            problem = replace(self.problem, scene=scene.recalibrated(clean, measured, moved_s))
             self.look_at(problem, ())  # forms and columns of the vectors before go before there are new ones
             self.look_at(problem, self.forms(problem))
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
-            fit = solve(
-                self.problem, fit.x, [replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms]
-            )
-            if moved_nt < _STILL * fit.rms_nt:
+            fit = solve(self.problem, fit.x, [anew(term, known[term.hypothesis.label]) for term in fit.terms])
+            if moved_nt2 < (_STILL * fit.rms_nt) ** 2:
                 break
         return fit
 
@@ -152,7 +156,7 @@ class Search(Screen):
         """Every hypothesis of the catalogue on a problem."""
         return hypotheses_of(self.effects, problem)
 
-    def clean(self, fit: Fit) -> tuple[Array, Array]:
+    def clean(self, fit: Fit) -> tuple[Array, Array, Array]:
         """As ``clean_vectors``."""
         return clean_vectors(fit)
 
@@ -279,7 +283,8 @@ class Search(Screen):
         others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index}
         space = self.workspace(fit, index)
         mine = fit.terms[index].hypothesis
-        close = [h for h in self.hypotheses if h is mine or h.label in self.close]
+        moves = mine.moves_s is not None  # what else does is expanded where this has moved it: near it only now
+        close = [h for h in self.hypotheses if h is mine or h.label in self.close or (moves and h.moves_s is not None)]
         return self.screen(space, fit, sigma, sorted(others), close)
 
     def compared(self, fit: Fit, floor_nt: float, may_exchange: bool = True) -> Explained:
@@ -368,17 +373,6 @@ class Search(Screen):
 def is_recorded(hypothesis: Hypothesis) -> bool:
     """Whether a recorded channel drives it."""
     return hypothesis.driver.startswith("channel")
-
-
-def clean_vectors(fit: Fit) -> tuple[Array, Array]:
-    """Vectors (n, 3) that a fit has calibrated, free of radial noise, and those measured that would give them."""
-    scene = fit.problem.scene
-    body, magnitude = disturbances(fit.terms, scene)
-    if fit.problem.is_vector:
-        clean = fit.problem.target(fit.x)
-        return clean, measure(fit.x[:STATE_SIZE], clean + body)
-    clean = fit.unit * (scene.magnitude_nt + magnitude)[:, None]
-    return clean, measure(fit.x[:STATE_SIZE], clean + body)
 
 
 def _held_out(fit: Fit) -> float:

@@ -81,6 +81,7 @@ def continued(scene: Scene, turn: Turn, x: Array) -> Scene:
         channels={name: _channel(channel, turn) for name, channel in scene.channels.items()},
         body_from_eci=None if attitude is None else np.concatenate([attitude, turn.rotation @ attitude]),
         turning_rad_s=turning,
+        moved_s=None if scene.moved_s is None else np.tile(scene.moved_s, 2),
     )
 
 

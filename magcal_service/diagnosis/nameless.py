@@ -10,7 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, structures
-from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.problem import Fit, free_numbers
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
@@ -117,7 +117,24 @@ def _first_outdone(search: Search, explained: Explained, phase: Array | None, fl
 def _without(search: Search, explained: Explained, index: int, floor_nt: float) -> Explained:
     fit = explained.fit
     fewer = solve(search.problem, fit.x, [term for number, term in enumerate(fit.terms) if number != index])
-    return search.compared(search.refreshed(fewer), floor_nt)
+    return search.compared(search.refreshed(_from_known(search, fewer, floor_nt)), floor_nt)
+
+
+def _from_known(search: Search, fit: Fit, floor_nt: float) -> Fit:
+    """Each term from the numbers that its form has been at its best with, where a refit from there leaves less.
+
+    A term that was removed may have drawn the numbers of others to an optimum that is none without it.
+    """
+    for index, term in enumerate(fit.terms):
+        if not free_numbers(term):
+            continue
+        sigma = max(fit.white_rms_nt, floor_nt)
+        for candidate in search.screen(search.workspace(fit, index), fit, sigma, among=[term.hypothesis]):
+            again = replace(term, theta=candidate.theta, amplitudes=candidate.gain.amplitudes)
+            terms = [again if number == index else other for number, other in enumerate(fit.terms)]
+            trial = solve(search.problem, fit.x, terms)
+            fit = trial if trial.white_rms_nt < fit.white_rms_nt else fit
+    return fit
 
 
 def _squares(search: Search, fit: Fit) -> float:

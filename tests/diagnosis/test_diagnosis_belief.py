@@ -139,7 +139,7 @@ def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float,
 
 @pytest.mark.parametrize(
     ("larger", "driver", "own"),
-    [(60.0, "none", 0.7), (60.0, "channel:one", 0.99), (40.0, "none", 0.97)],
+    [(40.0, "none", 0.7), (40.0, "channel:one", 0.99), (30.0, "none", 0.97)],
 )
 def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: float, driver: str, own: float) -> None:
     """A course that relaxes, fitted as one that bends, leaves a drift; what was recorded is no such rest."""

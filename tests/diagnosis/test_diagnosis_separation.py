@@ -128,7 +128,7 @@ def test_scatter_over_blocks_makes_less_of_it() -> None:
 
 
 def test_a_lag_and_a_skew_are_told_apart_by_another_spin_rate() -> None:
-    lag, skew = term(form("response_lag"), 300.0), term(form("axis_skew"), 300.0)
+    lag, skew = term(form("response_lag"), 300.0, np.zeros(1)), term(form("axis_skew"), 300.0)
     found = told(diagnosis(lag, skew))
     assert found[FASTER].nats > 20.0 * max((one.nats for do, one in found.items() if do == AGAIN), default=3.0)
 

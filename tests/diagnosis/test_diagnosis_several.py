@@ -47,7 +47,7 @@ def test_several_instants_are_named_with_their_amounts_and_carried_on(
     assert np.array_equal(term.nonlinear["at_s"], at_s.value)
 
 
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [5, 8])
 def test_a_driver_that_averages_is_named_without_a_gyro(seed: int, tmp_path: Path) -> None:
     """The reference is a magnitude, no place, no time, no gyro: nothing tells how the craft turns but its samples."""
     case = unturned(draw_case(seed, "moving_average"))

@@ -82,10 +82,16 @@ SUN = ("inferred:array_current", "inferred:sun_direction")
 def test_what_is_taken_off_live_is_what_the_recording_would_be_given(hypothesis: Hypothesis) -> None:
     """Sample by sample, with every driver on the link, each form does what it does to the whole scene."""
     term, _, _ = drawn(hypothesis)
-    early = {name: value for name, value in {"at_s": 200.0, "knee": 0.2}.items() if name in term.nonlinear}
+    early = {
+        name: value
+        for name, value in {"at_s": 200.0, "knee": 0.2, "expanded_at_s": 0.0}.items()
+        if name in term.nonlinear
+    }
     if np.ndim(term.nonlinear.get("at_s", 0.0)):
         early["at_s"] = 30.0 + np.arange(np.size(term.nonlinear["at_s"])) * 40.0
-    term = replace(term, nonlinear={**term.nonlinear, **early})  # so that it acts within these rows
+    term = replace(
+        term, nonlinear={**term.nonlinear, **early}
+    )  # so that it acts within these rows; live, a lag has no course
     if hypothesis.effect == "axis_skew":  # delays of one size: z alone hardly changes on this craft
         term = replace(term, amplitudes={"after_x_s": np.array([0.01, 0.01])})
     model = whole(term)

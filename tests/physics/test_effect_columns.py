@@ -203,12 +203,12 @@ def test_a_late_answer_is_short_by_the_square_of_its_delay() -> None:
     slope = scene().field_slope
     across = slope - np.einsum("ni,ni->n", slope, UNIT)[:, None] * UNIT
     loss = (across**2).sum(axis=1) / (2.0 * np.linalg.norm(scene().calibrated_nt, axis=1))
-    assert added(forms("response_lag")["none", ""], 0.04) == pytest.approx(-0.04 * loss[:, None] * UNIT)
+    assert added(forms("response_lag")["none", ""], 0.04, 0.0) == pytest.approx(-0.04 * loss[:, None] * UNIT)
     derived = effect_named("response_lag").derived({"tau2_s2": value_of(0.04, 0.004, "s2")})
     assert (float(derived["tau_s"].value), float(derived["tau_s"].sigma)) == pytest.approx((0.2, 0.01))
     assert effect_named("response_lag").derived({"tau2_s2": value_of(-0.04, 0.004, "s2")}) == {}
     unturned = forms("response_lag", replace(scene(), channels={}, body_from_eci=None))
-    assert list(unturned) == [("none", "average of samples")]  # of the samples alone: test_physics_lag.py
+    assert list(unturned) == [("none", "by the steps"), ("none", "average of samples")]  # test_physics_lag.py
 
 
 # Drivers that were recorded

@@ -41,15 +41,17 @@ class JointScene(Scene):
             calibrated_nt=np.concatenate([part.calibrated_nt for part in parts]),
             clean_field_nt=np.concatenate([part.clean_field_nt for part in parts]),
             magnitude_nt=np.concatenate([part.magnitude_nt for part in parts]),
+            moved_s=np.concatenate([np.zeros(len(part)) if part.moved_s is None else part.moved_s for part in parts]),
             in_orbit=all(part.in_orbit for part in parts),
             parts=tuple(parts),
         )
 
-    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> JointScene:
-        """The same recordings with other calibrated vectors (n, 3), all of them one after another."""
+    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array, moved_s: Array | None = None) -> JointScene:
+        """The same recordings with other calibrated vectors (n, 3) and ``moved_s`` (n,), of all one after another."""
         ends = np.cumsum([len(part) for part in self.parts])[:-1]
-        pairs = zip(np.split(calibrated_nt, ends), np.split(clean_field_nt, ends), strict=True)
-        return JointScene.of([part.recalibrated(*pair) for part, pair in zip(self.parts, pairs, strict=True)])
+        moved = np.zeros(len(calibrated_nt)) if moved_s is None else moved_s
+        each = zip(*(np.split(values, ends) for values in (calibrated_nt, clean_field_nt, moved)), strict=True)
+        return JointScene.of([part.recalibrated(*own) for part, own in zip(self.parts, each, strict=True)])
 
 
 def offsets_s(parts: Sequence[Scene]) -> list[float]:

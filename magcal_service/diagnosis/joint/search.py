@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.explain import Search, clean_vectors
+from magcal_service.diagnosis.expansion import clean_vectors
+from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, like, transferred
 from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
@@ -90,11 +91,12 @@ class JointSearch(Search):
                     return self.refreshed(trial)
         return fit
 
-    def clean(self, fit: Fit) -> tuple[Array, Array]:
+    def clean(self, fit: Fit) -> tuple[Array, Array, Array]:
         """As ``clean_vectors``, of all recordings one after another."""
         assert isinstance(fit.problem, JointProblem)
         each = [clean_vectors(one) for one in fit.problem.fits(fit.x, fit.terms)]
-        return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each])
+        clean, measured, moved_s = (np.concatenate(parts) for parts in zip(*each, strict=True))
+        return clean, measured, moved_s
 
 
 def _other_starts(term: Term) -> Iterator[Array]:

@@ -53,6 +53,14 @@ def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
     Raises DriverMissingError where the scene has no such driver, MisfitError where names or shapes differ.
     """
     given = replace(scene, given=term.constants, memory=memory)
+    bound = _bound(term, given)
+    moves_s = bound.hypothesis.moves_s
+    if moves_s is None or memory is not None:  # a moment of a stream has no course to be expanded
+        return bound
+    return _bound(term, replace(given, moved_s=moves_s(bound.amplitudes) + np.zeros(len(scene))))
+
+
+def _bound(term: ModelTerm, given: Scene) -> Bound:
     for hypothesis in effect_named(term.effect).hypotheses(given):
         if (hypothesis.driver, hypothesis.variant) == (term.driver, term.variant):
             theta = _theta(term, hypothesis)

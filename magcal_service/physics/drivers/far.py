@@ -39,8 +39,16 @@ SHORTEST_S: Final = 3000.0
 LONGEST_GAP_S: Final = 300.0
 """Over which a track may be taken as straight between two places, its height put right."""
 
+NEAR_S: Final = 120.0
+"""Largest shift that a course expanded to second order follows [s]: the third takes 3 % of it there, in low orbit."""
+
 _ARC_S: Final = 120.0  # between the two places that give the track's continuation
 _SHIFTS_S: Final = np.arange(-FARTHEST_S - 2.0 * STEP_S, FARTHEST_S + 2.5 * STEP_S, STEP_S)
+
+
+def within(moved_s: Array) -> Array:
+    """Shifts (n,) [s] no larger than an expansion of the course follows."""
+    return np.clip(moved_s, -NEAR_S, NEAR_S)
 
 
 def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], with_earth: bool) -> list[Hypothesis]:

@@ -10,7 +10,7 @@ from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.drivers.far import shifted
+from magcal_service.physics.drivers.far import shifted, within
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -21,7 +21,8 @@ _LARGEST_NT = 3000.0  # of a place that is wrong by about 100 km
 
 
 def gradients(scene: Scene) -> dict[str, Array]:
-    """d|H| (n,) [nT/km] for a craft further out, along its track, and to the left of it, by central differences."""
+    """d|H| (n,) [nT/km] for a craft further out, along its track, and to the left of it, by central differences; speed
+    along the track (n,) [km/s]."""
     rows = scene.knots
     assert scene.position_ecef_km is not None
     position = scene.position_ecef_km[rows]
@@ -36,6 +37,28 @@ def gradients(scene: Scene) -> dict[str, Array]:
         step = geomagnetic.ecef_from_eci(scene.time_ns[rows], _STEP_KM * direction)
         change = scene.model_magnitude(position + step) - scene.model_magnitude(position - step)
         found[name] = scene.from_knots(change / (2.0 * _STEP_KM))
+    found["speed"] = scene.from_knots(np.linalg.norm(velocity, axis=1))
+    return found
+
+
+def _there(scene: Scene, gradient: dict[str, Array]) -> dict[str, Array]:
+    """The gradients where a fit has moved the reference to: halfway for what moves along the track itself."""
+    if scene.moved_s is None:
+        return gradient
+    moved_s = within(scene.moved_s)
+    return {
+        name: gradient[name] + part * scene.smooth_slope(gradient[name]) * moved_s
+        for name, part in (("radial", 1.0), ("along", 0.5), ("cross", 1.0))
+    }
+
+
+def _along_km(names: tuple[str, ...], amplitudes: Array, hours: Array) -> Array:
+    """How far ahead amplitudes (k,) of these names place the craft (n,) [km]."""
+    powers = {"along_km": 0, "along_km_per_h": 1, "along_km_per_h2": 2}
+    found = np.zeros(len(hours))
+    for name, size in zip(names, amplitudes.tolist(), strict=True):
+        if name in powers:
+            found += size * hours ** powers[name]
     return found
 
 
@@ -47,7 +70,8 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             block = Block("radial_km", "km", ())
             yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
         return
-    gradient = scene.once("gradients", lambda: gradients(scene))
+    known = scene.once("gradients", lambda: gradients(scene))
+    gradient, speed_km_s = _there(scene, known), np.maximum(known["speed"], 1e-3)
     hours = scene.time_s / 3600.0
 
     def of(*columns: Array) -> Columns:
@@ -80,6 +104,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             blocks,
             variant,
             largest_nt=_LARGEST_NT,
+            moves_s=lambda a, names=names: _along_km(names, a, hours) / speed_km_s,  # type: ignore[misc]
         )
     yield from shifted(scene, "position_offset", "far along", ("ahead_s", "ahead_s_per_h"), with_earth=False)
 
@@ -103,7 +128,7 @@ EFFECT = Effect(
     },
     in_orbit_only=True,
     prior=(10.0, 30000.0),
-    valid="to first order: below about 100 km; far along the orbit, up to 20 minutes",
+    valid="to first order, along the track to second: below about 100 km; far along the orbit, up to 20 minutes",
     confused_with=("time_offset", "reference_epoch", "external_field"),
     separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
     source="at most 25 nT/km radial, 5.5 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (along-track error)",

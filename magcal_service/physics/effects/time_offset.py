@@ -8,21 +8,36 @@ import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.drivers.far import shifted
+from magcal_service.physics.drivers.far import NEAR_S, shifted, within
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
+
+_MOST_DRIFT_PPM = 1e4
+"""Drift of a clock at the most [1e-6]: of a resistor and a capacitor in a microcontroller, 1 %; quartz has 100."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     slope = scene.magnitude_slope
     if float(np.std(slope)) <= 1e-3 and not scene.is_given:
         return
-    offset, growing = slope[None], (slope * scene.time_s * 1e-6)[None]
-    block = Block("offset_s", "s", ())
-    yield Hypothesis("time_offset", "none", lambda _: Columns(magnitude=offset), (block,))
-    blocks = (block, Block("drift_ppm", "1e-6", ()))
+    if scene.moved_s is not None:  # the mean slope between here and there
+        slope = slope + 0.5 * scene.magnitude_bend * within(scene.moved_s)
+    drifted_s = scene.time_s * 1e-6
+    offset, growing = slope[None], (slope * drifted_s)[None]
+    block = Block("offset_s", "s", (), most=NEAR_S)
+    yield Hypothesis(
+        "time_offset", "none", lambda _: Columns(magnitude=offset), (block,), moves_s=lambda a: float(a[0])
+    )
+    blocks = (block, Block("drift_ppm", "1e-6", (), most=_MOST_DRIFT_PPM))
     both = np.concatenate([offset, growing])
-    yield Hypothesis("time_offset", "none", lambda _: Columns(magnitude=both), blocks, "with drift")
+    yield Hypothesis(
+        "time_offset",
+        "none",
+        lambda _: Columns(magnitude=both),
+        blocks,
+        "with drift",
+        moves_s=lambda a: a[0] + a[1] * drifted_s,
+    )
     yield from shifted(scene, "time_offset", "by minutes", ("late_s", "late_s_per_h"), with_earth=True)
 
 
@@ -35,7 +50,7 @@ EFFECT = Effect(
     equation="the field at the sensor at its tag t is H_ref(t + offset + drift t)",
     units={"offset_s": "s", "drift_ppm": "1e-6", "late_s": "s", "late_s_per_h": "s/h", "share": "1"},
     prior=(10.0, 5000.0),
-    valid="to first order in the offset: below about a minute in low orbit; by minutes, up to 20 of them",
+    valid="to second order in the offset: below two minutes in low orbit; by minutes, up to 20 of them",
     confused_with=("position_offset", "thermal_bias", "reference_epoch"),
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
     source="51 nT per second through IGRF at 300 km (largest d|H|/dt); clocks as in pulsar timing (PINT)",

@@ -26,6 +26,7 @@ KEPT = (
     "pauses",
     "time_ns",
     "magnitude_slope",
+    "magnitude_bend",
     "position_eci_km",
     "sun_eci",
     "lit",
@@ -40,6 +41,9 @@ KEPT = (
 
 SUN_AHEAD: Final = "sun_ahead_deg"
 """Constant of a model that was found under a Sun other than the date's: see ``Scene.sun_ahead_deg``."""
+
+BEND_S: Final = 120.0
+"""Width over which a derivative is derived again [s]: an eighth of a radian of a low orbit, which loses 0.1 % of it."""
 
 MOST_WARMED: Final = 96
 """Answers to light that are kept: more than the pairs of time constants on a grid, which are tried again and again."""
@@ -110,6 +114,8 @@ class Scene:
     turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
     sun_ahead_deg: how far along the ecliptic the Sun stands ahead of where it is at the stated time [deg]; other than 0
         where telemetry shows its light and shadow elsewhere.
+    moved_s: (n,) how far along its course the fit so far moves the reference [s]; what moves it is expanded halfway
+        there.  None: nowhere.
     """
 
     time_s: Array
@@ -128,6 +134,7 @@ class Scene:
     turning_rad_s: Array | None = None
     in_orbit: bool = True
     sun_ahead_deg: float = 0.0
+    moved_s: Array | None = None
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
@@ -140,9 +147,9 @@ class Scene:
         found: T = self.memo[name]
         return found
 
-    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array) -> Scene:
-        """The same recording with other calibrated vectors; what does not depend on them is kept."""
-        scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt)
+    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array, moved_s: Array | None = None) -> Scene:
+        """The same recording with other calibrated vectors and ``moved_s``; what does not depend on them is kept."""
+        scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt, moved_s=moved_s)
         for name in KEPT:
             if name in self.__dict__:
                 scene.__dict__[name] = self.__dict__[name]
@@ -209,6 +216,15 @@ class Scene:
     def magnitude_slope(self) -> Array:
         """(n,) d|H|/dt [nT/s]."""
         return self.slope(self.magnitude_nt)
+
+    @cached_property
+    def magnitude_bend(self) -> Array:
+        """(n,) d2|H|/dt2 [nT/s2], between means of the slope over a minute: a rounded reference has no other."""
+        return self.smooth_slope(self.magnitude_slope)
+
+    def smooth_slope(self, values: Array) -> Array:
+        """Time derivative (n,) of values (n,) between their means over a minute before and after."""
+        return motion.smooth_slope(values, BEND_S, self.time_s, self.pauses, self.period_s)
 
     @cached_property
     def rate_body(self) -> Array | None:

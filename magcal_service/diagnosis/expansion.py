@@ -1,0 +1,32 @@
+"""Where columns are made: at the vectors that a fit has calibrated, and halfway to where it has moved the reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_service.diagnosis.problem import Fit, Term, disturbances
+from magcal_service.model import STATE_SIZE, Array, measure
+from magcal_service.physics.interface import Hypothesis
+
+
+def clean_vectors(fit: Fit) -> tuple[Array, Array, Array]:
+    """Vectors (n, 3) that a fit has calibrated, free of radial noise, those measured that would give them, and how far
+    along its course it moves the reference (n,) [s]."""
+    scene = fit.problem.scene
+    body, magnitude = disturbances(fit.terms, scene)
+    aimed = fit.problem.is_vector
+    clean = fit.problem.target(fit.x) if aimed else fit.unit * (scene.magnitude_nt + magnitude)[:, None]
+    moved_s = np.zeros(len(scene))
+    for term in fit.terms:
+        if term.hypothesis.moves_s is not None:
+            moved_s += term.hypothesis.moves_s(term.amplitudes)
+    return clean, measure(fit.x[:STATE_SIZE], clean + body), moved_s
+
+
+def anew(term: Term, hypothesis: Hypothesis) -> Term:
+    """A term with its form made anew; a number that is held at one value now takes it."""
+    numbers = zip(hypothesis.nonlinear, term.theta, strict=True)
+    theta = [float(n.grid[0]) if n.role == "held" and len(n.grid) == 1 else float(value) for n, value in numbers]
+    return replace(term, hypothesis=hypothesis, theta=np.array(theta))
