@@ -147,7 +147,8 @@ def look(data: Accumulated, settings: TrustConfig) -> Look | None:
 
 def _groups(data: Accumulated, rest: Array, own_nt: float) -> Iterator[_Group]:
     """Hazards with what of them is seen; amplitudes in nT (gains: at 5e4 nT), in seconds, or relative."""
-    relative_nt = own_nt / max(float(np.sqrt(np.mean(data.newest[:, 4] ** 2))), 1.0) * sums.FAR_NT
+    reading_nt = max(float(np.linalg.norm(data.newest[:, 1:4], axis=1).max()), 1.0)  # a gain changes all of B
+    relative_nt = own_nt / reading_nt * sums.FAR_NT
     course = sums.errors_of(sums.courses(data.newest[:, 0], data.spin_rad_s))
 
     def group(hazard: Hazard, columns: tuple[int, ...], largest: float, mixed: Array | None = None) -> _Group:

@@ -122,10 +122,10 @@ class Given:
     ----------
     spoil: gives it, of a size.
     unit: of the size.
-    largest: that the level has to hold; of the field where ``of_field``, relative then.
+    largest: that the level has to hold; of a reading where ``of_reading``, relative then.
     first: share of that at which the search begins at 100 nT of noise.
     since_s: from when on it acts [s].
-    of_field: whether ``largest`` is a field that is divided by the length of the craft's.
+    of_reading: whether ``largest`` is divided by the largest reading.
     """
 
     spoil: Spoil
@@ -133,7 +133,7 @@ class Given:
     largest: float
     first: float
     since_s: float = 0.0
-    of_field: bool = False
+    of_reading: bool = False
 
 
 GIVEN: Final = {
@@ -143,9 +143,9 @@ GIVEN: Final = {
     Hazard.BIAS_STEP: Given(_field(_stepped), "nT", _OWN_NT, 0.2, STEP_S),
     Hazard.BIAS_DRIFT: Given(_field(_hours), "nT/h", hazards.DRIFT_NT_PER_H, 0.02),
     Hazard.ORBIT_BIAS: Given(_field(_wave), "nT", _OWN_NT, 0.2),
-    Hazard.ORBIT_GAIN: Given(_gain(_wave, one_axis=False), "", _OWN_NT, 0.3, of_field=True),
+    Hazard.ORBIT_GAIN: Given(_gain(_wave, one_axis=False), "", _OWN_NT, 0.3, of_reading=True),
     Hazard.PANEL_CURRENT: Given(_field(_panel), "nT", _OWN_NT, 0.2),
-    Hazard.GAIN_STEP: Given(_gain(_stepped, one_axis=True), "", _OWN_NT, 0.3, STEP_S, of_field=True),
+    Hazard.GAIN_STEP: Given(_gain(_stepped, one_axis=True), "", _OWN_NT, 0.3, STEP_S, of_reading=True),
 }
 
 
@@ -220,11 +220,11 @@ class Case:
     def largest(self) -> float:
         """Size that the level has to hold."""
         given = GIVEN[self.hazard]
-        if not given.of_field:
+        if not given.of_reading:
             return given.largest
         entropy = (zlib.crc32(self.hazard.encode()), int(self.noise_nt), self.number)
-        field = begin(self.motion, self.noise_nt, FLIGHT_S, np.random.SeedSequence(entropy)).field_nt
-        return given.largest / float(np.sqrt(np.mean((field**2).sum(axis=1))))
+        sent = begin(self.motion, self.noise_nt, FLIGHT_S, np.random.SeedSequence(entropy))
+        return given.largest / float(np.linalg.norm(sent.readings(np.zeros_like(sent.noise)), axis=1).max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -167,6 +167,16 @@ def test_a_step_that_has_just_occurred_is_always_allowed_for() -> None:
     assert level.nt >= 2000.0
 
 
+@pytest.mark.parametrize("bias_nt", [0.0, 60_000.0])
+def test_a_new_gain_puts_no_vector_further_off_than_a_new_bias_may(bias_nt: float) -> None:
+    """It changes all that is read, the bias as well: as large as changes the largest reading by disturbance_nt."""
+    monitor, _ = flown(disturbed(lambda _: SIDE * bias_nt), craft(disturbance_nt=50.0))
+    look = monitor.protector.looked()
+    assert look is not None
+    recent = look.levels[Hazard.GAIN_STEP].reshape(-1, 3)[look.ages < hazards.STEP_SEEN_TICKS]
+    assert 15.0 < recent.max() < 50.0
+
+
 def test_what_is_asked_for_and_not_reached_is_a_reason_whose_remedy_is_the_hazards() -> None:
     config = craft(protection_nt=100.0)
     ukf, monitor = Ukf(config), TrustMonitor(config)
