@@ -18,23 +18,25 @@ _EXPLAINED: Final = Path(__file__).parent / "explained.toml"
 _SIGMAS: Final = 1.96  # of the normal distribution: 95 % lie within
 _PAGE: Final = """# Mutation testing
 
-Single changes of the core (an operator, a bound, a number, a call left out), drawn by seed, and whether the tests *of
-the same room* notice. The changes are made by [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators in a copy of
-the checkout; `tests/mutation/rooms.py` says which code and which tests belong together. `python -m tests.mutation
---room ROOM --sample N --seed SEED --log FILE` tries, `--again FILE --log FILE` tries unexplained survivors once more
-when tests were added, and `--results FILE --out docs` writes this page. `make mutate` tries a small sample.
+Single changes of the core (an operator, a bound, a number, a call left out), drawn by seed: do the tests *of the same
+room* notice? [cosmic-ray](https://cosmic-ray.readthedocs.io)'s operators change a copy of the checkout;
+`tests/mutation/rooms.py` says which code and tests belong together.
 
-The score is what the tests notice now; "at first" is the share of the same mutants before tests were added for those
-that lived, which is what it says of mutants that were not drawn. Samples are small: the range holds the share of all
-mutants of the room that would be noticed at first with 95 % (Wilson 1927).
+| command | what it does |
+|---|---|
+| `make mutate` | tries a small sample |
+| `python -m tests.mutation --room ROOM --sample N --seed SEED --log FILE` | tries N mutants of a room |
+| `python -m tests.mutation --again FILE --log FILE` | tries unexplained survivors once more, after tests were added |
+| `python -m tests.mutation --results FILE --out docs` | writes this page |
+
+The score is what the tests notice now; "at first" is the share before tests were added for survivors, which is what it
+says of mutants that were not drawn; the range holds that share of all the room's mutants with 95 % (Wilson 1927).
 
 Not drawn is what decides nothing (annotations, imports, `__all__`, the words of a refusal, arguments of `@dataclass`,
-the markers `*` and `/` of a signature), and what leaves no Python: any test would notice. A mutant that needs three
-times the processor time of the unchanged code and a minute more, or waits for 20 minutes in one test, comes to no end:
-it is noticed "by time". A loaded machine makes no such mutants, since the time is the processor's, and a test has to
-fail twice: one that waits for another process may fail once by itself. A room whose tests fail without a mutant is
-refused. Seed 27 was tried in the order of the draw until time was up; three mutants of `estimators` lived in the test
-files nearest to them and count as not noticed at first, though the rest of the room was not run.
+`*` and `/` of a signature). A mutant that needs three times the unchanged code's processor time and a minute more, or
+waits for 20 minutes in one test, is noticed "by time". A test has to fail twice. Seed 27 was tried in the order of the
+draw until time was up; three mutants of `estimators` lived in the test files nearest to them and count as not noticed
+at first, though the rest of the room was not run.
 
 {table}
 
@@ -90,12 +92,24 @@ def _range(noticed: int, count: int) -> tuple[float, float]:
 
 
 def _survivors(outcomes: Sequence[Outcome]) -> str:
-    lines = [
-        f"- {outcome.room}: {outcome.mutant.text}: {explanation(outcome.mutant) or '**not explained**'}"
+    rows = [
+        f"| {outcome.room} | {_place(outcome.mutant)} | {_cell(outcome.mutant.before)} | {_cell(outcome.mutant.after)} "
+        f"| {explanation(outcome.mutant) or '**not explained**'} |"
         for outcome in outcomes
         if not outcome.killed_by
     ]
-    return "\n".join(lines) or "None."
+    head = ["| room | where | line | mutant | why it may live |", "|---|---|---|---|---|"]
+    return "\n".join([*head, *rows]) if rows else "None."
+
+
+def _place(mutant: Mutant) -> str:
+    return f"{mutant.file.removeprefix('magcal_service/')}:{mutant.line}"
+
+
+def _cell(code: str) -> str:
+    """Code in a cell of a table."""
+    escaped = code.replace("|", "\\|")
+    return f"`{escaped}`"
 
 
 def recorded(log: Path) -> list[Outcome]:
