@@ -167,7 +167,6 @@ class Recorder:
 
     def _begin(self) -> None:
         """Open the next file of the session, and recover files that an earlier session left half-written."""
-        self._retry_s = time.monotonic() + self.config.retry_s
         self._folder.path.mkdir(parents=True, exist_ok=True)
         self._make_room(None)
         self._mend()

@@ -21,7 +21,13 @@ from magcal_service.estimators.parts.magnitude_sums import (
     unscaled_information,
 )
 from magcal_service.estimators.parts.spin_window import Window, across_axis
-from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, gauss_newton, linear_states
+from magcal_service.estimators.parts.start_problem import (
+    FIRST_DAMPING,
+    BatchProblem,
+    WindowMeans,
+    gauss_newton,
+    linear_states,
+)
 from magcal_service.model import calibrate, field_jacobian, measure, without_radial_noise
 from tests.equations import scalar_measurement
 
@@ -333,6 +339,20 @@ def test_gauss_newton_ends_where_the_gradient_is_zero() -> None:
     assert float(step @ normal @ step) < 1e-6
     np.testing.assert_allclose(covariance @ normal, np.eye(9), atol=1e-6)
     assert np.abs((x - X) / np.sqrt(np.diagonal(covariance))).max() < 5.0
+
+
+@pytest.mark.parametrize(("rise", "next_share"), [(5e-10, 0.75), (2e-9, 0.5 / (1.0 + FIRST_DAMPING))])
+def test_gauss_newton_takes_a_rise_of_the_cost_by_rounding_and_no_larger_one(rise: float, next_share: float) -> None:
+    """A step that is taken is followed by one of half the rest; one that is not is made anew, damped."""
+    truth, looks = np.linspace(-0.4, 0.4, 9), []
+
+    def equations(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        looks.append(x)
+        return 1e6 * np.eye(9), 0.5e6 * (x - truth), 1.0 if len(looks) == 1 else 1.0 + rise
+
+    scripted: Any = SimpleNamespace(normal_equations=equations)
+    gauss_newton(scripted, np.zeros(9))
+    np.testing.assert_allclose(looks[:3], np.outer([0.0, 0.5, next_share], truth), atol=1e-12)
 
 
 def test_gauss_newton_damps_no_step_after_a_good_one() -> None:

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from magcal_service.estimators.interface import StartGate
-from magcal_service.estimators.parts.start_gates import Proposal, handover_sigma, is_collapsed, stopped_by
+from magcal_service.estimators.parts.start_gates import (
+    LARGEST_EIGENVALUE,
+    SMALLEST_EIGENVALUE,
+    Proposal,
+    handover_sigma,
+    is_collapsed,
+    stopped_by,
+    vector_sigma,
+)
 
 GOOD = Proposal(np.zeros(9), np.eye(9), residual_rms_nt=449.0, largest_rms_nt=450.0, is_unsure=lambda: False)
 
@@ -29,6 +37,9 @@ def of_scale(first: float) -> np.ndarray:
         (replace(GOOD, x=of_scale(0.41)), None),
         (replace(GOOD, x=of_scale(2.51)), StartGate.COLLAPSED),
         (replace(GOOD, x=of_scale(2.49)), None),
+        (replace(GOOD, x=of_scale(SMALLEST_EIGENVALUE)), None),  # the limits themselves pass
+        (replace(GOOD, x=of_scale(LARGEST_EIGENVALUE)), None),
+        (replace(GOOD, residual_rms_nt=450.0), None),
         (replace(GOOD, residual_rms_nt=451.0), StartGate.BAD_FIT),
         (replace(GOOD, residual_rms_nt=1e9, largest_rms_nt=math.inf), None),
         (replace(GOOD, is_unsure=lambda: True), StartGate.POOR_COVERAGE),
@@ -64,3 +75,13 @@ def test_the_filter_takes_over_at_a_share_of_the_field_that_goes_with_the_residu
     sigma_nt: float, share: float
 ) -> None:
     assert handover_sigma(sigma_nt, 40_000.0) == pytest.approx(share * 40_000.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("count", "is_seen"), [(2, True), (99, True), (100, False)])
+def test_up_to_99_vectors_are_all_looked_at_and_of_more_some_fifty(count: int, is_seen: bool) -> None:
+    """The second of them is the longest: with D alone unknown, 1 sigma of its vector is 1e-3 of its length."""
+    field = np.tile([10_000.0, 0.0, 0.0], (count, 1))
+    field[1] *= 3.0
+    covariance = np.zeros((9, 9))
+    covariance[3, 3] = 1e-6
+    assert vector_sigma(covariance, field) == pytest.approx(30.0 if is_seen else 10.0, rel=1e-12)

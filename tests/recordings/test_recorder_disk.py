@@ -165,6 +165,36 @@ def test_room_that_others_need_is_left(run: Callable[..., tuple[Recorder, Live]]
     assert list((tmp_path / "rec").iterdir()) == []
 
 
+def test_a_disk_without_room_is_tried_again_after_retry_s_and_said_once(
+    run: Callable[..., tuple[Recorder, Live]], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "magcal.recorder"):
+        recorder, _ = run(min_free_mb=1e9, retry_s=0.5)
+        until(lambda: recorder.counters["record.stopped"] >= 1)
+        began_s = time.monotonic()
+        until(lambda: recorder.counters["record.stopped"] >= 3)
+    assert time.monotonic() - began_s > 0.8  # two pauses, less what the first was seen late
+    assert [text.partition(" in ")[0] for text in caplog.messages] == ["not recording"]
+
+
+def test_that_recording_goes_on_is_said_once_and_not_of_its_start(
+    run: Callable[..., tuple[Recorder, Live]],
+    disk: Callable[[type[io.FileIO]], None],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    disk(FullDisk)
+    FullDisk.room = 20_000
+    with caplog.at_level(logging.INFO, "magcal.recorder"):
+        recorder, service = run(flush_s=0.01, retry_s=0.2)
+        service.send(SAMPLES)
+        until(lambda: recorder.trouble)
+        assert "recording again" not in caplog.messages
+        FullDisk.room = 10_000_000
+        until(lambda: not recorder.trouble)
+        until(lambda: recorder.counters["record.files"] >= 2)
+    assert caplog.messages.count("recording again") == 1
+
+
 def test_a_disk_that_hangs_does_not_hold_the_service_up(
     run: Callable[..., tuple[Recorder, Live]],
     disk: Callable[[type[io.FileIO]], None],
