@@ -246,7 +246,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "reality": lambda: study_table("reality", "What is said of each recording"),
     "concealed": lambda: study_table("concealed", "By simulator and what was asked"),
     "concealed-reliability": _concealed_reliability,
-    "integrity-warnings": lambda: study_table("integrity", "Minutes from the hazard"),
     "just-below": just_below,
     "just-below-over-all": just_below_over_all,
     "costs": costs,
