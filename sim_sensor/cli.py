@@ -222,7 +222,7 @@ def _silence(report: NodeReport, view: Progress, link: Link, crafts: Sequence[st
         return ""
     return (
         f"{sent} samples were sent on {link.address} and none was answered: {why_silent(link, crafts)}\n"
-        f"next: {_what_next(link.address)}, then run this again"
+        f"next: {_what_next(link.address, link.alone)}, then run this again"
     )
 
 
@@ -236,8 +236,13 @@ def _tell_missing(report: NodeReport, view: Progress, address: str) -> None:
         print(f"{text}\nnext: {_what_next(address)}", file=sys.stderr)
 
 
-def _what_next(address: str) -> str:
-    """Where it is said what the daemon makes of the samples; a serial line has no third end to ask at."""
+def _what_next(address: str, alone: str = "") -> str:
+    """Where it is said what the daemon makes of the samples; a serial line has no third end to ask at.
+
+    alone: why nobody is at the other end; empty where somebody is, or that cannot be known.
+    """
+    if alone:
+        return "start the daemon (magcal run), or give its address by --link"
     if address.startswith("zenoh:"):
         return f"see what the daemon says by `magcal status --link {address}`"
     return "see what the daemon says in its log and metrics (docs/health.md)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -71,14 +71,19 @@ class Watch:
     source: reads already.
     why_silent: what keeps results away, in words; may take a second.
     crafts: whose results are wanted; of all that are heard where empty.
+    served: craft that a daemon serves there, heard or not; may take a second.
 
     ``ask_s`` is when statuses that have not come are asked for next, on the monotonic clock [s].
     """
 
     def __init__(
-        self, source: Source, why_silent: Callable[[], str] = lambda: "", crafts: tuple[str, ...] = ()
+        self,
+        source: Source,
+        why_silent: Callable[[], str] = lambda: "",
+        crafts: tuple[str, ...] = (),
+        served: Callable[[], Iterable[str]] = tuple,
     ) -> None:
-        self._source, self.why_silent, self._crafts = source, why_silent, crafts
+        self._source, self.why_silent, self._crafts, self._served = source, why_silent, crafts, served
         self._silence = ""
         self.ask_s, self._why_s = time.monotonic() + _FIRST_ASK_S, time.monotonic() + _WHY_S
 
@@ -100,7 +105,8 @@ class Watch:
         if now_s > self.ask_s and not self.is_recorded:
             self.ask_s = now_s + _ASK_S
             told = {one.craft.name for one in found if one.result.status is not None}
-            for craft in {*self._crafts, *(one.craft.name for one in found)} - told:
+            wanted = self._crafts or (() if found else self._served())
+            for craft in {*wanted, *(one.craft.name for one in found)} - told:
                 self._source.give(craft, "status")
         if any(not one.craft.pulse.is_stale(now_s) for one in found):
             self._silence = ""
@@ -167,7 +173,7 @@ def _live(options: argparse.Namespace) -> Iterator[Watch]:
             raise ConfigError([Fault(f"--{name}", value, "it goes with a recording; name one or leave it out")])
     address, crafts = whom(options, options.craft, "--craft")
     with open_link(address, Role.VIEWER, crafts=crafts) as link, _reading(LiveSource(link)) as source:
-        yield Watch(source, lambda: why_silent(link, crafts), tuple(crafts))
+        yield Watch(source, lambda: why_silent(link, crafts), tuple(crafts), lambda: link.served() or ())
 
 
 @contextmanager

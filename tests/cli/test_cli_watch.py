@@ -22,7 +22,7 @@ from magcal_service.cli.watch import Watch, _shown
 from magcal_service.links import Role, open_link
 from magcal_service.views.picture import HEIGHT, WIDTH
 from magcal_service.views.sources import LiveSource
-from magcal_service.wire.messages import Message, Status, Verdict
+from magcal_service.wire.messages import Command, Message, Status, Verdict
 from sim_sensor.demo.pty_pair import PtyPair
 from sim_sensor.recorder import record_simulation
 from sim_sensor.scenario_reader import load_scenario
@@ -74,6 +74,28 @@ def test_a_daemon_over_zenoh_is_shown_when_it_is_known_whole() -> None:
     assert (done.code, done.err) == (0, "")
     assert "verdict   TRUSTED, ukf, tick 2" in done.out
     assert "received 7, refused.too_large 1" in done.out
+
+
+def test_a_daemon_that_has_no_result_yet_is_asked_for_its_status_and_what_is_awaited_is_said() -> None:
+    link = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    waiting = next(one for one in RESULTS if isinstance(one, Status))
+    with open_link(link, Role.SERVICE, crafts=["alpha"]) as service:
+        stop = threading.Event()
+
+        def answer() -> None:
+            while not stop.is_set():
+                for message in service.receive(0.05):
+                    if isinstance(message, Command) and message.name == "status":
+                        service.send(waiting)
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        done = run("watch", "--link", link, "--once", "--timeout", "5")
+        stop.set()
+        answering.join()
+    assert (done.code, done.err) == (3, "")
+    assert f"status    {waiting.text}" in done.out
+    assert "errors    awaited: " in done.out
 
 
 def test_a_daemon_at_a_serial_line_is_shown_by_its_results_alone() -> None:

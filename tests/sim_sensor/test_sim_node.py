@@ -263,3 +263,4 @@ def test_samples_without_an_answer_are_counted_and_said_with_what_to_do(
     view.received["CalibratedVector"] = 20
     cli._tell_missing(report, view, address)
     assert capsys.readouterr().err == ""
+    assert cli._what_next(address, "nobody is there") == "start the daemon (magcal run), or give its address by --link"

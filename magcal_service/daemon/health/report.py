@@ -172,13 +172,21 @@ class Health:
 def in_words(summary: Mapping[str, Any]) -> str:
     """A ``summary`` as a sentence: the verdict of each craft, of many how many have which, and what is amiss."""
     craft = summary["craft"]
+    if len(craft) <= _MOST_NAMED:
+        amiss = "" if any(one["troubles"] for one in craft.values()) else "; no troubles"
+        return ", ".join(_in_words(name, one) for name, one in craft.items()) + amiss
     counts = Counter(one["verdict"] for one in craft.values())
-    many = len(craft) > _MOST_NAMED
-    verdicts = [f"{count} {verdict}" for verdict, count in counts.items()] if many else []
-    verdicts = verdicts or [f"{name} {one['verdict']}" for name, one in craft.items()]
-    amiss = [f"{name}: {', '.join(one['troubles'])}" for name, one in craft.items() if one["troubles"]]
-    more = f"; {len(amiss) - _MOST_NAMED} more craft with troubles" if len(amiss) > _MOST_NAMED else ""
-    return f"{', '.join(verdicts)}; {'; '.join(amiss[:_MOST_NAMED]) or 'no troubles'}{more}"
+    troubled = [_in_words(name, one) for name, one in craft.items() if one["troubles"]]
+    more = f" and {len(troubled) - _MOST_NAMED} more with troubles" if len(troubled) > _MOST_NAMED else ""
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    return f"{verdicts}; {', '.join(troubled[:_MOST_NAMED]) or 'no troubles'}{more}"
+
+
+def _in_words(name: str, craft: Mapping[str, Any]) -> str:
+    """A craft with its verdict, and its troubles without saying that verdict again."""
+    verdict = craft["verdict"]
+    amiss = "; ".join(trouble.removeprefix(f"{verdict}: ") for trouble in craft["troubles"])
+    return f"{name} {verdict} ({amiss})" if amiss else f"{name} {verdict}"
 
 
 def _whose(pipeline: Pipeline) -> dict[str, str]:

@@ -41,16 +41,17 @@ def summary(**verdicts: list[str]) -> dict[str, object]:
         (summary(a=["trusted"], b=["converging"]), "a trusted, b converging; no troubles"),
         (
             summary(a=["doubtful", "doubtful: aliased", "no sample for 61 s"]),
-            "a doubtful; a: doubtful: aliased, no sample for 61 s",
+            "a doubtful (aliased; no sample for 61 s)",
         ),
         (
             summary(a=["trusted"], b=["trusted"], c=["trusted"], d=["doubtful", "doubtful: aliased"]),
-            "3 trusted, 1 doubtful; d: doubtful: aliased",
+            "3 trusted, 1 doubtful; d doubtful (aliased)",
         ),
         (
             summary(a=["doubtful", "x"], b=["doubtful", "x"], c=["doubtful", "x"], d=["doubtful", "y"]),
-            "4 doubtful; a: x; b: x; c: x; 1 more craft with troubles",
+            "4 doubtful; a doubtful (x), b doubtful (x), c doubtful (x) and 1 more with troubles",
         ),
+        (summary(**{name: ["trusted"] for name in "abcd"}), "4 trusted; no troubles"),
     ],
 )
 def test_the_line_of_the_log_names_craft_verdict_and_trouble(of: dict[str, object], said: str) -> None:
