@@ -12,7 +12,7 @@ from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, structures
 from magcal_service.diagnosis.problem import Fit, free_numbers
 from magcal_service.diagnosis.signals import against_signals
-from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.solution import ended, solve
 from magcal_service.model import Array
 
 NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
@@ -43,6 +43,9 @@ def standing(
     if explained.fit.terms and is_left:
         explained = _all_together(search, baseline, explained, phase, floor_nt)
     explained = against_signals(search, explained, floor_nt)
+    if explained.fit.terms and not explained.fit.converged:
+        fit = ended(explained.fit)
+        explained = search.compared(fit, floor_nt) if fit.converged else explained
     while explained.fit.terms:
         index = _weakest_failing(baseline, explained, floor_nt)
         if index is None:

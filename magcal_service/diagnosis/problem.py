@@ -35,6 +35,9 @@ PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5
 """1 sigma of each element of D [-], as weak."""
 
+_NOT_MOVED: Final = 1e6
+"""Times a column's square, what ties its amplitude to where it is: it moves by a millionth."""
+
 HELD: Final = ("instant", "held")
 """Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
 
@@ -227,10 +230,14 @@ class Fit:
 
     @cached_property
     def _held_out(self) -> tuple[Array, Array]:
-        """(m,) residuals of each row under the fit to the other folds: as it is, and white."""
-        solutions = fold_solutions(
-            self.white_residual, self.white_columns, self.problem.fold, self.tie * self.white_rms_nt**2
-        )
+        """(m,) residuals of each row under the fit to the other folds: as it is, and white.
+
+        The state that a recording begins in stays as all rows have it: those of the first block alone tell it, and the
+        others would foretell that block from nothing.
+        """
+        tie = self.tie * self.white_rms_nt**2
+        tie[self._starts] = _NOT_MOVED * np.maximum((self.white_columns[:, self._starts] ** 2).sum(axis=0), 1e-300)
+        solutions = fold_solutions(self.white_residual, self.white_columns, self.problem.fold, tie)
         found = []
         for residual, columns in ((self.residual, self.columns), (self.white_residual, self.white_columns)):
             left = np.array(residual)
@@ -239,6 +246,19 @@ class Fit:
                 left[inside] -= columns[inside] @ solution
             found.append(left)
         return found[0], found[1]
+
+    @property
+    def _starts(self) -> NDArray[np.intp]:
+        """Numbers of the columns of states that a recording begins in, of terms that hold more than that."""
+        found: list[int] = []
+        at = self.problem.size
+        for term in self.terms:
+            blocks = term.hypothesis.blocks
+            more = not all(block.is_start for block in blocks)
+            for block in blocks:
+                found += range(at, at + block.size) if block.is_start and more else ()
+                at += block.size
+        return np.array(found, dtype=np.intp)
 
     @property
     def held_out_residual(self) -> Array:

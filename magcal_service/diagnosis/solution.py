@@ -38,6 +38,12 @@ _MOST_DAMPING: Final = 1e9  # above it a step moves nothing in double precision
 _EASED, _TIGHTENED = 0.1, 10.0
 """Factors on the damping after a step that was taken, and one that was refused; the customary ones."""
 
+_NEAR: Final = 4.0
+"""Square of the way that is left, in sigmas, up to which a fit has stalled near its end, not far from it."""
+
+_WIDEST, _NARROWEST = 0.2, 0.005
+"""Steps of such a number, as shares of it, at first and at the last; what is left to go changes with their square."""
+
 _MAY_COST: Final = 100.0
 """Noise variances by which the cost may rise on the way to the zero of the score: ten sigma of what the noise in the
 vectors pulls, which is 4 to 6 sigma on recordings of a few orbits."""
@@ -104,6 +110,52 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
         if damping > _MOST_DAMPING:
             break
     return replace(fit, converged=here.to_go < _CONVERGED * here.sigma2)
+
+
+def ended(fit: Fit) -> Fit:
+    """A fit that has stalled near its end, taken there along the number that it knows least.
+
+    Where two numbers hardly differ in what they do, as an amplitude and a long time constant, the residual's part in
+    the score's derivative, which Gauss and Newton leave out, is no longer small, and their step leads nowhere.  So that
+    number is held at values to either side, all others solved for, and the one with the least left to go is taken.
+    """
+    here = _Step.of(fit, _variance(fit))
+    numbers = [(index, number) for index, term in enumerate(fit.terms) for number in free_numbers(term)]
+    if here.to_go > _NEAR * here.sigma2 or not numbers:
+        return fit
+    sigma = np.sqrt(np.diagonal(fit.covariance))[fit.linear_size :]
+    values = np.array([float(fit.terms[index].theta[number]) for index, number in numbers])
+    index, number = numbers[int(np.argmax(sigma / np.maximum(np.abs(values), 1e-300)))]
+    own = fit.terms[index].hypothesis
+    steady = [replace(one, role="held") if k == number else one for k, one in enumerate(own.nonlinear)]
+    held = replace(own, nonlinear=tuple(steady))
+
+    def at(value: float) -> tuple[float, Fit]:
+        """What is left to go with that number held there, in sigmas squared, and the fit."""
+        terms = [_with(term, held, number, value) if k == index else term for k, term in enumerate(fit.terms)]
+        rest = solve(fit.problem, fit.x, terms)
+        whole = [replace(term, hypothesis=own) if k == index else term for k, term in enumerate(rest.terms)]
+        found = evaluate(fit.problem, rest.x, whole)
+        to_go = _Step.of(found, here.sigma2).to_go / here.sigma2
+        return to_go, replace(found, converged=to_go < _CONVERGED)
+
+    start = float(fit.terms[index].theta[number])
+    value, width, best = start, _WIDEST, (here.to_go / here.sigma2, fit)
+    while width > _NARROWEST and not best[1].converged:
+        sides = [_inside(own, number, value * factor) for factor in (1.0 / (1.0 + width), 1.0 + width)]
+        trials = [(*at(side), side) for side in sides if side != value]
+        nearest = min(trials, key=lambda trial: trial[0], default=(np.inf, fit, value))
+        if nearest[0] < best[0]:
+            best, value = nearest[:2], nearest[2]
+        else:
+            width *= 0.5
+    return best[1]
+
+
+def _with(term: Term, hypothesis: Hypothesis, number: int, value: float) -> Term:
+    theta = np.array(term.theta)
+    theta[number] = value
+    return replace(term, hypothesis=hypothesis, theta=theta)
 
 
 def _variance(fit: Fit) -> float:

@@ -16,7 +16,7 @@ import math
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,10 @@ from magcal_service.physics.segments import Sums
 if TYPE_CHECKING:
     from magcal_service.physics.scene.scene import Scene
     from magcal_service.physics.scene.view import View
+
+
+START: Final = "start_"
+"""Begins the name of a block that is the state a recording begins in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,11 @@ class Block:
     def size(self) -> int:
         """How many amplitudes it takes."""
         return int(np.prod(self.shape)) if self.shape else 1
+
+    @property
+    def is_start(self) -> bool:
+        """Whether it is the state that a recording begins in, which decays, so that only its first part tells it."""
+        return self.name.startswith(START)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

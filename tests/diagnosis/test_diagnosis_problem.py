@@ -15,7 +15,8 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, e
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, measure
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.interface import Block, Hypothesis
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 STEP_NT = np.array([220.0, -140.0, 90.0])
@@ -174,3 +175,27 @@ def test_a_covariance_grows_only_by_what_block_sums_do_not_do_by_chance(excess: 
     none = np.zeros((0, 3))
     fit = Fit(problem, np.zeros(1), (), residual, np.ones((12_000, 1)), none, none, np.zeros(1))
     assert np.sqrt(fit.covariance) == pytest.approx(growth * level_nt / np.sqrt(12_000))
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("start_nt", 0.7, 1.4), ("own_nt", 3.0, np.inf)])
+def test_what_a_recording_begins_in_is_told_by_its_beginning_alone(name: str, low: float, high: float) -> None:
+    """A state that fades within the first of fifty blocks: that block, held out, is not foretold without the state.
+
+    A state that is called otherwise is: the rest of the recording knows nothing of it, so its block is left with it.
+    """
+    time_s = scene().time_s
+    fading, course = np.exp(-time_s / 15.0), np.sin(time_s / 900.0)
+    made = Hypothesis(
+        "made_up",
+        "none",
+        lambda _: Columns(body=np.stack([fading, course])[:, :, None] * np.array([0.6, 0.0, 0.8])),
+        (Block(name, "nT", ()), Block("course_nt", "nT", ())),
+    )
+    term = Term(made, np.zeros(0), np.array([900.0, 200.0]))
+    body, _ = disturbances([term], scene())
+    noise = NOISE_NT * np.random.default_rng(14).normal(size=body.shape)
+    problem = Problem(spoiled(measure(X, scene().calibrated_nt + body + noise), scene()), NOISE_NT)
+    fit = solve(problem, X, [term])
+    first = fit.held_out_residual[: len(time_s) // 50]
+    left = float(np.sqrt(np.mean(first**2))) / NOISE_NT
+    assert low < left < high

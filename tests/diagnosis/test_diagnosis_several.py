@@ -80,3 +80,10 @@ def test_what_is_slow_or_switches_more_often_is_no_series_of_steps(kind: str, se
 def test_no_average_is_named_where_there_is_none(kind: str, seed: int, tmp_path: Path) -> None:
     diagnosis = diagnosed(unturned(draw_case(seed, kind)), tmp_path)
     assert "response_lag" not in {entry.effect for entry in entries(diagnosis)}
+
+
+def test_a_long_time_constant_and_its_amplitude_arrive(tmp_path: Path) -> None:
+    """Heat that nobody recorded, over an hour slow: Gauss-Newton's steps stall a third of a sigma from the end."""
+    diagnosis = diagnosed(draw_case(300500035, "thermal_scale", driver_recorded=False), tmp_path)
+    assert [entry.effect for entry in entries(diagnosis)] == ["thermal_scale"]
+    assert diagnosis.fit.converged

@@ -15,9 +15,6 @@ from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Block, Hypothesis
 from magcal_service.physics.saying import labels_of
 
-START: Final = "start_"
-"""Begins the name of a start state, which every recording has itself."""
-
 EACH_ITS_OWN: Final = "each its own"
 """Added to the variant of a form whose amplitudes differ from recording to recording."""
 
@@ -137,7 +134,7 @@ def joined(
     said: added to the variant; ``EACH_ITS_OWN`` makes every amplitude, not only start states, the recording's own.
     """
     acting = [number for number, part in enumerate(parts) if part is not None]
-    own = frozenset(block.name for block in label.blocks if said == EACH_ITS_OWN or block.name.startswith(START))
+    own = frozenset(block.name for block in label.blocks if said == EACH_ITS_OWN or block.is_start)
     blocks, index = _laid_out(label.blocks, own if len(parts) > 1 else frozenset(), acting, names)
     shift = offsets[acting[0]]
     nonlinear = tuple(

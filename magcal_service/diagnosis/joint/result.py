@@ -17,7 +17,7 @@ from magcal_service.diagnosis.handover import model_term
 from magcal_service.diagnosis.joint.catalogue import started
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
-from magcal_service.diagnosis.joint.forms import START, JointHypothesis, joint
+from magcal_service.diagnosis.joint.forms import JointHypothesis, joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns
@@ -37,7 +37,7 @@ from magcal_service.diagnosis.words import (
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import JOINT, head
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
-from magcal_service.physics.interface import Effect, Value, Values
+from magcal_service.physics.interface import START, Effect, Value, Values
 from magcal_service.wire.messages import Clock
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import Direct, Term, direct
 from magcal_service.physics.columns import Columns, joined
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import START, Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
@@ -73,7 +73,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool
     from a drift that relaxes.
     """
     known = any(recorded(scene, effect, act, block))
-    start = Block(f"start_{block.name}", block.unit, block.shape, block.most)
+    start = Block(f"{START}{block.name}", block.unit, block.shape, block.most)
     constants_s = Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S)
     if settles:
         yield Hypothesis(
