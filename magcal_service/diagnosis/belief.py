@@ -13,7 +13,7 @@ from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, d_matrix
+from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 
@@ -349,8 +349,7 @@ def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
     ``added_nt`` on top [nT]; calibration multiplies them by I + D along the field.
     """
     left = fit.held_out_white
-    gain = float(np.sqrt(np.mean(((fit.unit @ (np.eye(3) + d_matrix(fit.x[:STATE_SIZE]))) ** 2).sum(axis=1))))
-    noise_nt = max(gain, 1.0) * float(np.hypot(fit.problem.noise_nt, added_nt))
+    noise_nt = max(fit.noise_gain, 1.0) * float(np.hypot(fit.problem.noise_nt, added_nt))
     robust = MEDIAN_TO_SIGMA * float(np.median(np.abs(left - np.median(left))))
     return min(float(np.sqrt(np.mean(left**2))), robust) > _NOISIER * noise_nt
 

@@ -36,6 +36,9 @@ _WORTH_TEMPERING: Final = 5000.0
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
 
+_LIKELIER: Final = 1.0
+"""Nats by which a rival in the same class comes first at the end: odds of 3 to 1; closer, the first one found stays."""
+
 RECORDED_NATS: Final = 5.0
 """Nats for what was recorded against a driver that is inferred and against a free shape: odds of 150 to 1.  A record
 was there before the residual was looked at; steps, courses and guesses take whatever form the residual has."""
@@ -308,7 +311,7 @@ class Search(Screen):
             for index, space in enumerate(spaces)
         ]
         for index, ranked in enumerate(rivals if may_exchange else ()):
-            other = self._with_better(fit, index, ranked)
+            other = self._with_better(fit, index, ranked, _LIKELIER)
             if other is not None:
                 return self.compared(self.refreshed(other), floor_nt, may_exchange=False)
         best = tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
@@ -322,16 +325,20 @@ class Search(Screen):
         )
         return tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.driver) for ranked in own)
 
-    def _with_better(self, fit: Fit, index: int, ranked: Sequence[Candidate]) -> Fit | None:
-        """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks agree."""
+    def _with_better(
+        self, fit: Fit, index: int, ranked: Sequence[Candidate], by_nats: float = CLASS_NATS
+    ) -> Fit | None:
+        """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks speak
+        against it by less."""
         own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
-        if not ranked or ranked[0].nats < own + CLASS_NATS:
+        if not ranked or ranked[0].nats < own + by_nats:
             return None
         best = ranked[0]
         terms = list(fit.terms)
         terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
         trial = solve(self.problem, fit.x, tuple(terms))
-        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) else None
+        gained = 2.0 * (best.nats - own) * fit.white_rms_nt**2 if math.isfinite(own) else 0.0
+        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + gained else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))

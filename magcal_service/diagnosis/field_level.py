@@ -22,10 +22,13 @@ def at_scale(problem: Problem, usual: FieldError, scale: float) -> Problem:
 
 
 def log_likelihood(fit: Fit) -> float:
-    """Of a fit's residual under white noise and the field model's errors [nats], but for a constant."""
+    """Of a fit's residual under white noise and the field model's errors [nats], but for a constant.
+
+    The noise is the sensor's own: errors that shrink the field shrink it along, and would be likelier for that alone.
+    """
     error = fit.problem.field_error
     assert error is not None
-    return -0.5 * float((fit.white_residual**2).sum()) / error.noise_nt**2 - error.log_volume()
+    return -0.5 * float((fit.white_residual**2).sum()) / (fit.noise_gain * error.noise_nt) ** 2 - error.log_volume()
 
 
 def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Term] = ()) -> tuple[float, float]:

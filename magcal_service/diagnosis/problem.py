@@ -189,6 +189,12 @@ class Fit:
         return scale, scaled.T @ scaled, scaled.T @ self.white_residual
 
     @cached_property
+    def noise_gain(self) -> float:
+        """Times a sensor's own noise per axis, what calibration makes of it along the field, by I + D."""
+        along = self.unit @ (np.eye(3) + d_matrix(self.x[:STATE_SIZE]))
+        return float(np.sqrt(np.mean((along**2).sum(axis=1))))
+
+    @cached_property
     def white_rms_nt(self) -> float:
         """rms of the white residual [nT]: what evidence is counted in."""
         return float(np.sqrt(np.mean(self.white_residual**2)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
 from magcal_service.diagnosis.problem import Problem, Term
 from magcal_service.diagnosis.solution import solve
-from magcal_service.model import Array, measure
+from magcal_service.model import D_ALL, D_SCALE, Array, measure
 from magcal_service.physics.catalogue import effect_named
 from tests.physics.scenes import X, scene, spoiled
 
@@ -40,14 +42,26 @@ def test_the_scale_that_was_drawn_is_the_likeliest(scale: float) -> None:
 
 
 def test_the_likelihood_is_that_of_the_dense_covariance() -> None:
-    """-r'C^-1 r / 2 - ln det(C) / 2 with C = s^2 I + U diag(v) U', but for the white noise's own constant."""
+    """-r'C^-1 r / (2 g^2) - ln det(C) / 2 with C = s^2 I + U diag(v) U' and the gain g that the sensor's noise goes
+    through, but for the white noise's own constant."""
     fit = solve(problem(1.0, 5), X)
     count = len(scene())
     error = usual()
     covariance = NOISE_NT**2 * np.eye(count) + (error.basis * error.variance) @ error.basis.T
-    dense = -0.5 * float(fit.residual @ np.linalg.solve(covariance, fit.residual))
+    dense = -0.5 * float(fit.residual @ np.linalg.solve(covariance, fit.residual)) / fit.noise_gain**2
     dense -= 0.5 * float(np.linalg.slogdet(covariance)[1]) - 0.5 * count * np.log(NOISE_NT**2)
     assert log_likelihood(fit) == pytest.approx(dense, abs=1e-6 * count)
+
+
+def test_nine_errors_that_shrink_all_are_no_likelier_for_it() -> None:
+    """I + D, field and noise less by a tenth: the same residual in the sensor's own units has the same likelihood."""
+    fit = solve(problem(0.0, 6), X)
+    smaller = np.array(fit.x)
+    smaller[D_ALL] *= 0.9
+    smaller[D_SCALE] -= 0.1  # (I + D) times 0.9
+    shrunk = replace(fit, x=smaller, residual=0.9 * fit.residual)
+    assert shrunk.noise_gain == pytest.approx(0.9 * fit.noise_gain)
+    assert log_likelihood(shrunk) == pytest.approx(log_likelihood(fit))
 
 
 def test_sigmas_hold_under_the_models_errors() -> None:

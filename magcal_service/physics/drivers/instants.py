@@ -332,7 +332,9 @@ def _stands(sums: Sums, columns: Columns, choice: _Choice, count: int) -> bool:
     sudden = []
     for index, ramp in enumerate(ramps):
         drops = [within.weighed(*_drawn_out(rows, index, edge, choice.together)) for edge in ramp]
-        sudden.append(-math.log(float(np.mean(np.exp((np.array(drops) - choice.drop) / squares)))))
+        likelier = (np.array(drops) - choice.drop) / squares
+        most = float(likelier.max())
+        sudden.append(-most - math.log(float(np.mean(np.exp(likelier - most)))))
     return min(sudden) > _DRAWN_OUT and sum(sudden) - _QUICK * len(rows) > _SURE
 
 

@@ -95,7 +95,7 @@ def _low_pass(
     scene: Scene, turned2: Array, variant: str = "", constants: Mapping[str, float] | None = None
 ) -> Hypothesis:
     """A low-pass while the field turns by what squares to (n,) [nT^2/s^2]."""
-    block, turned = Block("tau2_s2", "s2", (), most=_LONGEST_S**2), _lost(scene, turned2)
+    block, turned = Block("tau2_s2", "s2", (), most=_LONGEST_S**2, least=0.0), _lost(scene, turned2)
     return _form(
         scene, turned, block, lambda late_s: late_s**2, lambda a: float(np.sqrt(max(a, 0.0))), variant, constants
     )
