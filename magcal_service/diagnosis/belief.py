@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
+from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.signals import UNLISTED, said
@@ -49,6 +50,13 @@ a cause is known to better than a tenth of it, whose square is 1 %.  What follow
 
 _OF_A_FORM: Final = 0.3
 """Probability that a name within that leaves to a larger one's other form; choice: enough for it not to be acted on."""
+
+_NOT_FORETOLD: Final = 0.5
+"""Probability that a name leaves to others where it does not foretell passes that took no part: anything that differs
+from pass to pass is fitted as well by as many numbers."""
+
+_FIELD_MODEL: Final = 2.0
+"""Times the usual errors of a field model, beyond which a recording is doubted: one model in twenty errs so much."""
 
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
@@ -126,6 +134,8 @@ def _least_unlisted(explained: Explained, index: int) -> float:
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
     if _is_within_another(explained, index):
         least = max(least, _OF_A_FORM)
+    if not foretells(fit, index):
+        least = max(least, _NOT_FORETOLD)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
     return max(least, _ONE_WAVE) if is_part else least
 
@@ -265,6 +275,7 @@ def reasons(
         unexplained_structure=unknown or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained))),
         rough_residual=named and not stated and is_rough(fit),
         noisier_than_stated=stated and not has_own_noise and is_noisier(fit, added_noise_nt),
+        field_model_doubtful=is_beyond_model(fit),
     )
 
 
@@ -352,6 +363,15 @@ def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
     noise_nt = max(fit.noise_gain, 1.0) * float(np.hypot(fit.problem.noise_nt, added_nt))
     robust = MEDIAN_TO_SIGMA * float(np.median(np.abs(left - np.median(left))))
     return min(float(np.sqrt(np.mean(left**2))), robust) > _NOISIER * noise_nt
+
+
+def is_beyond_model(fit: Fit) -> bool:
+    """Whether the reference errs by more than field models do, and what is left shows it: nobody knows by what."""
+    error = fit.problem.field_error
+    if error is None or error.scale <= _FIELD_MODEL:
+        return False
+    usual_nt = error.rms_nt / error.scale
+    return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, usual_nt))
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

@@ -30,6 +30,14 @@ _LEAST_SEEN_NATS: Final = 0.5
 """A block is expected to see an effect that has more than one noise variance's worth of squares in it."""
 
 
+_GAP_S: Final = 600.0
+"""Without samples, what separates passes [s]: a tenth of an orbit, over which heat and attitude go on."""
+
+_MOST_PASSES: Final = 12  # passes: of more there are data enough for a slow course, within an orbit each
+_COVERED: Final = 0.5
+"""Share of the time from first to last that passes hold less than; else there are gaps in a recording."""
+
+
 @dataclass(frozen=True, slots=True)
 class Gain:
     """What a change of the model gains over blocks.
@@ -85,3 +93,13 @@ def gain_over(before: Array, after: Array, number: NDArray[np.intp], sigma2: flo
     return Gain(
         float(gained.sum()), dispersion, int(np.count_nonzero(gained[should] > 0.0)), int(np.count_nonzero(should))
     )
+
+
+def pass_numbers(time_s: Array) -> NDArray[np.intp] | None:
+    """(n,) number of each sample's pass; None where a recording is no few passes."""
+    ends = np.flatnonzero(np.diff(time_s) > _GAP_S)
+    count = len(ends) + 1
+    held_s = float(time_s[-1] - time_s[0]) - float(np.diff(time_s)[ends].sum())
+    if not 2 <= count <= _MOST_PASSES or held_s > _COVERED * float(time_s[-1] - time_s[0]):
+        return None
+    return np.searchsorted(ends, np.arange(len(time_s)), side="left").astype(np.intp)

@@ -127,12 +127,14 @@ class FieldError:
     courses: U at the knots (q, k); its columns are orthonormal at the samples.
     variance: v (k,) [nT^2].
     noise_nt: 1 sigma of the white noise that comes on top [nT].
+    scale: times what field models usually err by.
     """
 
     lines: Lines
     courses: Array
     variance: Array
     noise_nt: float
+    scale: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene, noise_nt: float) -> FieldError | None:
@@ -165,7 +167,7 @@ class FieldError:
 
     def scaled(self, scale: float) -> FieldError:
         """The same with errors ``scale`` times as large."""
-        return replace(self, variance=self.variance * scale**2)
+        return replace(self, variance=self.variance * scale**2, scale=self.scale * scale)
 
     def whitened(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) in which the noise is white again, of the white noise's own level."""

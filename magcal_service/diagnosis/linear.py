@@ -183,18 +183,19 @@ def fold_solutions(residual: Array, columns: Array, fold: NDArray[np.intp], tie:
     ----------
     residual: (m,) at the point where the columns were taken.
     columns: (m, p) derivatives of the model.
-    fold: (m,) fold numbers.
+    fold: (m,) fold numbers, from 0 without a gap.
     tie: (p,) weak diagonal added to the normal matrix.
     """
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     scaled = columns / scale
-    parts = [scaled[fold == number] for number in range(FOLDS)]
+    count = int(fold.max()) + 1
+    parts = [scaled[fold == number] for number in range(count)]
     normals = np.stack([part.T @ part for part in parts])
     rights = np.stack([part.T @ residual[fold == number] for number, part in enumerate(parts)])
     weak = np.diag(tie / scale**2)
     found = []
-    for number in range(FOLDS):
+    for number in range(count):
         normal = normals.sum(axis=0) - normals[number] + weak
         found.append(np.linalg.lstsq(normal, rights.sum(axis=0) - rights[number], rcond=1e-12)[0] / scale)
     return found

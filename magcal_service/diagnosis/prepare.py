@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from magcal_service.config.settings import FilterConfig
 from magcal_service.diagnosis.aimed import guessed, in_body, weighted
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
-from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem, is_collapsed
+from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.sun_seen import SunSeen, sun_seen
 from magcal_service.estimators.parts.start import prior_sigma

@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis.aimed import Aimed
-from magcal_service.diagnosis.blocks import numbered
+from magcal_service.diagnosis.blocks import numbered, pass_numbers
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.linear import fold_solutions, folds
+from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Hypothesis
@@ -37,9 +39,6 @@ PRIOR_D: Final = 0.5
 
 _NOT_MOVED: Final = 1e6
 """Times a column's square, what ties its amplitude to where it is: it moves by a millionth."""
-
-HELD: Final = ("instant", "held")
-"""Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +122,11 @@ class Problem:
     def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
         """What ``evaluate`` gives."""
         return _evaluated(self, x, terms, derivatives)
+
+    @cached_property
+    def passes(self) -> NDArray[np.intp] | None:
+        """(n,) number of each sample's pass; None where the recording is no few passes."""
+        return pass_numbers(self.scene.time_s)
 
     def blocks(self, white_residual: Array) -> NDArray[np.intp]:
         """Block number (m,) of each row for evidence that is counted over blocks of the residual (m,)."""
@@ -241,9 +245,7 @@ class Fit:
         The state that a recording begins in stays as all rows have it: those of the first block alone tell it, and the
         others would foretell that block from nothing.
         """
-        tie = self.tie * self.white_rms_nt**2
-        tie[self._starts] = _NOT_MOVED * np.maximum((self.white_columns[:, self._starts] ** 2).sum(axis=0), 1e-300)
-        solutions = fold_solutions(self.white_residual, self.white_columns, self.problem.fold, tie)
+        solutions = fold_solutions(self.white_residual, self.white_columns, self.problem.fold, self.held_tie)
         found = []
         for residual, columns in ((self.residual, self.columns), (self.white_residual, self.white_columns)):
             left = np.array(residual)
@@ -252,6 +254,13 @@ class Fit:
                 left[inside] -= columns[inside] @ solution
             found.append(left)
         return found[0], found[1]
+
+    @property
+    def held_tie(self) -> Array:
+        """(p,) weak diagonal of a fit to a part of the rows, which leaves the beginning's state as it is [nT^2]."""
+        tie = self.tie * self.white_rms_nt**2
+        tie[self._starts] = _NOT_MOVED * np.maximum((self.white_columns[:, self._starts] ** 2).sum(axis=0), 1e-300)
+        return tie
 
     @property
     def _starts(self) -> NDArray[np.intp]:
@@ -280,17 +289,6 @@ class Fit:
     def held_out_rms_nt(self) -> float:
         """rms of the residual on rows that took no part [nT]."""
         return float(np.sqrt(np.mean(self.held_out_residual**2)))
-
-
-COLLAPSED: Final = (0.4, 2.5)
-"""Range of the eigenvalues of I + D of a sensor; false minima of the scalar cost lie at 0.25 and below (Alonso &
-Shuster 2002 on the centred cost), and flight sensors with their axes 30 deg askew at 0.5."""
-
-
-def is_collapsed(x: Array) -> bool:
-    """Whether nine errors (9 or more,) are no sensor's: an eigenvalue of I + D outside ``COLLAPSED``."""
-    values = np.linalg.eigvalsh(np.eye(3) + d_matrix(x[:STATE_SIZE]))
-    return bool(values[0] < COLLAPSED[0] or values[-1] > COLLAPSED[1])
 
 
 def _tie(problem: Problem) -> Array:
@@ -345,11 +343,16 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
     unit = clean / np.linalg.norm(clean, axis=1)[:, None]
     parts, ties = [-_model_rows(problem, x, jacobian, unit)], [_tie(problem)]
-    slopes = []
+    slopes: list[Array] = []
+    span_s = float(np.ptp(scene.time_s))
     for term, own in zip(terms, made, strict=True):
         parts.append(_required(problem.rows(own, unit)))
         ties.append(amplitude_tie(problem, term, own))
-        slopes += _slopes(problem, term, unit)
+
+        def added(theta: Array, term: Term = term) -> Array:
+            return _required(problem.rows(term.hypothesis.columns(theta), unit)) @ term.amplitudes
+
+        slopes += number_slopes(term.hypothesis.nonlinear, term.theta, added, span_s)
     columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
     tie = np.concatenate([*ties, np.zeros(len(slopes))])
     return Fit(problem, x, tuple(terms), residual, columns, unit, w, tie)
@@ -365,44 +368,24 @@ def _model_rows(problem: Problem, x: Array, jacobian: Array, unit: Array) -> Arr
     if problem.aimed is not None:
         slopes = problem.aimed.slopes(x[STATE_SIZE:])
     elif problem.room_from_body is not None:
-        slopes = _room_slopes(problem.room_from_body, x[STATE_SIZE:], problem.scene.magnitude_nt)
+        slopes = room_slopes(problem.room_from_body, x[STATE_SIZE:], problem.scene.magnitude_nt)
     else:
         return np.asarray(np.einsum("ni,nij->nj", unit, jacobian))
     return np.concatenate([jacobian, -slopes], axis=2).reshape(-1, STATE_SIZE + 3)
-
-
-def _room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Array:
-    """d target / d H0 (n, 3, 3): only the direction of H0 (3,) counts, its length is as stated."""
-    size = float(np.linalg.norm(field))
-    across = (np.eye(3) - np.outer(field, field) / size**2) / size
-    return np.asarray(np.transpose(room_from_body, (0, 2, 1)) @ across * magnitude_nt[:, None, None])
-
-
-def _slopes(problem: Problem, term: Term, unit: Array) -> list[Array]:
-    """Columns for the nonlinear numbers, by central differences; an instant has none that means anything."""
-    slopes: list[Array] = []
-    for index, number in enumerate(term.hypothesis.nonlinear):
-        if number.role in HELD:
-            continue
-        size = max(abs(float(term.theta[index])), 1e-3)
-        step = size * 1e-4 if number.role in ("frequency", "period") else size * 1e-2
-        if number.role == "frequency":
-            step = 0.02 / max(float(np.ptp(problem.scene.time_s)), 1.0)
-        if number.role == "period":
-            step = 0.02 * float(term.theta[index]) ** 2 / max(float(np.ptp(problem.scene.time_s)), 1.0)
-        moved = []
-        for sign in (1.0, -1.0):
-            theta = np.array(term.theta)
-            theta[index] += sign * step
-            moved.append(_required(problem.rows(term.hypothesis.columns(theta), unit)) @ term.amplitudes)
-        slopes.append((moved[0] - moved[1]) / (2.0 * step))
-    return slopes
 
 
 def amplitude_columns(fit: Fit, index: int) -> slice:
     """Numbers of the columns of a term's amplitudes."""
     first = fit.problem.size + sum(term.hypothesis.size for term in fit.terms[:index])
     return slice(first, first + fit.terms[index].hypothesis.size)
+
+
+def columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
+    """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
+    linear = amplitude_columns(fit, index)
+    free = fit.linear_size + sum(len(free_numbers(term)) for term in fit.terms[:index])
+    moving = np.arange(free, free + len(free_numbers(fit.terms[index])))
+    return np.concatenate([np.arange(linear.start, linear.stop), moving]).astype(np.intp)
 
 
 def free_numbers(term: Term) -> list[int]:

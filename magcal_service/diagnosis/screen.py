@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.plausible import WHOLE, above_least
-from magcal_service.diagnosis.problem import Fit, Problem, free_numbers
+from magcal_service.diagnosis.problem import Fit, Problem, columns_of
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, oscillation
@@ -108,7 +107,7 @@ class Screen:
         """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
         residual, columns = fit.residual, fit.columns
         if without is not None:
-            own = _columns_of(fit, without)
+            own = columns_of(fit, without)
             linear = own[: fit.terms[without].hypothesis.size]
             residual = residual + columns[:, linear] @ fit.terms[without].amplitudes
             columns = np.delete(columns, own, axis=1)
@@ -303,17 +302,6 @@ def _near(found: Sequence[Candidate]) -> set[str]:
     best = max((candidate.nats for candidate in found), default=0.0)
     least = max(_NEAR * best, ACCEPTED_NATS)
     return {candidate.hypothesis.label for candidate in found if candidate.nats > least}
-
-
-def _columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
-    """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
-    at, free = fit.problem.size, fit.linear_size
-    for number, term in enumerate(fit.terms):
-        count, moving = term.hypothesis.size, len(free_numbers(term))
-        if number == index:
-            return np.concatenate([np.arange(at, at + count), np.arange(free, free + moving)]).astype(np.intp)
-        at, free = at + count, free + moving
-    raise IndexError(index)
 
 
 def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.base.typed_toml import Table, nearest, open_toml
-from magcal_service.diagnosis.problem import is_collapsed
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.model import Array
 
 _ACCEPTED: Final = "give a scenario's TOML file, or the name of one that comes with sim-sensor"

@@ -67,6 +67,11 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         " it, such as a tone far above the sampling rate",
         "state the noise that the sensor has on board; switch wheels, converters and transmitters off one by one",
     ),
+    "field_model_doubtful": (
+        "the reference seems to err by more than twice what a field model does, smoothly along the orbit, which other"
+        " slow causes do as well: names and nine errors may hold a part of it",
+        "check coefficients, places and frames of the reference; record whole orbits",
+    ),
     "gain_in_scatter": (
         "what the effects gain on held-out blocks does not stand out of its scatter",
         "record longer: twice the blocks halve the variance of the gain",

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.belief import is_beyond_model
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
 from magcal_service.diagnosis.problem import Problem, Term
@@ -85,3 +86,10 @@ def test_a_name_has_to_be_likelier_than_larger_errors() -> None:
     named = solve(stepped, X, [Term(form, np.array([4100.0]), np.array([400.0, -300.0, 200.0]))])
     assert needed_scale(usual(), baseline, named) == (1.0, True)
     assert at_scale(stepped, usual(), 2.0).field_error is not None
+
+
+@pytest.mark.parametrize(("drawn", "scale", "doubtful"), [(4.0, 4.0, True), (0.0, 4.0, False), (4.0, 2.0, False)])
+def test_a_reference_that_errs_beyond_field_models_is_doubted(drawn: float, scale: float, doubtful: bool) -> None:
+    """Where the recording is likeliest with more than twice the usual errors, and what is left shows them."""
+    fit = solve(at_scale(problem(drawn, 11), usual(), scale), X)
+    assert is_beyond_model(fit) is doubtful

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import _best_of_each
 from magcal_service.diagnosis.handover import model_term, terms_of
 from magcal_service.diagnosis.lines import _folded, _slots
-from magcal_service.diagnosis.problem import Problem, Term, free_numbers, is_collapsed
-from magcal_service.diagnosis.screen import Candidate, _columns_of, _grid, _product, search_cost
+from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
+from magcal_service.diagnosis.screen import Candidate, _grid, _product, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes
@@ -94,11 +95,11 @@ def fitted() -> Any:
 def test_columns_of_a_term_are_its_amplitudes_and_its_free_numbers() -> None:
     fit = fitted()
     assert [free_numbers(term) for term in fit.terms] == [[0], [], [0, 1]]
-    assert _columns_of(fit, 0).tolist() == [9, 10, 11, 15]
-    assert _columns_of(fit, 1).tolist() == [12, 13]
-    assert _columns_of(fit, 2).tolist() == [14, 16, 17]
+    assert columns_of(fit, 0).tolist() == [9, 10, 11, 15]
+    assert columns_of(fit, 1).tolist() == [12, 13]
+    assert columns_of(fit, 2).tolist() == [14, 16, 17]
     with pytest.raises(IndexError):
-        _columns_of(fit, 3)
+        columns_of(fit, 3)
 
 
 def test_a_step_moves_errors_amplitudes_and_free_numbers_inside_their_range() -> None:

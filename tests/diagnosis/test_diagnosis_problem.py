@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, evaluate, is_collapsed
+from magcal_service.diagnosis.collapse import is_collapsed
+from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, evaluate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, measure
 from magcal_service.physics.catalogue import effect_named

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.prepare import baseline_start
-from magcal_service.diagnosis.problem import Problem, evaluate, is_collapsed
+from magcal_service.diagnosis.problem import Problem, evaluate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled

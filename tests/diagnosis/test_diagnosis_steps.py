@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.belief import reasons as reasons_of
+from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.diagnose import (
     NUTATION,
     SPIN_RATE,
@@ -23,7 +24,7 @@ from magcal_service.diagnosis.diagnose import (
 )
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
-from magcal_service.diagnosis.problem import Problem, Term, evaluate, is_collapsed
+from magcal_service.diagnosis.problem import Problem, Term, evaluate
 from magcal_service.diagnosis.searching import _memory
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
@@ -100,7 +101,7 @@ def test_a_result_has_the_reasons_against_it(
 ) -> None:
     """The largest sigma of bias and of D, the number of rows, the verdict, and whether it is a sensor at all."""
     sigmas = np.array([1.0, bias_sigma, 1.0, *[0.001] * 5, d_sigma, 1e9])
-    problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed, noise_nt=1.0)
+    problem = SimpleNamespace(scene=range(rows), is_collapsed=is_collapsed, noise_nt=1.0, field_error=None)
     fit: Any = SimpleNamespace(
         x=x,
         covariance=np.diag(sigmas**2),
@@ -108,7 +109,7 @@ def test_a_result_has_the_reasons_against_it(
         problem=problem,
         terms=(),
         held_out_white=np.ones(9),
-        unit=np.eye(3),
+        noise_gain=1.0,
     )
     explained: Any = SimpleNamespace(fit=fit)
     assert reasons_of(explained, 0.0, verdict is Verdict.UNKNOWN) == reasons

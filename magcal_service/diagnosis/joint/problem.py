@@ -99,6 +99,11 @@ class JointProblem(Problem):
         """Whether the nine errors of any recording are no sensor's."""
         return any(part.is_collapsed(own) for part, own in zip(self.singles, self.unknowns_of(x), strict=True))
 
+    @property
+    def passes(self) -> None:
+        """None: that recordings foretell one another is asked of each."""
+        return None
+
     def blocks(self, white_residual: Array) -> NDArray[np.intp]:
         """Block number (m,) of each row; blocks end with their recording."""
         found: list[NDArray[np.intp]] = []

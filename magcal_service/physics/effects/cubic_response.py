@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from magcal_service.physics.columns import AFTER_BIAS, Columns
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+
+_MOST_PER_NT2: Final = 0.1 / 50e3**2
+"""A cube's size at the most [1/nT^2]: a tenth at 50 uT, ten times the linearity of the poorest AMR sensors."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
@@ -32,14 +36,16 @@ def _forms(field: Array) -> Iterator[Hypothesis]:
             if other != axis:
                 across[index, :, axis] = field[:, axis] * field[:, other] ** 2
                 index += 1
-    cubic = Block("per_nt2", "1/nT2")
+    cubic = Block("per_nt2", "1/nT2", most=_MOST_PER_NT2)
     yield Hypothesis("cubic_response", "none", lambda _: Columns(body=own), (cubic,))
     both = np.concatenate([own, across])
-    cross = Block("cross_per_nt2", "1/nT2", (3, 2), labels=(AXES, ("first other axis", "second other axis")))
+    cross = Block(
+        "cross_per_nt2", "1/nT2", (3, 2), _MOST_PER_NT2, labels=(AXES, ("first other axis", "second other axis"))
+    )
     yield Hypothesis("cubic_response", "none", lambda _: Columns(body=both), (cubic, cross), "with cross terms")
     length: Array = np.einsum("ni,ni->n", field, field)
     common = (field * length[:, None])[None]
-    one = Block("common_per_nt2", "1/nT2", ())
+    one = Block("common_per_nt2", "1/nT2", (), _MOST_PER_NT2)
     yield Hypothesis("cubic_response", "none", lambda _: Columns(body=common), (one,), "by the field's size")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.earth import geomagnetic
+from magcal_service.earth.igrf14 import RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns
@@ -41,6 +42,18 @@ def gradients(scene: Scene) -> dict[str, Array]:
     return found
 
 
+def _as_geocentric(scene: Scene) -> Array:
+    """(n,) growth of |H| [nT] over that at the place whose geocentric latitude and height are the geodetic ones."""
+    rows = scene.knots
+    assert scene.position_ecef_km is not None
+    position = scene.position_ecef_km[rows]
+    latitude_deg, longitude_deg, height_km = geomagnetic.geodetic_from_ecef(position)
+    latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
+    unit = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    read = (RADIUS_KM + height_km)[:, None] * np.stack(unit, axis=1)
+    return np.asarray(scene.from_knots(scene.model_magnitude(position) - scene.model_magnitude(read)))
+
+
 def _there(scene: Scene, gradient: dict[str, Array]) -> dict[str, Array]:
     """The gradients where a fit has moved the reference to: halfway for what moves along the track itself."""
     if scene.moved_s is None:
@@ -70,6 +83,16 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             block = Block("radial_km", "km", ())
             yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
         return
+    geocentric = scene.once("geocentric", lambda: _as_geocentric(scene))[None]
+    yield Hypothesis(
+        "position_offset",
+        "none",
+        lambda _: Columns(magnitude=geocentric),
+        (Block("geocentric_share", "1", ()),),
+        "geodetic as geocentric",
+        largest_nt=_LARGEST_NT,
+        is_whole=True,
+    )
     known = scene.once("gradients", lambda: gradients(scene))
     gradient, speed_km_s = _there(scene, known), np.maximum(known["speed"], 1e-3)
     hours = scene.time_s / 3600.0
@@ -125,6 +148,7 @@ EFFECT = Effect(
         "ahead_s": "s",
         "ahead_s_per_h": "s/h",
         "share": "1",
+        "geocentric_share": "1",
     },
     in_orbit_only=True,
     prior=(10.0, 30000.0),
@@ -146,6 +170,8 @@ EFFECT = Effect(
         "The reference was computed at the wrong place: the craft is {radial_km.signed} further out.",
         "The reference was computed at the wrong place: the craft is {along_km.signed} ahead.",
         "The reference was computed at the wrong place: the craft is {cross_km.signed} to the left of it.",
+        "The reference's places were read wrongly, geodetic latitude and height as geocentric: {geocentric_share.size} "
+        "of what that does is there.",
         "The reference was computed at the wrong place: the craft is {ahead_s.signed} ahead on its orbit at the "
         "start, growing by {ahead_s_per_h.signed}.",
     ),

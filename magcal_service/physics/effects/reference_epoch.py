@@ -71,7 +71,7 @@ def _by_decades(scene: Scene) -> Hypothesis:
         "reference_epoch",
         "none",
         columns,
-        (Block("years", "a", ()),),
+        (Block("years", "a", (), most=_OLDEST),),
         BY_DECADES,
         (Nonlinear("shape_years", "a", np.arange(_OLD, _OLDEST, 3.0)),),
         largest_nt=_LARGEST_NT,
@@ -93,7 +93,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     degrees = DEGREES
     if scene.given is None or "degree" not in scene.given:
         change = scene.once("yearly change", lambda: yearly_change(scene))[None]
-        block = Block("years", "a", ())
+        block = Block("years", "a", (), most=_OLDEST)
         yield Hypothesis("reference_epoch", "none", lambda _: Columns(magnitude=change), (block,))
         yield _by_decades(scene)
     if scene.given is not None:
@@ -108,6 +108,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             (share,),
             f"degree {degree}",
             constants={"degree": float(degree)},
+            is_whole=True,
         )
 
 

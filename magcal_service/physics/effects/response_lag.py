@@ -135,7 +135,6 @@ def _form(
         return Columns(body=((loss(at_s) + course(at_s))[:, None] * scene.unit)[None])
 
     by_turn, by_course = float(np.sum(loss(found) ** 2)), float(np.sum(course(found) ** 2))
-    of_course = by_course / max(by_turn + by_course, 1e-300)
     return Hypothesis(
         "response_lag",
         "none",
@@ -143,8 +142,8 @@ def _form(
         (block,),
         variant,
         (Nonlinear("expanded_at_s", "s", np.array([found]) if found > _LEAST_LATE_S else _TRIED_S, "held"),),
-        constants={**(constants or {}), "order": 2.0 - of_course},
-        odds=_SELDOM * of_course,
+        constants={**(constants or {}), "order": 1.0 + by_turn / max(by_turn + by_course, 1e-300)},
+        odds=_SELDOM if found > _LEAST_LATE_S else 0.0,
         moves_s=lambda a: -late_s(float(a[0])),
     )
 

@@ -1,0 +1,62 @@
+"""Recordings in passes: a few stretches, far apart, as a ground station gets them.
+
+What goes slowly is nearly constant within a pass, so that few passes are few data for it, however many samples they
+have; and blocks within passes, held out, are foretold from the rest of their own pass.  So a name has to foretell
+whole passes from the others.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.diagnosis.linear import fold_solutions
+from magcal_service.diagnosis.problem import Fit, amplitude_columns, columns_of
+from magcal_service.model import Array
+
+_ACTS: Final = 0.25  # of what a term adds in the pass that it adds most to, and it acts there
+
+_FORETOLD: Final = 0.3
+"""Of the squares that a name takes from all rows, what it has to take from passes that took no part; as for blocks."""
+
+
+def foretells(fit: Fit, index: int) -> bool:
+    """Whether a term foretells passes that took no part from the others; so does any where there are no passes.
+
+    Asked of the passes that it acts in most: in the others it helps by what it spares the nine errors.
+    """
+    numbers = fit.problem.passes
+    if numbers is None:
+        return True
+    fold = np.repeat(numbers, fit.problem.rows_per_sample)
+    added = fit.white_columns[:, amplitude_columns(fit, index)] @ fit.terms[index].amplitudes
+    others = np.setdiff1d(np.arange(fit.columns.shape[1]), columns_of(fit, index))
+    bare, without, tie = fit.white_residual + added, fit.white_columns[:, others], fit.held_tie
+    held = np.bincount(fold, added**2)
+    acts = held[fold] > _ACTS * held.max()
+
+    def squares(left: Array) -> float:
+        return float((left[acts] ** 2).sum())
+
+    inside = squares(_refitted(bare, without, tie[others])) - squares(fit.white_residual)
+    foretold = squares(_held_out(bare, without, fold, tie[others]))
+    foretold -= squares(_held_out(fit.white_residual, fit.white_columns, fold, tie))
+    return foretold > _FORETOLD * inside
+
+
+def _refitted(residual: Array, columns: Array, tie: Array) -> Array:
+    """What is left of a residual (m,) after a fit of columns (m, p)."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / scale
+    solution = np.linalg.lstsq(scaled.T @ scaled + np.diag(tie / scale**2), scaled.T @ residual, rcond=1e-12)[0]
+    return np.asarray(residual - scaled @ solution)
+
+
+def _held_out(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array) -> Array:
+    """The same, of each fold under the fit to the others."""
+    left = np.array(residual)
+    for number, solution in enumerate(fold_solutions(residual, columns, fold, tie)):
+        left[fold == number] -= columns[fold == number] @ solution
+    return left

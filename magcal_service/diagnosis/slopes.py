@@ -1,0 +1,50 @@
+"""Derivatives of the residual by what is not linear in it: nonlinear numbers, and the direction of a room's field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.interface import Nonlinear
+
+HELD: Final = ("instant", "held")
+"""Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
+
+
+def room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Array:
+    """d target / d H0 (n, 3, 3): only the direction of H0 (3,) counts, its length is as stated."""
+    size = float(np.linalg.norm(field))
+    across = (np.eye(3) - np.outer(field, field) / size**2) / size
+    return np.asarray(np.transpose(room_from_body, (0, 2, 1)) @ across * magnitude_nt[:, None, None])
+
+
+def number_slopes(
+    numbers: Sequence[Nonlinear], theta: Array, added: Callable[[Array], Array], span_s: float
+) -> list[Array]:
+    """Columns (m,) for nonlinear numbers by central differences; an instant has none that means anything.
+
+    Parameters
+    ----------
+    added: from the numbers (k,) to what they add to the residual (m,).
+    span_s: length of the recording [s].
+    """
+    slopes: list[Array] = []
+    for index, number in enumerate(numbers):
+        if number.role in HELD:
+            continue
+        value = float(theta[index])
+        step = max(abs(value), 1e-3) * (1e-4 if number.role in ("frequency", "period") else 1e-2)
+        if number.role == "frequency":
+            step = 0.02 / max(span_s, 1.0)
+        if number.role == "period":
+            step = 0.02 * value**2 / max(span_s, 1.0)
+        moved = []
+        for sign in (1.0, -1.0):
+            at = np.array(theta)
+            at[index] += sign * step
+            moved.append(added(at))
+        slopes.append((moved[0] - moved[1]) / (2.0 * step))
+    return slopes
