@@ -31,10 +31,12 @@ def foretells(fit: Fit, index: int) -> bool:
     if numbers is None:
         return True
     fold = np.repeat(numbers, fit.problem.rows_per_sample)
-    added = fit.white_columns[:, amplitude_columns(fit, index)] @ fit.terms[index].amplitudes
+    linear = amplitude_columns(fit, index)
+    added = fit.white_columns[:, linear] * fit.terms[index].amplitudes
+    begun = np.isin(np.arange(linear.start, linear.stop), fit.starts)  # what begins a recording stays as it is
     others = np.setdiff1d(np.arange(fit.columns.shape[1]), columns_of(fit, index))
-    bare, without, tie = fit.white_residual + added, fit.white_columns[:, others], fit.held_tie
-    held = np.bincount(fold, added**2)
+    bare, without, tie = fit.white_residual + added.sum(axis=1), fit.white_columns[:, others], fit.held_tie
+    held = np.bincount(fold, added.sum(axis=1) ** 2)
     acts = held[fold] > _ACTS * held.max()
 
     def squares(left: Array) -> float:
@@ -42,7 +44,7 @@ def foretells(fit: Fit, index: int) -> bool:
 
     inside = squares(_refitted(bare, without, tie[others])) - squares(fit.white_residual)
     foretold = squares(_held_out(bare, without, fold, tie[others]))
-    foretold -= squares(_held_out(fit.white_residual, fit.white_columns, fold, tie))
+    foretold -= squares(_held_out(bare - added[:, begun].sum(axis=1), fit.white_columns, fold, tie))
     return foretold > _FORETOLD * inside
 
 

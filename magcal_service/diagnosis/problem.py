@@ -259,11 +259,11 @@ class Fit:
     def held_tie(self) -> Array:
         """(p,) weak diagonal of a fit to a part of the rows, which leaves the beginning's state as it is [nT^2]."""
         tie = self.tie * self.white_rms_nt**2
-        tie[self._starts] = _NOT_MOVED * np.maximum((self.white_columns[:, self._starts] ** 2).sum(axis=0), 1e-300)
+        tie[self.starts] = _NOT_MOVED * np.maximum((self.white_columns[:, self.starts] ** 2).sum(axis=0), 1e-300)
         return tie
 
     @property
-    def _starts(self) -> NDArray[np.intp]:
+    def starts(self) -> NDArray[np.intp]:
         """Numbers of the columns of states that a recording begins in, of terms that hold more than that."""
         found: list[int] = []
         at = self.problem.size
