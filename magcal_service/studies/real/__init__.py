@@ -1,1 +1,4 @@
-"""Real recordings: what is asked of them, what is known of them, and how one question is answered."""
+"""Real recordings: what is asked of them, what is known of them, and how one question is answered.
+
+Imports diagnosis, recordings and physics.
+"""
