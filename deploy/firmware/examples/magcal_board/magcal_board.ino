@@ -18,7 +18,7 @@ static void read_field_nt(magcal_real field_body_nt[3]) {
 }
 
 static void use(const magcal_calibrated *c) {
-  // Steer by c->field_body_nt here, where it may be off by at most 500 nT unseen.
+  // Steer by c->field_body_nt here, where no unnoticed fault moves it by more than 500 nT.
   digitalWrite(LED_BUILTIN, magcal_usable(c->verdict, &c->protection, 500.0f) ? HIGH : LOW);
 }
 
