@@ -22,7 +22,6 @@ from magcal_service.base.snapshot import SnapshotError
 from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.craft import Craft, CraftMemory, learned
 from magcal_service.daemon.plain_branch import PlainBranch, newest_of
-from magcal_service.daemon.sensor_faults import SENSOR_FAULTS
 from magcal_service.daemon.settling import Settling
 from magcal_service.estimators.interface import Phase
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit
@@ -136,7 +135,8 @@ class CompensatingCraft(Craft, CompensatingMemory):
             return
         compensation.give_start(fit.amplitudes, fit.covariance)
         plain.go_on(self.ticks, self.estimator, self.monitor, self._learned_s)
-        self.ticks, self.estimator, self.monitor = settling.ticks, estimator, monitor
+        self.ticks, self.estimator = settling.ticks, estimator
+        self._go_on_with(monitor)
         self.plain, self.settling = plain, None
         self.watch.reset()
         self._state = estimator.estimate()
@@ -147,9 +147,9 @@ class CompensatingCraft(Craft, CompensatingMemory):
         """Publish from now on what a craft without ``physics.toml`` would, and say so."""
         assert self.plain is not None
         plain, self.plain = self.plain, None
-        self.ticks, self.estimator, self.monitor = plain.ticks, plain.estimator, plain.monitor
+        self.ticks, self.estimator = plain.ticks, plain.estimator
+        self._go_on_with(plain.monitor)
         self._state, self._learned_s, self._thawed = plain.state, plain.learned_s, plain.thawed
-        self.monitor.observe_fault(None if self._fault is None else SENSOR_FAULTS[self._fault][0])
         self.watch.reset()
         self._say_stopped(why)
 
@@ -265,6 +265,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         if self.compensation is None or saved.compensation is None:
             return
         raw = self.ticks if self.plain is None else self.plain.ticks
+        senses = self.monitor.senses if self.plain is None else self.plain.monitor.senses
         if saved.plain is None:
             self.ticks, self.plain, self.settling, self.stopped = raw, None, None, saved.stopped
             if saved.settling is not None:
@@ -277,6 +278,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self._compare(raw)
         if self.plain is not None:
             self.plain.take_over(saved.plain)
+            self.plain.monitor.senses = senses
 
 
 def _in_words(fit: MagnitudeFit) -> str:

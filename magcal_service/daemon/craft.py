@@ -182,11 +182,24 @@ class Craft(Stateful, CraftMemory):
         self._refresh_estimate()
 
     def _take_estimate(self, saved: Craft) -> None:
-        """Take estimate and verdict of another of this craft; samples, ticks and counters stay."""
-        self.estimator, self.monitor, self._process_noise = saved.estimator, saved.monitor, saved._process_noise
+        """Take estimate and verdict of another of this craft; samples, what they show of the sensor, ticks stay."""
+        senses = self.monitor.senses
+        self.estimator, self._process_noise = saved.estimator, saved._process_noise
+        self._go_on_with(saved.monitor)
+        self.monitor.senses = senses  # axes that have changed since are not as they were again
         self.watch, self.witness = saved.watch, saved.witness
-        self._thawed, self._fault = True, None
-        self._learned_s, self._walk = saved._learned_s, saved._walk
+        self._learned_s, self._walk, self._thawed = saved._learned_s, saved._walk, True
+
+    def _go_on_with(self, monitor: TrustMonitor) -> None:
+        """Take another monitor, and tell it the fault that the sensor has now."""
+        self.monitor = monitor
+        monitor.observe_fault(None if self._fault is None else SENSOR_FAULTS[self._fault][0])
+
+    def take_commands(self, other: Craft) -> None:
+        """Be as commands have made another: frozen or not, with its process noise."""
+        if other._process_noise is not None:
+            self.set_process_noise(*other._process_noise)
+        self.freeze(other.frozen)
 
     def _refresh_estimate(self) -> None:
         """Read the estimate from the estimator, check that its covariance is positive definite, and judge it."""

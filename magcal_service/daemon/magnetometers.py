@@ -114,7 +114,7 @@ class Magnetometers:
         told = own.ticks if own.plain is None else own.plain.ticks  # as it came, without the craft's own physics
         pipeline.ticks.references.restore_state(told.references.export_state())
         pipeline.ticks.rates.restore_state(told.rates.export_state())
-        pipeline.frozen = own.frozen
+        pipeline.take_commands(own)
         pipeline.note("magnetometer", f"source {source} has appeared, beside {', '.join(self.sources[:-1])}")
         return pipeline
 

@@ -112,9 +112,8 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         fresh = type(self)(self.config)
         fresh.ticks.go_on_from(self.ticks)
         fresh.counters.update(self.counters)
-        if self._process_noise is not None:
-            fresh.set_process_noise(*self._process_noise)
-        fresh.frozen, fresh._sequence, fresh._events = self.frozen, self._sequence, self._events
+        fresh.take_commands(self)
+        fresh._sequence, fresh._events = self._sequence, self._events
         fresh.heard, fresh.failures = self.heard, self.failures
         fresh.first_time_ns, fresh.last_time_ns, fresh._clock = self.first_time_ns, self.last_time_ns, self._clock
         fresh._left_out = self._left_out if message is None else [*self._left_out, _digest(message)][-_MOST_LEFT_OUT:]

@@ -266,21 +266,30 @@ class Service:
         self._publish(magnetometers.one_reply(pipelines, replies))
 
     def _give(self, pipeline: Pipeline, message: Message, replies: list[CommandReply] | None = None) -> None:
-        """Have a pipeline work on a message; the replies to a command are kept in ``replies`` where that is given."""
+        """Have a pipeline work on a message; the replies to a command are kept in ``replies`` where that is given.
+
+        A command at which the craft fails is answered as well: whoever asks is told why nothing was done.
+        """
+        told = list[CommandReply]() if replies is None else replies
+        before = len(told)
         if pipeline.leaves_out(message):
             self._report_left_out(pipeline, message)
-            return
-        with contained(pipeline, _TAKING[type(message)], message):
-            self._work_off(pipeline, message, replies)
-        self._report(pipeline.take_events())
+        else:
+            with contained(pipeline, _TAKING[type(message)], message):
+                self._work_off(pipeline, message, told, kept=replies is not None)
+            self._report(pipeline.take_events())
+        if isinstance(message, Command) and len(told) == before:
+            told.append(pipeline.turn_away(message, f"the craft failed at it: {pipeline.failure}"))
+            self._publish(told if replies is None else [])
 
-    def _work_off(self, pipeline: Pipeline, message: Message, replies: list[CommandReply] | None) -> None:
+    def _work_off(self, pipeline: Pipeline, message: Message, told: list[CommandReply], *, kept: bool) -> None:
         for output in pipeline.outputs(message, self._commander.carry_out):
             if isinstance(output, Event):
                 self._report([output])
-            elif isinstance(output, CommandReply) and replies is not None:
-                replies.append(output)
-            else:
+                continue
+            if isinstance(output, CommandReply):
+                told.append(output)
+            if not (kept and isinstance(output, CommandReply)):
                 self._publish([output])
         if isinstance(message, Command) and message.name == "status":
             self._publish_status(pipeline)

@@ -54,6 +54,12 @@ _LATEST: Final = 5400
 _SKIPPED: Final = 1200
 """Ticks without some driver after which none is waited for: the other effects are compensated, these are left out."""
 
+_MOST_OPEN: Final = 6000
+"""Samples whose tick is not kept yet, at most: 10 min at 10 Hz, longer than a reference is waited for.
+
+No tick is kept while frozen or without a reference.
+"""
+
 
 @dataclass(init=False, repr=False, eq=False)
 class SettlingMemory:
@@ -124,6 +130,9 @@ class Settling(Stateful, SettlingMemory):
             elapsed_s = self.ticks.elapsed_s(sample)
             self._fields[elapsed_s] = self._compensation.start_fields
             self._raw[elapsed_s] = np.array(sample.field_body_nt)
+            for open_ones in (self._fields, self._raw):
+                if len(open_ones) > _MOST_OPEN:
+                    del open_ones[next(iter(open_ones))]  # the oldest
 
     def _keep(self, tick: Tick) -> None:
         """Keep a tick of whose samples all drivers were there, the oldest no longer than there is room."""

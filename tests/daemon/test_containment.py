@@ -18,11 +18,12 @@ from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.settings import Config
 from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.containment import contained
+from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
 from magcal_service.trust.monitor import TrustMonitor
-from magcal_service.wire.messages import CalibratedVector, MagnetometerSample, Message, Status
+from magcal_service.wire.messages import CalibratedVector, Command, CommandReply, MagnetometerSample, Message, Status
 from tests.daemon.pipeline_streams import handle_all, paper, quick_craft
 
 FLIGHT = list(paper(5, 200.0).messages())
@@ -159,6 +160,22 @@ def test_a_failure_beside_the_messages_is_contained_as_well(
         service.publish_status()
         assert {one.craft for one in node.receive(0.0) if isinstance(one, Status)} == {"sick", "well"}
         assert list((tmp_path / "well").glob("*.state"))
+
+
+def test_a_command_at_which_it_fails_is_answered_with_why_and_so_is_the_same_one_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_craft: object, _command: Command) -> str:
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setitem(CRAFT_COMMANDS, "freeze", failing)
+    asked = Command(craft="sick", source="desk", sequence=3, time_ns=0, name="freeze")
+    with served(tmp_path) as (service, node):
+        give(service, node, of("sick", FLIGHT[:20]))
+        replies = [one for one in give(service, node, [asked, asked]) if isinstance(one, CommandReply)]
+    assert [(one.accepted, one.command_sequence) for one in replies] == [(False, 3)] * 2
+    why = "the craft failed at it: ZeroDivisionError: a defect, while taking a command message"
+    assert [one.text for one in replies] == [why] * 2
 
 
 def test_commands_that_were_given_hold_and_numbers_go_on() -> None:

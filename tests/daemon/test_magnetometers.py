@@ -223,3 +223,15 @@ def test_a_command_is_for_all_or_for_the_one_that_it_names() -> None:
         assert _complete({("pair", one.source): one for one in statuses[:1]}) == set()
         assert [line.split(":")[0] for line in as_text(statuses).splitlines()[::2]] == ["pair", "pair/mag2"]
         assert [one.source for one in published if isinstance(one, Status)] == ["magcal", "mag2"]
+
+
+def test_one_that_appears_later_is_as_commands_have_made_the_craft() -> None:
+    with served() as (service, node):
+        give(service, node, of_source("mag", messages(10.0)))
+        for asked in (command("freeze"), replace(command("process_noise"), arguments={"bias_nt": 0.5})):
+            give(service, node, [asked])
+        give(service, node, list(messages(12.0)))
+        own, later = service.pipelines.values()
+    assert later.frozen
+    assert later.summary().startswith("frozen, not_started (frozen")
+    assert (later._process_noise, own._process_noise) == ((0.5, 0.0), (0.5, 0.0))

@@ -12,7 +12,7 @@ from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.codec import encode
-from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
+from magcal_service.wire.messages import Command, CommandReply, Estimate, MagnetometerSample, Message, Verdict
 from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
 
 SECONDS = 1400
@@ -155,6 +155,40 @@ def test_process_noise_says_at_once_that_there_is_no_protection_level(pipeline: 
     ask(pipeline, "reset")
     handle_all(pipeline, messages(0, 900, later_s=1000))
     assert pipeline.trust.protection_nt is not None
+
+
+def test_a_rollback_brings_no_fault_back_that_is_over(pipeline: Pipeline) -> None:
+    """A checkpoint of a time when the sensor was stuck: stuck, that craft would have stayed for ever."""
+    still = [replace(m, field_body_nt=(1.0, 2.0, 3.0)) for m in messages(900, 930)[1::2]]
+    handle_all(pipeline, still)
+    assert "stuck" in pipeline.trust.reasons
+    then = copied(pipeline)
+    handle_all(pipeline, messages(930, 960))
+    pipeline.restore_estimate(then)
+    handle_all(pipeline, messages(960, 1030))
+    assert pipeline.trust.reasons == ()
+
+
+def test_a_rollback_does_not_forget_that_axes_have_changed_since(pipeline: Pipeline) -> None:
+    then = copied(pipeline)
+    swapped = [
+        replace(m, field_body_nt=(m.field_body_nt[1], m.field_body_nt[0], m.field_body_nt[2]))
+        if isinstance(m, MagnetometerSample)
+        else m
+        for m in messages(900, 1000)
+    ]
+    handle_all(pipeline, swapped[:80])
+    assert "axes_changed" in pipeline.trust.reasons
+    pipeline.restore_estimate(then)
+    handle_all(pipeline, swapped[80:])
+    assert "axes_changed" in pipeline.trust.reasons
+
+
+def copied(pipeline: Pipeline) -> Pipeline:
+    """What a checkpoint would keep."""
+    other = Pipeline(pipeline.config)
+    other.restore_state(pipeline.export_state())
+    return other
 
 
 def test_what_is_frozen_loses_its_protection_level_after_as_long_as_between_two_looks(pipeline: Pipeline) -> None:

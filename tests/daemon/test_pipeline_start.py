@@ -122,6 +122,23 @@ def test_a_start_that_is_being_estimated_is_restored_bit_for_bit() -> None:
     assert one.export_state() == two.export_state()
 
 
+def test_while_frozen_what_it_remembers_of_samples_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No tick is kept then, nor without a reference: all samples of that time were."""
+    monkeypatch.setattr(settling, "_MOST_OPEN", 20)
+    scenario = warming(45.0)
+    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    messages = [m for m in Simulation(scenario, 5, 200.0).messages() if not isinstance(m, TelemetrySample)]
+    pipeline.freeze(True)
+    for message in messages[:300]:
+        pipeline.handle(message)
+    assert pipeline.settling is not None
+    assert len(pipeline.settling._fields) == len(pipeline.settling._raw) == 20
+    pipeline.freeze(False)
+    for message in messages[300:]:
+        pipeline.handle(message)
+    assert pipeline.settling._seen > 30
+
+
 def test_at_the_models_own_start_nothing_is_waited_for() -> None:
     scenario = warming(45.0)
     pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns)))
