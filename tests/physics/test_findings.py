@@ -200,6 +200,17 @@ def test_a_steady_rate_that_is_not_the_stated_one_is_told_from_a_thousandth_on(s
         assert (finding.share, finding.nats) == (1.0, 15.0)
 
 
+def test_a_rate_whose_numbers_do_not_differ_by_what_they_may_be_off_is_none() -> None:
+    """A phase that wanders by a cube: the mean rate is 0.3 % off, but at no time is it known to that."""
+    share = TIME_S / TIME_S[-1]
+    wandering = 0.8 * TIME_S + 0.02 * 0.8 * float(TIME_S[-1]) * (share - 0.5) ** 3
+    turn = turned(wandering)
+    assert abs(turn.rate_rad_s / 0.8 - 1.0) > 0.002
+    assert spun(turn, 0.8 / RPM) is None
+    steady = turned(turn.rate_rad_s * TIME_S)
+    assert spun(steady, 0.8 / RPM) is not None
+
+
 def test_a_turn_with_pauses_or_too_few_samples_says_nothing() -> None:
     bent = turned(0.8 * TIME_S + 1e-5 * TIME_S**2)
     seen = viewed(field_nt(), alone=bent)

@@ -24,6 +24,9 @@ _LEAST_SHARE: Final = 0.001
 _SIGMAS: Final = 5.0
 """Sigmas of the rate that a difference has to have: by chance once in 2 million."""
 
+_STANDS_OUT: Final = 3.0
+"""Of its own sigma, by which the rate or its change has to differ from what was stated, as all effects' numbers do."""
+
 TO_RPM: Final = 30.0 / math.pi
 """rad/s to turns a minute."""
 
@@ -59,6 +62,10 @@ def _find(view: View) -> Finding | None:
     # a rate that does not change evenly: what one order more says otherwise, and the turn of the direction itself
     rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span)
     change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span)
+    start_rad_s = float(curve.values[1]) / span
+    differs = nominal is not None and abs(start_rad_s - nominal) > _STANDS_OUT * rate_sigma / span
+    if not differs and abs(float(curve.values[2])) < _STANDS_OUT * change_sigma:
+        return None  # neither number, with all that it may be off by, differs from what was stated
     parameters = {
         "rate_rpm": value_of(float(curve.values[1]) / span * TO_RPM, rate_sigma / span * TO_RPM, "rpm"),
         "rate_rpm_per_s": value_of(
