@@ -120,6 +120,12 @@ _WHY_NOT = {
     errno.EROFS: "the file system can only be read",
     errno.ELOOP: "this is a link, or too many links lead to it",
     errno.ENAMETOOLONG: "the name is too long for a file",
+    errno.EADDRINUSE: "another process has this port",
+    errno.EADDRNOTAVAIL: "this machine has no such address",
+    errno.ENODEV: "there is no such device",
+    errno.ENXIO: "there is no such device",
+    errno.EIO: "the disk or device failed",
+    errno.ENOTTY: "this is no serial device",
 }
 
 

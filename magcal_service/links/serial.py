@@ -20,7 +20,7 @@ from typing import Final
 
 import serial
 
-from magcal_service.base.errors import DecodeError
+from magcal_service.base.errors import DecodeError, why_not
 from magcal_service.config.address import LinkAddress
 from magcal_service.links.base import Link, Role
 from magcal_service.links.line_seal import open_coders
@@ -319,4 +319,4 @@ def _words_of(error: Exception) -> str:
     number = error.errno if isinstance(error, OSError) else None
     if number in _HELD:
         return "another process has it"
-    return os.strerror(number) if number else str(error)
+    return why_not(OSError(*error.args) if isinstance(error, termios.error) else error)

@@ -13,7 +13,7 @@ from typing import BinaryIO, Final, NamedTuple
 from magcal_service.base.errors import ExtraMissingError, Fault, RecordingError
 from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
-from magcal_service.recordings.mcap_limits import McapLimits
+from magcal_service.recordings.mcap_limits import LONGEST_MESSAGE, McapLimits
 from magcal_service.recordings.mcap_records import (
     CHUNK_HEAD,
     INDEX_HEAD,
@@ -23,6 +23,7 @@ from magcal_service.recordings.mcap_records import (
     chunk_of,
     strict,
     unpack,
+    unpacked_size,
 )
 
 try:
@@ -38,6 +39,7 @@ _FOOTER_BYTES: Final = 20  # two places of 8 bytes and a checksum
 _CHECKSUM_BYTES: Final = 4  # at the footer's end, not part of what it covers
 
 _UNFINISHED: Final = "it ends early"
+_IN_CHUNKS: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 _MARKS: Final = re.compile(
     rb"(?P<chunk>\x04\0\0\0zstd)|\x0c.{8}.{4}magcal\.|\x02\x14\0{7}|" + re.escape(MAGIC), re.DOTALL
@@ -98,12 +100,14 @@ class McapReader:
         self.library = ""
         self.profile = ""
         self._schemas: dict[int, Schema] = {}
+        self._introduced: dict[tuple[int, bytes], bytes] = {}
         self._finished = False  # the last thing read is a file's closing mark
         self._summary: bytes | None = None  # the statistics of a summary that is not known to be sound yet
         self._read = self._indexed = self._stated = 0  # messages: read, and what indices and sound summaries say
         self._all_stated = True
         self._to_search = _SEARCH_AT_LEAST + _SEARCH_TIMES * self.size
         self._limits = McapLimits(name, self.size)
+        self._place = 0  # where the record ends that is read
 
     @property
     def sound(self) -> bool:
@@ -163,9 +167,10 @@ class McapReader:
                 at = self._behind(at, error)
                 continue
             if record.opcode == Opcode.CHUNK:
-                self._limits.count_bytes(len(record.content))
+                self._limits.count_bytes(len(record.content), record.end)
             self.good_bytes += record.end - at
             self._finished = False
+            self._place = record.end
             yield record.opcode, record.content
             at = record.end
             if record.opcode == Opcode.FOOTER:
@@ -201,7 +206,9 @@ class McapReader:
                 continue
             body = self._at(place + _HEAD.size, one)
             try:
-                records = unpack(chunk_of(body))
+                chunk = chunk_of(body)
+                self._limits.count_tried(unpacked_size(chunk), place + _HEAD.size + one)
+                records = unpack(chunk)
             except SPOILT:
                 continue
             if own != length:
@@ -252,7 +259,7 @@ class McapReader:
         self._damaged("another file follows its end" if self._finished else "another file begins within it")
         self._all_stated &= self._finished
         self._finished = False
-        self.topics, self._schemas = {}, {}
+        self.topics, self._schemas, self._introduced = {}, {}, {}
         self.good_bytes += len(MAGIC)
         return at + len(MAGIC)
 
@@ -312,7 +319,11 @@ class McapReader:
             at += _HEAD.size
             if length > end - at:
                 break
-            yield from self._taken(opcode, records[at : at + length])
+            if length > LONGEST_MESSAGE or opcode not in _IN_CHUNKS:
+                self._limits.count_unused(length, self._place)
+                self.bad_records += opcode in _IN_CHUNKS
+            else:
+                yield from self._taken(opcode, records[at : at + length])
             at += length
         if at != end:
             self.bad_records += 1
@@ -327,7 +338,12 @@ class McapReader:
                 self._indexed += (len(body) - INDEX_HEAD.size) // INDEX_ENTRY_BYTES
             elif opcode == Opcode.STATISTICS:
                 self._summary = body
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.HEADER):
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                if self._introduced.get((opcode, body[:2])) != body:  # begins with its number; each chunk repeats it
+                    self._limits.count_introduced(len(body), self._place)
+                    self._remember(opcode, ReadDataStream(io.BytesIO(body)))
+                    self._introduced[opcode, body[:2]] = body
+            elif opcode in (Opcode.METADATA, Opcode.HEADER):
                 self._remember(opcode, ReadDataStream(io.BytesIO(body)))
         except SPOILT:
             self.bad_records += 1

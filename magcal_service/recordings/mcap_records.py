@@ -92,6 +92,15 @@ def chunk_of(body: bytes) -> Chunk:
     return Chunk(_ZSTD.decode(), body[CHUNK_HEAD.size :], last_ns, first_ns, checksum, size)
 
 
+def unpacked_size(chunk: Chunk) -> int:
+    """How many bytes ``unpack`` would make of a chunk at most; 0 where it would not begin."""
+    size: int = chunk.uncompressed_size
+    if chunk.compression != "zstd" or size > LARGEST_RECORD:
+        return 0
+    stated: int = zstandard.frame_content_size(chunk.data)
+    return size if stated < 0 else stated if stated <= size else 0
+
+
 def unpack(chunk: Chunk) -> bytes:
     """A chunk's records; ``ValueError`` where size or checksum is wrong."""
     if chunk.uncompressed_size > LARGEST_RECORD:

@@ -36,6 +36,13 @@ class RowLimits:
         if rows > self.max_rows:
             self._refuse(path, f"more than {self.max_rows} rows", f"at most {self.max_rows} rows are accepted")
 
+    def check_messages(self, name: str, messages: int) -> None:
+        """Refuse a recorded session by its messages so far, each of which takes as much memory as a row."""
+        if messages > self.max_rows:
+            accepted = f"at most {self.max_rows} are held in memory; record with a smaller file_mb, or give a "
+            accepted += "RECORDING.toml with a higher max_rows under [samples] where there is memory (0.8 kB each)"
+            raise RecordingError([Fault(name, f"more than {self.max_rows} messages that came in", accepted)])
+
     def check_bytes(self, path: Path, size: int) -> None:
         """Refuse a log by its bytes so far, unpacked."""
         most = max(self.max_rows * _BYTES_PER_ROW, _LEAST_BYTES)

@@ -20,6 +20,7 @@ from magcal_service.config.text import craft_from_toml
 from magcal_service.recordings.json_form import from_json
 from magcal_service.recordings.mcap import CRAFT, DROPPED, MOST_MISSING, PROFILE, STATE, dropped_messages
 from magcal_service.recordings.mcap_reader import McapReader
+from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.state_text import state_from_text
 from magcal_service.wire.kinds import FIRST_RESULT, KINDS
 from magcal_service.wire.messages import Command, CommandReply, Message
@@ -59,9 +60,11 @@ class Session:
 class _Found:
     """What was read so far."""
 
+    limits: RowLimits
     messages: dict[str, list[Message]] = field(default_factory=dict)
     refused: dict[str, Counter[str]] = field(default_factory=dict)
     states: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    held: int = 0
 
     def take(self, craft: str, message: Message, reader: McapReader) -> None:
         """Keep what came in, but for commands that were refused: they would not be where checkpoints are other ones."""
@@ -73,6 +76,8 @@ class _Found:
         if craft not in self.messages:
             self.states[craft] = _states(reader, craft)
         self.messages.setdefault(craft, []).append(message)
+        self.held += 1
+        self.limits.check_messages(reader.name, self.held)
 
 
 def _refused(command: Message, reply: CommandReply) -> bool:
@@ -81,21 +86,24 @@ def _refused(command: Message, reply: CommandReply) -> bool:
     return isinstance(command, Command) and answers and not reply.accepted
 
 
-def read_session(path: Path, craft: str | None = None, prefer: str | None = None) -> Session:
+def read_session(
+    path: Path, craft: str | None = None, prefer: str | None = None, limits: RowLimits | None = None
+) -> Session:
     """Read one craft's part of a session file.
 
     Parameters
     ----------
     craft: whose; may be left out where the file has one craft.
     prefer: whose where none is named and the file has several.
+    limits: the most messages that are taken; those of a log in rows where not given.
 
     Raises ``RecordingError`` where the file cannot be read, was not made by this service, has nothing of that craft,
-    or where it has several craft and none is named.
+    is beyond the limits, or where it has several craft and none is named.
     """
     try:
         with path.open("rb") as file:
             reader = McapReader(file, str(path))
-            found = _Found()
+            found = _Found(limits or RowLimits())
             for name, message in decoded(reader, found.refused, _INPUTS | {"reply"}):
                 found.take(name, message, reader)
     except OSError as error:

@@ -25,6 +25,7 @@ from magcal_service.config.settings import CraftConfig, SpinConfig, TickConfig
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Recording, Reference
 from magcal_service.recordings.report import RowCount, RowFault, RowReport
+from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.session import Session, read_session
 from magcal_service.recordings.specs import (
     CartesianPosition,
@@ -120,7 +121,7 @@ def session_recording(
 
     Raises ``RecordingError`` as ``read_session``, and where there is no magnetometer sample.
     """
-    session = read_session(path, craft, prefer)
+    session = read_session(path, craft, prefer, None if descriptor is None else RowLimits(descriptor.max_rows))
     measured = [message for message in session.messages if isinstance(message, MagnetometerSample)]
     if not measured:
         raise RecordingError([Fault(str(path), "no magnetometer samples", "a recording with some is accepted")])

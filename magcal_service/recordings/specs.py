@@ -124,9 +124,7 @@ def _craft(reading: Reading, name: str) -> str | None:
 
 
 def _max_rows(reading: Reading, name: str) -> int:
-    """How many rows are read at most; a session has none."""
-    if _is_session(reading):
-        return DEFAULT_MAX_ROWS
+    """How many rows, or messages of a session, are read at most."""
     return reading.table.integer(name, DEFAULT_MAX_ROWS, minimum=1, maximum=HIGHEST_MAX_ROWS)
 
 

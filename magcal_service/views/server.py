@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -12,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from magcal_service.base.errors import ExtraMissingError, Fault, InputRefusedError
+from magcal_service.base.errors import ExtraMissingError, Fault, InputRefusedError, why_not
 from magcal_service.views import PAGE
 from magcal_service.views.feed import Feed
 from magcal_service.views.sources import COMMANDS, Source
@@ -198,8 +197,7 @@ async def serve(source: Source, port: int, offer: Offer, served: Callable[[str],
         try:
             await web.TCPSite(runner, ADDRESS, port).start()
         except OSError as error:
-            why = os.strerror(error.errno) if error.errno else str(error)
-            accepted = f"{why}; give another one, or 0 for one that is free"
+            accepted = f"{why_not(error)}; give another one, or 0 for one that is free"
             raise InputRefusedError([Fault("--port", port, accepted)]) from None
         source.start()
         served(f"http://{ADDRESS}:{runner.addresses[0][1]}/")

@@ -81,7 +81,9 @@ def test_a_line_that_cannot_be_opened_is_a_trouble() -> None:
     with open_link("serial:/dev/absent", Role.SERVICE, crafts=["demo"]) as link:
         service = Service(Config(link.address, (CraftConfig("demo"),)), link)
         assert "/dev/absent cannot be opened" in service.statuses.of(service.pipelines["demo"]).text
-        assert why_silent(link).startswith("/dev/absent cannot be opened: No such file or directory; give the device ")
+        assert why_silent(link).startswith(
+            "/dev/absent cannot be opened: there is no such file or folder; give the device "
+        )
 
 
 def test_a_line_that_another_process_has_is_said_to_be_taken(caplog: pytest.LogCaptureFixture) -> None:

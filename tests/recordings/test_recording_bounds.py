@@ -9,6 +9,7 @@ import re
 import struct
 import tracemalloc
 import zlib
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -17,12 +18,15 @@ import zstandard
 from magcal_service.base.errors import InputRefusedError, RecordingError
 from magcal_service.cli.__main__ import main
 from magcal_service.offline.given import read_given
-from magcal_service.recordings import mcap_limits, mcap_records, row_limits
+from magcal_service.recordings import mcap_limits, mcap_reader, mcap_records, row_limits
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.row_limits import RowLimits
+from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import recover_in_place
 from tests.recordings.recording_logs import HEADER, descriptor, row, write_log
+from tests.recordings.sessions import record, stream
 
 ROWS = [row(1700000000 + second) for second in range(5)]
 
@@ -102,6 +106,81 @@ def test_a_recording_that_unpacks_to_far_more_than_it_is_is_refused(
     assert [one.name for one in tmp_path.iterdir()] == ["bomb.mcap"]
     assert recover_in_place(path).result is None  # as the daemon does at its start: set aside, not deleted
     assert [one.name for one in tmp_path.iterdir()] == ["bomb.unreadable"]
+
+
+def test_padding_is_refused_long_before_the_limit_of_what_is_a_recording(tmp_path: Path) -> None:
+    """Four megabytes, 57 times as much unpacked, of no known use: refused within the first tenth of the file."""
+    noise = os.urandom((1 << 22) // 57)
+    content = struct.pack("<BQ", 0x80, (1 << 22) - 9) + noise + bytes((1 << 22) - 9 - len(noise))
+    file = io.BytesIO(packed(content, 57))
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match=r"unpack to more than \d+ of padding.*4 times the file.*take a copy"):
+        list(McapReader(file, "file").messages())
+    assert tracemalloc.get_traced_memory()[1] < 20 << 20
+    tracemalloc.stop()
+    assert file.tell() < len(file.getvalue()) / 10
+
+
+def test_what_stands_behind_does_not_excuse_what_was_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same chunks are within the limit where as many bytes of metadata stand before them, and refused behind."""
+    monkeypatch.setattr(mcap_limits, "_AT_LEAST", 1 << 16)
+    monkeypatch.setattr(mcap_limits, "_TIMES", 2)
+    content = struct.pack("<BQ", 0x80, (1 << 16) - 9) + bytes((1 << 16) - 9)
+    chunks = packed(content, 8)[len(MAGIC) :]
+    filling = struct.pack("<BQ", 0x80, 1 << 19) + bytes(1 << 19)
+    assert list(McapReader(io.BytesIO(MAGIC + filling + chunks), "file").messages()) == []
+    with pytest.raises(RecordingError, match="unpack to more than"):
+        list(McapReader(io.BytesIO(MAGIC + chunks + filling), "file").messages())
+
+
+def test_chunks_that_are_spoilt_are_not_unpacked_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred chunks with a wrong checksum, of 16 MiB each: the search for a sound one ends after some of them."""
+    monkeypatch.setattr(mcap_limits, "_AT_LEAST", 1 << 24)
+    content = struct.pack("<BQ", 0x80, (1 << 24) - 9) + bytes((1 << 24) - 9)
+    one = bytearray(packed(content, 1)[len(MAGIC) :])
+    one[9 + 24] ^= 1  # of the checksum
+    tried: list[int] = []
+    unpack = mcap_reader.unpack
+    monkeypatch.setattr(mcap_reader, "unpack", lambda chunk: tried.append(1) or unpack(chunk))
+    with pytest.raises(RecordingError, match="spoilt chunks that unpack to more than"):
+        list(McapReader(io.BytesIO(MAGIC + bytes(one) * 100), "file").messages())
+    assert len(tried) < 10
+
+
+def test_channels_that_say_something_new_without_end_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten under one number; ten times the same is one."""
+
+    def channel(craft: bytes) -> bytes:
+        pairs = b"".join(struct.pack("<I", len(text)) + text for text in (b"craft", craft))
+        body = struct.pack("<HH", 1, 0) + bytes(8) + struct.pack("<I", len(pairs)) + pairs
+        return struct.pack("<BQ", 4, len(body)) + body
+
+    monkeypatch.setattr(mcap_limits, "_MOST_INTRODUCED", 5)
+    assert list(McapReader(io.BytesIO(packed(channel(b"demo") * 10, 1)), "file").messages()) == []
+    file = packed(b"".join(channel(b"demo%d" % number) for number in range(10)), 1)
+    with pytest.raises(RecordingError, match="more than 5 channels and schemas"):
+        list(McapReader(io.BytesIO(file), "file").messages())
+
+
+def test_a_message_longer_than_any_of_the_wire_is_spoilt() -> None:
+    message = struct.pack("<HIQQ", 1, 0, 1, 1) + b" " * mcap_limits.LONGEST_MESSAGE
+    channel = struct.pack("<BQHH", 4, 16, 1, 0) + bytes(12)
+    reader = McapReader(io.BytesIO(packed(channel + struct.pack("<BQ", 5, len(message)) + message, 1)), "file")
+    assert list(reader.messages()) == []
+    assert reader.bad_records == 1
+
+
+def test_more_messages_than_are_held_are_refused_and_a_description_raises_that(tmp_path: Path) -> None:
+    (path,) = record(tmp_path, stream(20))
+    count = len(read_session(path).messages)
+    assert len(read_session(path, limits=RowLimits(count)).messages) == count
+    with pytest.raises(RecordingError, match=rf"more than {count - 1} messages that came in.*max_rows"):
+        read_session(path, limits=RowLimits(count - 1))
+    described = tmp_path / "RECORDING.toml"
+    for rows, told in ((count, None), (count - 1, "max_rows")):
+        described.write_text(f'version = 1\n[samples]\nfile = "{path.name}"\nmax_rows = {rows}\n')
+        with pytest.raises(RecordingError, match=told) if told else nullcontext():
+            assert len(read_recording(described))
 
 
 def test_a_chunk_that_says_too_much_or_has_more_than_it_says_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ from typing import Any, Final
 import msgpack
 
 from magcal_service.base.disk import write_whole
-from magcal_service.base.errors import Fault, FileFault, InputRefusedError, MagcalError
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError, MagcalError, why_not
 from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
 from magcal_service.config.private_files import read_key
@@ -288,9 +288,7 @@ class StateStore:
                 _refuse_anybodys(os.fstat(file.fileno()))
                 raw = file.read(_LARGEST_BYTES + 1)
         except OSError as error:
-            raise StateError(
-                "a link, not a file" if error.errno == errno.ELOOP else error.strerror or str(error)
-            ) from None
+            raise StateError("a link, not a file" if error.errno == errno.ELOOP else why_not(error)) from None
         if len(raw) > _LARGEST_BYTES:
             raise StateError(f"larger than {_LARGEST_BYTES} bytes")
         return decode(raw, self._key)
