@@ -73,7 +73,8 @@ REMEDIES: Final = {
     "the sigmas as lower bounds",
     Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: move through a changing "
     "field, or give attitude",
-    Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock",
+    Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock, of "
+    "positions that they are UTC and in km (not metres) from the Earth's centre",
     Reason.AXIS_STUCK: "one axis repeats one value while the others move: power-cycle the sensor",
     Reason.SATURATED: "the field exceeds the sensor's full scale (range_nt): find what magnetises it",
     Reason.FROZEN: "nothing is learned since the command freeze: resume",
