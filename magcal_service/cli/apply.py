@@ -67,20 +67,15 @@ def _apply(options: argparse.Namespace) -> int:
 
 
 def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> list[str]:
-    import numpy as np
+    from magcal_service.offline.apply import residual_rms
 
     vectors = applied.vectors
     lines = [
         f"{out}: {len(vectors)} vectors, {applied.trusted} of them trusted; w = (I + D) B - b by {given.name}, "
         f"sha256 {given.sha256[:12]}"
     ]
-    usable = inspection.usable.sorted_unique()
-    if given.model is None:
-        before, after = (
-            float(np.sqrt(np.nanmean(np.square(np.linalg.norm(field, axis=1) - usable.reference.magnitude_nt))))
-            for field in (usable.field_body_nt, given.apply(usable.field_body_nt))
-        )
-        lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
+    before, after = residual_rms(given, inspection, applied)
+    lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
     if not given.whole:
         lines.append("covariance: of the sigmas alone, for the file has no covariance")
     lines += [f"{count} vectors are doubtful: {name} has no driver then" for name, count in applied.missing.items()]

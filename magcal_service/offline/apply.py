@@ -105,6 +105,28 @@ def apply(given: Given, inspection: Inspection) -> Applied:
     return _judged(applied, inspection, given, state.noise_nt)
 
 
+def residual_rms(given: Given, inspection: Inspection, applied: Applied) -> tuple[float, float]:
+    """How far |B| as measured, and |w| as applied, are off the field over the usable rows: rms [nT]; NaN without any.
+
+    Where effects act on the reference, |w| is compared with the field as they leave it.
+    """
+    usable = inspection.usable.sorted_unique()
+    stated = usable.reference.magnitude_nt
+    after_nt, field_nt = given.apply(usable.field_body_nt), stated
+    if given.model is not None:
+        found = {one.time_ns: one.field_body_nt for one in applied.vectors}
+        absent = (math.nan,) * 3
+        after_nt = np.array([found.get(time_ns, absent) for time_ns in usable.time_ns.tolist()]).reshape(-1, 3)
+        field_nt = np.where(np.isnan(stated), np.nan, applied.reference_at(usable.time_ns))
+    return _rms_off(usable.field_body_nt, stated), _rms_off(after_nt, field_nt)
+
+
+def _rms_off(vectors_nt: Array, field_nt: Array) -> float:
+    off = np.linalg.norm(vectors_nt, axis=1) - field_nt
+    off = off[np.isfinite(off)]
+    return float(np.sqrt(np.mean(np.square(off)))) if off.size else math.nan
+
+
 def _judged(applied: Applied, inspection: Inspection, given: Given, noise_nt: float) -> Applied:
     """All doubtful where the vectors are off the field by more than noise and protection level explain.
 

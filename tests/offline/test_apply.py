@@ -15,7 +15,7 @@ from magcal_service.base.errors import InputRefusedError
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import Array
-from magcal_service.offline.apply import apply
+from magcal_service.offline.apply import apply, residual_rms
 from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.given import read_given
 from magcal_service.offline.replay import craft_of
@@ -90,6 +90,11 @@ def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
     plain = np.linalg.norm(given.apply(recording.field_body_nt), axis=1) - recording.reference.magnitude_nt
     left = np.linalg.norm(vectors_nt(applied.vectors), axis=1) - recording.reference.magnitude_nt
     assert np.sqrt(np.mean(left**2)) < 1.1 * (craft.sensor.noise_nt or 0.0) < np.sqrt(np.mean(plain**2))
+    raw = np.linalg.norm(recording.field_body_nt, axis=1) - recording.reference.magnitude_nt
+    rms = [float(np.sqrt(np.mean(off**2))) for off in (raw, left)]
+    assert residual_rms(given, inspect(recording), applied) == pytest.approx(rms)
+    done = run("apply", recording.descriptor.path, "--with", path, "--out", tmp_path / "v.csv")
+    assert f"residual rms: {rms[0]:.1f} nT before, {rms[1]:.1f} nT after\n" in done.out
     np.testing.assert_array_equal(given.x, HOT_X)
     blind = apply(given, inspect(replace(recording, channels={})))
     assert blind.missing == {"thermal_bias": 600, "thermal_scale": 600}
