@@ -224,6 +224,8 @@ class Effect:
     switched: what one switches off to make it go away, with its article; empty where nobody can.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
+    outdated: why a file's form with these constants is one of before, that is computed otherwise today; empty where it
+        is not.
     """
 
     name: str
@@ -247,6 +249,7 @@ class Effect:
     switched: str = ""
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
+    outdated: Callable[[str, Mapping[str, float]], str] = lambda _form, _constants: ""
 
     def sentence(self, parameters: Values, driver: str) -> str:
         """What was found, in one sentence with its numbers."""

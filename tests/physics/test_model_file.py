@@ -262,3 +262,15 @@ def test_numbers_of_another_shape_are_refused() -> None:
     term = parse_model(GOOD.encode()).terms[0]
     with pytest.raises(MisfitError, match=r"nt_per_k has shape \(2,\); \(3,\) is accepted"):
         effects_on(flight(), model(replace(term, amplitudes={"nt_per_k": np.array([1.0, 2.0])})))
+
+
+def test_an_external_field_of_before_its_induced_part_was_right_is_refused_with_a_way_on() -> None:
+    """What it was fitted with stands in the file; without it its numbers meant another field.  Uniform is taken."""
+    induced = next(form for form in forms() if form.label == "external_field")
+    text = text_of(model(drawn(induced)[0]))
+    assert parse_model(text.encode()).terms[0].constants == {"induced": 0.27}
+    old = re.sub(r"\[effect\.constants\]\ninduced = .*\n", "", text)
+    with pytest.raises(ModelError, match=r"effect\[0\]\.constants.*induced is required.*diagnose the recording again"):
+        parse_model(old.encode())
+    uniform = old.replace('driver = "none"\n', 'driver = "none"\nvariant = "uniform"\n')
+    assert parse_model(uniform.encode()).terms[0].variant == "uniform"

@@ -92,7 +92,12 @@ def _nonlinear(reading: Reading, key: str) -> dict[str, float | Array]:
 
 
 def _constants(reading: Reading, key: str) -> dict[str, float]:
-    return named_numbers(reading.table, key, None)
+    constants = named_numbers(reading.table, key, None)
+    effect = next((one for one in catalogue() if one.name == reading.values["effect"]), None)
+    outdated = "" if effect is None else effect.outdated(reading.values["variant"], constants)
+    if outdated:
+        reading.table.refuse(key, sorted(constants), outdated)
+    return constants
 
 
 def _values(reading: Reading, key: str) -> dict[str, Array]:

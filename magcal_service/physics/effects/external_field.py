@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -17,6 +17,9 @@ from magcal_service.physics.scene.scene import Scene
 INDUCED: Final = 0.27
 """Induced over inducing field at the Earth's surface and the dipole's equator, both to the north there: Q1 of Olsen et
 al. 2006 (CHAOS).  A perfect conductor up to the surface, which no field enters, has 0.5."""
+
+_INDUCED: Final = "induced"
+"""Constant of a form with the induced part: Q1 as it was fitted; before its sign was right there was none."""
 
 UNIFORM: Final = "uniform"
 """Form without the induced part: what changes within the hour, and what was modelled as no more."""
@@ -42,7 +45,8 @@ def ring_current(scene: Scene, induced: float = INDUCED) -> Array | None:
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     """With its induced part where places are known, and uniform."""
-    for column, form in ((ring_current(scene), ""), (ring_current(scene, 0.0), UNIFORM)):
+    induced = scene.constant(_INDUCED, INDUCED)
+    for column, form in ((ring_current(scene, induced), ""), (ring_current(scene, 0.0), UNIFORM)):
         if column is not None and (form == UNIFORM or scene.position_eci_km is not None):
             yield from _courses(scene, column, form)
 
@@ -54,7 +58,8 @@ def _courses(scene: Scene, column: Array, form: str) -> Iterator[Hypothesis]:
     share = (scene.time_s - middle_s) / span_s * 2.0
     if scene.is_given:  # a course is known within its recording only; beyond, its ends hold
         share = np.clip(share, -1.0, 1.0)
-    constants = {"middle_s": middle_s, "span_s": span_s}
+    constants = {} if form == UNIFORM else {_INDUCED: scene.constant(_INDUCED, INDUCED)}
+    course = {"middle_s": middle_s, "span_s": span_s}
     for order, variant in ((0, ""), (1, "changing"), (2, "curved"), (4, "storm")):
         powers = np.polynomial.legendre.legvander(share, order).T
         made = Columns(magnitude=powers * column[None])
@@ -67,8 +72,17 @@ def _courses(scene: Scene, column: Array, form: str) -> Iterator[Hypothesis]:
             lambda _, made=made: made,  # type: ignore[misc]
             blocks,
             ", ".join(filter(None, (form, variant))),
-            constants=constants if order else {},
+            constants=constants | (course if order else {}),
         )
+
+
+def _outdated(form: str, constants: Mapping[str, float]) -> str:
+    if form.startswith(UNIFORM) or _INDUCED in constants:
+        return ""
+    return (
+        f"the constant {_INDUCED} is required: before it the induced part had another sign and size, and "
+        "the numbers of such a file mean another field; diagnose the recording again"
+    )
 
 
 EFFECT = Effect(
@@ -76,7 +90,7 @@ EFFECT = Effect(
     acts_on=ActsOn.REFERENCE,
     title="currents above the craft: the ring current",
     equation="|A H| = |H_ref| + q(t) h . (m + induced), m the dipole's axis; q Legendre polynomials; or m alone",
-    units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s"},
+    units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s", "induced": "1"},
     in_orbit_only=True,
     prior=(5.0, 500.0),
     valid="below 60 degrees of dipole latitude; field-aligned currents are not in it",
@@ -85,4 +99,5 @@ EFFECT = Effect(
     source="Olsen et al. 2006 (CHAOS): ring current with Q1 = 0.27; Dst -20 to -400 nT",
     says=("A field of {mean_nt.signed} along the Earth's dipole axis, from currents above, is not in the reference.",),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    outdated=_outdated,
 )
