@@ -255,7 +255,7 @@ class Effect:
         """What was found, in one sentence with its numbers."""
         kind, _, name = driver.partition(":")
         words = {"driver": f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"}
-        said = {name: Said(v.value, v.sigma, v.unit, v.labels) for name, v in parameters.items()}
+        said = {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}
         for text in self.says:
             fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
             if all(field in words or field in said for field in fields):

@@ -46,12 +46,14 @@ class Said:
     value, sigma: of one shape; sigma NaN where none is claimed.
     unit: of both.
     labels: names along each dimension; those that are missing are axes, or numbers.
+    bounds: what it was searched between; None where nothing bounds it.
     """
 
     value: Array
     sigma: Array
     unit: str
     labels: tuple[tuple[str, ...], ...] = ()
+    bounds: tuple[float, float] | None = None
 
     def __str__(self) -> str:
         """All numbers, without sigma."""
@@ -62,7 +64,11 @@ class Said:
 
     @property
     def signed(self) -> str:
-        """The largest number with its sign, 1 sigma and unit: ``"-12.4 ± 0.3 nT"``."""
+        """The largest number with its sign, 1 sigma and unit: ``"-12.4 ± 0.3 nT"``; ``"at most 0.5 s"`` where the
+        search ended at the least of it."""
+        if self.bounds is not None and self.value.ndim == 0 and 0.0 < float(self.value) <= self.bounds[0]:
+            factor, unit = _natural(self.unit, float(self.value))
+            return f"at most {float(self.value) * factor:.2g} {unit}".rstrip()
         at = self._largest
         return _measured(float(self.value[at]), float(self.sigma[at]), *_natural(self.unit, float(self.value[at])))
 
