@@ -207,12 +207,12 @@ EFFECT = Effect(
     separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
-        "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
-        "A current or a moved magnet adds up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), "
+        "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
+        "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), "
         "{lag_s.signed} late.",
-        "Currents add up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
-        "A current or a moved magnet adds up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
-        "Currents add up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
+        "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
+        "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
+        "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=_direct,

@@ -127,9 +127,9 @@ EFFECT = Effect(
     separated_by="a torquer test: one coil switched by hand while nothing else changes",
     source="0.2 A m2 at 10 cm gives 20-40 uT (dipole field); Olsen et al. 2020 (CryoSat-2 torquers)",
     says=(
-        "The torquers add up to {nt_per_am2.size} ({nt_per_am2.place}), with {driver}.",
-        "Torquers on a regular duty of {period_s.size} add up to {on_nt.size} on {on_nt.place} while on.",
-        "Torquers that detumble by the sign of dB/dt add up to {detumbling_nt.size} ({detumbling_nt.place}).",
+        "The torquers make up to {nt_per_am2.size} ({nt_per_am2.place}), with {driver}.",
+        "Torquers on a regular duty of {period_s.size} make up to {on_nt.size} on {on_nt.place} while on.",
+        "Torquers that detumble by the sign of dB/dt make up to {detumbling_nt.size} ({detumbling_nt.place}).",
         "Torquers that dump momentum every {period_s.size} add {dumping.percent} of the field.",
         "Torquers that are not recorded fire every {period_s.size}, for {on_share.percent} of it, each time with "
         "another field, of {pulse_nt.size} by rms; the rows within these pulses are left out.",
