@@ -25,7 +25,8 @@ _FORETOLD: Final = 0.3
 def foretells(fit: Fit, index: int) -> bool:
     """Whether a term foretells passes that took no part from the others; so does any where there are no passes.
 
-    Asked of the passes that it acts in most: in the others it helps by what it spares the nine errors.
+    Asked of the passes that it acts in most: in the others it helps by what it spares the nine errors.  Passes foretold
+    with it have to be left with less than those that nine errors alone were fitted to: both are foretold poorly.
     """
     numbers = fit.problem.passes
     if numbers is None:
@@ -42,10 +43,10 @@ def foretells(fit: Fit, index: int) -> bool:
     def squares(left: Array) -> float:
         return float((left[acts] ** 2).sum())
 
-    inside = squares(_refitted(bare, without, tie[others])) - squares(fit.white_residual)
-    foretold = squares(_held_out(bare, without, fold, tie[others]))
-    foretold -= squares(_held_out(bare - added[:, begun].sum(axis=1), fit.white_columns, fold, tie))
-    return foretold > _FORETOLD * inside
+    alone = squares(_refitted(bare, without, tie[others]))
+    beside = squares(_held_out(bare - added[:, begun].sum(axis=1), fit.white_columns, fold, tie))
+    foretold = squares(_held_out(bare, without, fold, tie[others])) - beside
+    return beside < alone and foretold > _FORETOLD * max(alone - squares(fit.white_residual), 0.0)
 
 
 def _refitted(residual: Array, columns: Array, tie: Array) -> Array:

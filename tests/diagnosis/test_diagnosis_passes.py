@@ -81,6 +81,15 @@ def test_a_value_for_each_of_many_passes_is_foretold_by_what_it_follows() -> Non
     assert foretells(fitted(10, slow, slow), 0)
 
 
+def test_a_value_for_each_pass_that_goes_with_another_is_not_foretold() -> None:
+    """What differs from pass to pass, named by a course that has nothing to do with it: twelve draws, three passes."""
+    said = 0
+    for seed in range(12):
+        (true, _), (other, _) = courses(3, 100 + seed), courses(3, 200 + seed)
+        said += foretells(fitted(3, other, true), 0)
+    assert said <= 2
+
+
 def test_where_there_are_no_passes_there_is_nothing_to_foretell() -> None:
     _, quick = courses(4, 3)
     whole = fitted(4, quick, np.zeros(4 * HELD))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Memory, Scene
 from magcal_service.wire.messages import Clock
+
+_FEWEST: Final = 4  # samples, as for the means that a second derivative is taken between
 
 
 class DriverMissingError(MagcalError):
@@ -55,7 +58,7 @@ def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
     given = replace(scene, given=term.constants, memory=memory)
     bound = _bound(term, given)
     moves_s = bound.hypothesis.moves_s
-    if moves_s is None or memory is not None:  # a moment of a stream has no course to be expanded
+    if moves_s is None or memory is not None or len(scene) < _FEWEST:  # a moment of a stream has no course to expand
         return bound
     return _bound(term, replace(given, moved_s=moves_s(bound.amplitudes) + np.zeros(len(scene))))
 

@@ -83,11 +83,10 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             block = Block("radial_km", "km", ())
             yield Hypothesis("position_offset", "none", lambda _: Columns(magnitude=column), (block,), "radial, dipole")
         return
-    geocentric = scene.once("geocentric", lambda: _as_geocentric(scene))[None]
     yield Hypothesis(
         "position_offset",
         "none",
-        lambda _: Columns(magnitude=geocentric),
+        lambda _: Columns(magnitude=scene.once("geocentric", lambda: _as_geocentric(scene))[None]),
         (Block("geocentric_share", "1", ()),),
         "geodetic as geocentric",
         largest_nt=_LARGEST_NT,

@@ -62,7 +62,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         along = np.einsum("ni,ni->n", slope, scene.unit)
         turned2 = np.maximum(np.einsum("ni,ni->n", slope, slope) - along**2, 0.0)
         yield _low_pass(scene, turned2)
-        if not scene.is_given and (step2 is None or _is_turning_so(scene, turned2, step2)):
+        if not scene.is_given and (
+            step2 is None or scene.once("turns as its rate", lambda: _is_turning_so(scene, turned2, step2))
+        ):
             return
     if step2 is None:
         return

@@ -284,7 +284,7 @@ def test_a_checkpoint_that_the_disk_does_not_give_is_an_error_of_its_own(tmp_pat
     store = StateStore(StateConfig(tmp_path), "one")
     (store.folder / "0000000001.state").mkdir()
     ((name, found),) = store.newest()
-    assert (name, str(found)) == ("0000000001.state", "Is a directory")
+    assert (name, str(found)) == ("0000000001.state", "this is a folder, not a file")
 
 
 def test_a_folder_that_is_refused_is_told_in_words(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_pipe_a_link_and_a_folder_are_no_checkpoints(store: StateStore, tmp_pa
     (store.folder / "0000000003.state").symlink_to(planted)
     (store.folder / "0000000004.state").mkdir()
     assert newest(store) == [
-        ("0000000004.state", "Is a directory"),
+        ("0000000004.state", "this is a folder, not a file"),
         ("0000000003.state", "a link, not a file"),
         ("0000000002.state", "not a file"),
         ("0000000001.state", ""),
