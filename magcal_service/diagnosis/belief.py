@@ -134,6 +134,8 @@ def _least_unlisted(explained: Explained, index: int) -> float:
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
     if _is_within_another(explained, index):
         least = max(least, _OF_A_FORM)
+    if hypothesis.blocks and all(block.is_start for block in hypothesis.blocks):
+        least = max(least, _OF_A_FORM)  # what settles, and follows no record, is as well any drift that relaxes
     if not foretells(fit, index):
         least = max(least, _NOT_FORETOLD)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
