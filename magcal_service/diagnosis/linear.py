@@ -11,6 +11,7 @@ Source: MacKay 1992, Bayesian interpolation, Neural Computation 4, equations 4.9
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -199,3 +200,12 @@ def fold_solutions(residual: Array, columns: Array, fold: NDArray[np.intp], tie:
         normal = normals.sum(axis=0) - normals[number] + weak
         found.append(np.linalg.lstsq(normal, rights.sum(axis=0) - rights[number], rcond=1e-12)[0] / scale)
     return found
+
+
+def held_out(residual: Array, columns: Array, fold: NDArray[np.intp], solutions: Sequence[Array]) -> Array:
+    """A residual (m,), each fold of it under the solution (p,) of the others, by columns (m, p)."""
+    left = np.array(residual)
+    for number, solution in enumerate(solutions):
+        inside = fold == number
+        left[inside] -= columns[inside] @ solution
+    return left

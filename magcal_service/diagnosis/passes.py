@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.diagnosis.linear import fold_solutions
+from magcal_service.diagnosis.linear import fold_solutions, held_out
 from magcal_service.diagnosis.problem import Fit, amplitude_columns, columns_of
 from magcal_service.model import Array
 
@@ -59,7 +59,4 @@ def _refitted(residual: Array, columns: Array, tie: Array) -> Array:
 
 def _held_out(residual: Array, columns: Array, fold: NDArray[np.intp], tie: Array) -> Array:
     """The same, of each fold under the fit to the others."""
-    left = np.array(residual)
-    for number, solution in enumerate(fold_solutions(residual, columns, fold, tie)):
-        left[fold == number] -= columns[fold == number] @ solution
-    return left
+    return held_out(residual, columns, fold, fold_solutions(residual, columns, fold, tie))

@@ -24,7 +24,7 @@ from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.blocks import numbered, pass_numbers
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
-from magcal_service.diagnosis.linear import fold_solutions, folds
+from magcal_service.diagnosis.linear import fold_solutions, folds, held_out
 from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
 from magcal_service.physics.columns import Columns
@@ -246,14 +246,9 @@ class Fit:
         others would foretell that block from nothing.
         """
         solutions = fold_solutions(self.white_residual, self.white_columns, self.problem.fold, self.held_tie)
-        found = []
-        for residual, columns in ((self.residual, self.columns), (self.white_residual, self.white_columns)):
-            left = np.array(residual)
-            for number, solution in enumerate(solutions):
-                inside = self.problem.fold == number
-                left[inside] -= columns[inside] @ solution
-            found.append(left)
-        return found[0], found[1]
+        fold = self.problem.fold
+        plain = held_out(self.residual, self.columns, fold, solutions)
+        return plain, held_out(self.white_residual, self.white_columns, fold, solutions)
 
     @property
     def held_tie(self) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_service.diagnosis.empirical.curves import ELAPSED, Form, form_of
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.linear import FOLDS, fold_solutions
+from magcal_service.diagnosis.linear import fold_solutions, held_out
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_tie
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.model import Array
@@ -93,8 +93,4 @@ def _held_out(fit: Fit, rows: Array, hypothesis: Hypothesis) -> Array:
     columns = np.concatenate([fit.white_columns, problem.white(rows)], axis=1)
     tie = np.concatenate([fit.tie, amplitude_tie(problem, term, hypothesis.columns(term.theta))])
     solutions = fold_solutions(fit.white_residual, columns, problem.fold, tie * fit.white_rms_nt**2)
-    left = np.array(fit.white_residual)
-    for number in range(FOLDS):
-        inside = problem.fold == number
-        left[inside] -= columns[inside] @ solutions[number]
-    return left
+    return held_out(fit.white_residual, columns, problem.fold, solutions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -14,10 +13,9 @@ from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
 from magcal_service.physics.scene.scene import Memory, Scene
 from magcal_service.wire.messages import Clock
-
-_FEWEST: Final = 4  # samples, as for the means that a second derivative is taken between
 
 
 class DriverMissingError(MagcalError):
@@ -58,7 +56,7 @@ def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
     given = replace(scene, given=term.constants, memory=memory)
     bound = _bound(term, given)
     moves_s = bound.hypothesis.moves_s
-    if moves_s is None or memory is not None or len(scene) < _FEWEST:  # a moment of a stream has no course to expand
+    if moves_s is None or memory is not None or len(scene) < FEWEST_FOR_MEANS:  # a moment has no course
         return bound
     return _bound(term, replace(given, moved_s=moves_s(bound.amplitudes) + np.zeros(len(scene))))
 

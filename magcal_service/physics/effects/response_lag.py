@@ -56,16 +56,14 @@ _FEWEST: Final = 64
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     period_s = scene.constant("period_s", scene.period_s)
-    step2 = _steps2(scene, period_s)
     if scene.rate_body is not None:
         slope = scene.field_slope
         along = np.einsum("ni,ni->n", slope, scene.unit)
         turned2 = np.maximum(np.einsum("ni,ni->n", slope, slope) - along**2, 0.0)
         yield _low_pass(scene, turned2)
-        if not scene.is_given and (
-            step2 is None or scene.once("turns as its rate", lambda: _is_turning_so(scene, turned2, step2))
-        ):
+        if not scene.is_given and scene.once("turns as its rate", lambda: _is_turning_so(scene, turned2, period_s)):
             return
+    step2 = _steps2(scene, period_s)
     if step2 is None:
         return
     yield _low_pass(scene, step2 / period_s**2, _BY_STEPS, {"period_s": period_s})
@@ -81,14 +79,15 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     )
 
 
-def _is_turning_so(scene: Scene, turned2: Array, step2: Array) -> bool:
-    """Whether a rate is the craft's own: a gyro's, or one whose turn (n,) goes along with the samples' steps (n,).
+def _is_turning_so(scene: Scene, turned2: Array, period_s: float) -> bool:
+    """Whether a rate is the craft's own: a gyro's, or one whose turn (n,) goes along with the samples' steps.
 
     A turn that was fitted as a steady one, or found in the field alone, need not be.
     """
     if any(channel.values.shape[1] == 3 for channel in scene.of_quantity("angular rate")):
         return True
-    if min(float(np.ptp(turned2)), float(np.ptp(step2))) <= 0.0:
+    step2 = _steps2(scene, period_s)
+    if step2 is None or min(float(np.ptp(turned2)), float(np.ptp(step2))) <= 0.0:
         return True
     return float(np.corrcoef(turned2, step2)[0, 1]) ** 2 > _OF_ONE_COURSE
 

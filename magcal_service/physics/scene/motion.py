@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 
 _FEWEST_FOR_SLOPE = 3  # samples of a stretch: central differences need one on either side
-_FEWEST_FOR_MEANS = 4  # samples of a stretch in which means before and after an instant are compared
+FEWEST_FOR_MEANS = 4  # samples of a stretch in which means before and after an instant are compared
 
 
 def slope(values: Array, time_s: Array, pauses: NDArray[np.intp]) -> Array:
@@ -35,7 +35,7 @@ def smooth_slope(values: Array, width_s: float, time_s: Array, pauses: NDArray[n
     row, result = np.arange(len(time_s)), np.zeros(len(time_s))
     ends = np.append(pauses[1:], len(time_s))
     for first, end in zip(pauses.tolist(), ends.tolist(), strict=True):
-        if end - first < _FEWEST_FOR_MEANS:
+        if end - first < FEWEST_FOR_MEANS:
             continue
         middle = np.clip(row[first:end], first + 1, end - 1)
         low, high = np.maximum(middle - half, first), np.minimum(middle + half, end)
