@@ -3,7 +3,7 @@
  * C99, no allocation.  SHA-256 is FIPS 180-4, HMAC is RFC 2104; about 200 bytes of stack.
  *
  * The counter must be above all counters that were ever sealed with this key: keep it where a reset does not lose it,
- * or take the larger of the last one plus 1 and the UNIX time in seconds, as magcal does.
+ * or take the larger of the last one plus 1 and the UNIX time in microseconds, as magcal does.
  *
  * SPDX-License-Identifier: MIT
  */

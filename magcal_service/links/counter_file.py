@@ -24,7 +24,7 @@ class CounterFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.last = self._read()
+        self.last = self.read()
 
     def keep(self, value: int) -> None:
         """Store a value for good; ``OSError`` where the disk does not take it, and the old value stays."""
@@ -32,7 +32,8 @@ class CounterFile:
         write_whole(self.path, b"magcal counter %s %08x\n" % (number, zlib.crc32(number)), mode=0o600, mark=".new")
         self.last = value
 
-    def _read(self) -> int | None:
+    def read(self) -> int | None:
+        """The stored value as it is on disk now, as ``last``."""
         try:
             with self.path.open("rb") as file:
                 match = _CONTENT.fullmatch(file.read(256))

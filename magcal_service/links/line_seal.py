@@ -18,6 +18,8 @@ from magcal_service.wire.seal import SealGate, seal
 
 _log = logging.getLogger("magcal.links.serial")
 
+_NS_PER_US = 1000  # nanoseconds in a microsecond
+
 
 def open_coders(
     role: Role,
@@ -61,11 +63,13 @@ def check_seal(key: Path, counter: Path) -> bytes:
 def _sealed(key: bytes, counter: CounterFile, payload: bytes) -> bytes:
     """A payload with the next counter, stored before it is used.
 
-    It is at least the UNIX time [s], so that an end that has lost its file is not shut out.
+    It is at least the UNIX time [us], so that neither an end that has lost its file nor one of two operators that take
+    turns within a second is shut out; the file is read anew, for another process may have used it since.
     """
-    if counter.last is None:
+    last = counter.read()
+    if last is None:
         raise DecodeError("not_kept", f"{counter.path} is damaged; remove it")
-    value = max(counter.last + 1, int(time.time()))
+    value = max(last + 1, time.time_ns() // _NS_PER_US)
     try:
         counter.keep(value)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from magcal_service.base.errors import ConfigError, LinkAddressError
 from magcal_service.links import Link, Role, open_link
 from magcal_service.links.counter_file import CounterFile
+from magcal_service.links.line_seal import open_coders
 from magcal_service.wire.framing import FrameEncoder
 from magcal_service.wire.messages import CommandReply, Message
 from magcal_service.wire.seal import seal
@@ -128,10 +130,40 @@ def test_an_operator_that_lost_its_counter_is_not_shut_out(line: Callable[[Role]
     assert gather(service, 1) == [command(1)]
     operator.close()
     (tmp_path / "viewer").unlink()
-    time.sleep(1.1)
     operator = line(Role.VIEWER)
     operator.send(command(2))
     assert gather(service, 1) == [command(2)]
+
+
+def encoder(folder: Path, name: str) -> FrameEncoder:
+    """What packs the frames of one more operator on the line, with a counter of its own."""
+    return open_coders(Role.VIEWER, folder / "key", folder / name, Counter(), lambda command, error: None)[0]
+
+
+def test_two_operators_in_the_same_second_are_both_heard(line: Callable[[Role], Link], tmp_path: Path) -> None:
+    """Forty commands by turns with two counters all arrive; the same bytes again are refused, each with an answer."""
+    service, listener = line(Role.SERVICE), line(Role.VIEWER)
+    operators = [encoder(tmp_path, name) for name in ("anna", "bob")]
+    frames = [operators[number % 2].encode(command(number)) for number in range(40)]
+    raw(listener, b"".join(frames))
+    assert gather(service, 40) == [command(number) for number in range(40)]
+    raw(listener, b"".join(frames))
+    heard: list[Message] = []
+    assert settle(lambda: bool(service.receive(0.01) or heard.extend(listener.receive(0.01)) or len(heard) == 40))
+    replies = [message for message in heard if isinstance(message, CommandReply)]
+    assert [(reply.command_sequence, reply.accepted) for reply in replies] == [(number, False) for number in range(40)]
+    assert (service.counters["refused.replayed"], service.counters["received"]) == (40, 40)
+
+
+def test_two_ends_that_share_a_counter_never_use_one_twice(
+    line: Callable[[Role], Link], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that was set back does not matter: each reads what the other has used."""
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    service, listener = line(Role.SERVICE), line(Role.VIEWER)
+    shared = [encoder(tmp_path, "shared") for _ in range(2)]
+    raw(listener, b"".join(shared[number % 2].encode(command(number)) for number in range(10)))
+    assert gather(service, 10) == [command(number) for number in range(10)]
 
 
 @pytest.mark.parametrize("content", [b"", b"magcal counter 5 00000000\n", b"magcal counter 99", bytes(300)])
