@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import math
 import re
 import socket
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Final
 
 from magcal_service.base.errors import LinkError, why_not
@@ -33,7 +33,7 @@ FIRST_APID: Final = 256
 DEFAULT_ADDRESS: Final = "ccsds:udp/127.0.0.1:10015"
 
 REFUSED_S: Final = 30.0
-"""How long nobody is taken to listen after the network said so [s]: three statuses."""
+"""How long nobody is taken to listen, or be reached, after the network said so [s]: three statuses."""
 
 _PLACE: Final = re.compile(r"udp/(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<four>[0-9.]+)):(?P<port>[0-9]{1,5})")
 _ACCEPTED: Final = "udp/ADDRESS:PORT such as udp/127.0.0.1:10015 is accepted, with an IP address (IPv6 in brackets)"
@@ -88,18 +88,17 @@ class CcsdsLink(Link):
         address.finish()
         self.counters["unheard"] = 0
         self._counts: Counter[int] = Counter()
-        self._unheard_s: float | None = None
+        self._unheard_s = -math.inf  # when the network said last that a packet had not arrived, monotonic [s]
+        self._unheard = ""  # and why
         self._socket: socket.socket | None = None
         self._open()
 
     @property
     def alone(self) -> str:
         """Why mission control hears nothing, as far as the network tells."""
-        if self._socket is None:
-            return f"there is no way to {self._host}:{self._port}"
-        if self._unheard_s is not None and time.monotonic() - self._unheard_s < REFUSED_S:
-            return f"nobody listens at {self._host}:{self._port}"
-        return ""
+        if self._socket is not None and time.monotonic() - self._unheard_s >= REFUSED_S:
+            return ""
+        return self._unheard
 
     def receive(self, timeout_s: float) -> list[Message]:
         """Raise ``LinkError``: nothing ever comes in by this link."""
@@ -123,9 +122,7 @@ class CcsdsLink(Link):
     def close(self) -> None:
         """Release the socket; may be called twice."""
         self._life.happens(LinkEvent.CLOSE)
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._release()
 
     def _open(self) -> None:
         """Take a socket that knows its other end, without which nobody tells that nobody listens."""
@@ -136,6 +133,7 @@ class CcsdsLink(Link):
             opened.connect((self._host, self._port))
         except OSError as error:
             opened.close()
+            self._note(f"there is no way to {self._host}:{self._port} ({why_not(error)})")
             if self._life.happens(LinkEvent.FAILED).logged:
                 _log.warning("%s: %s; it is tried again with every message", self.address, why_not(error))
             return
@@ -147,12 +145,25 @@ class CcsdsLink(Link):
             self._open()
         if self._socket is None:
             return False
-        with suppress(OSError):
+        try:
             try:
                 self._socket.send(packet)
             except ConnectionRefusedError:  # told of a packet before; this one has not been sent
-                self._unheard_s = time.monotonic()
                 self._count("unheard")
+                self._note(f"nobody listens at {self._host}:{self._port}")
                 self._socket.send(packet)
-            return True
-        return False
+        except (BlockingIOError, ConnectionRefusedError):  # this machine's queue is full; nobody listens even now
+            return False
+        except OSError as error:  # the socket may be bound to an address that this machine no longer has: take another
+            self._note(f"there is no way to {self._host}:{self._port} ({why_not(error)})")
+            self._release()
+            return False
+        return True
+
+    def _note(self, why: str) -> None:
+        self._unheard_s, self._unheard = time.monotonic(), why
+
+    def _release(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None

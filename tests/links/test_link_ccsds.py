@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import socket
 import threading
@@ -118,10 +119,59 @@ def test_a_network_that_is_not_there_drops_and_counts(caplog: pytest.LogCaptureF
         link.send(vector(0))
         link.send(vector(1))
         assert (link.counters["dropped"], link.counters["sent"]) == (2, 0)
-        assert link.alone == "there is no way to 255.255.255.255:9"
+        assert link.alone == "there is no way to 255.255.255.255:9 (permission is denied to this user)"
     assert len(caplog.records) == 1
     link.send(vector(2))
     assert link.counters["dropped"] == 3
+
+
+def test_a_network_that_goes_and_comes_back_is_told_and_taken_up_again(
+    ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a cable is pulled: what is sent meanwhile is dropped, and said; then packets arrive again."""
+    heard, address = ear
+
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    with open_link(address, Role.SERVICE) as link:
+        link.send(vector(0))
+        with monkeypatch.context() as pulled:
+            pulled.setattr(socket.socket, "send", refuse)
+            link.send(vector(1))
+            link.send(vector(2))
+        assert link.alone == f"there is no way to {address[10:]} (the system says network is unreachable)"
+        link.send(vector(3))
+        assert [apid_and_count(heard.recv(65_507))[1] for _ in range(2)] == [0, 3]
+        assert (link.counters["sent"], link.counters["dropped"]) == (2, 2)
+
+
+def test_a_queue_of_this_machine_that_is_full_drops_and_waits_for_nothing(
+    ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That is no lack of a way."""
+
+    def full(*_: object) -> int:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    with open_link(ear[1], Role.SERVICE) as link:
+        monkeypatch.setattr(socket.socket, "send", full)
+        link.send(vector(0))
+        assert (link.alone, link.counters["dropped"]) == ("", 1)
+
+
+def test_what_is_sent_to_it_is_never_read_and_stops_nothing(ear: Ear) -> None:
+    """A receiver that floods the sender with datagrams is heard by nobody."""
+    heard, address = ear
+    with open_link(address, Role.SERVICE) as link:
+        link.send(vector(0))
+        _, sender = heard.recvfrom(65_507)
+        for size in (0, 1, 6, 1400, 60_000):
+            for _ in range(50):
+                heard.sendto(b"\xff" * size, sender)
+        link.send(vector(1))
+        assert apid_and_count(heard.recv(65_507)) == (256, 1)
+        assert link.counters["dropped"] == 0
 
 
 def test_what_the_daemon_publishes_goes_there_too(ear: Ear) -> None:
