@@ -19,13 +19,14 @@ from magcal_service.recordings.describe.order_by_field import doubt_order
 from magcal_service.recordings.describe.place import Place, find_place
 from magcal_service.recordings.describe.reference import find_reference
 from magcal_service.recordings.describe.sample import read_sample
+from magcal_service.recordings.describe.spin import find_spin
 from magcal_service.recordings.describe.telemetry import find_channels, left_out
 from magcal_service.recordings.describe.times import find_times
 from magcal_service.recordings.descriptor import descriptor_of
 from magcal_service.recordings.specs import DESCRIPTOR_NAME
 
 _SHOWN = 12  # columns that are named where many are left out
-_ORDER = ("time", "magnetometer", "reference", "position", "platform", "channels")
+_ORDER = ("time", "magnetometer", "reference", "position", "platform", "spin", "channels")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,7 @@ def _fill(draft: Draft) -> None:
     platform = draft.answers.get("platform.kind")
     if platform is not None:
         draft.put("platform", "kind", platform)
+    find_spin(draft, field, times)
     draft.reserved |= find_attitude(draft, field, place)
     find_channels(draft, groups, field, times)
     rest = left_out(draft)

@@ -41,6 +41,8 @@ KEYS: Final = (
     "position.altitude.unit",
     "position.tle",
     "platform.kind",
+    "spin.axis",
+    "spin.rate_rpm",
 )
 """What can be answered, besides ``channels.NAME.KEY``."""
 

@@ -15,6 +15,7 @@ from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.fahrenheit import steps_of_degf, swings_as_degf
+from magcal_service.recordings.describe.gyro_unit import by_turning
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
@@ -23,8 +24,12 @@ FloatArray = npt.NDArray[np.float64]
 
 _NAMES: Final = {Kind.GYRO: "gyro", Kind.ACCELEROMETER: "accelerometer", Kind.SUN: "sun", Kind.TORQUER: "torquer"}
 _QUANTITY: Final = {Kind.GYRO: "angular rate", Kind.ACCELEROMETER: "acceleration", Kind.TORQUER: "magnetic moment"}
-_DEG: Final = np.pi / 180.0  # radians per degree
-_SURE: Final = 0.5  # share of the field's changes that a turn explains where the gyro's unit is told by them
+_COUNTS: Final = ": counts"
+"""How the reason ends where a gyro is in none of the units that a description knows."""
+
+_LIKE_COUNTS: Final = "mrad/s"
+"""Whole numbers of this size may be counts as well: 16.4 of a deg/s are usual, and one is then 1.06 mrad/s."""
+
 _RANGES: Final = {
     "temperature": {"degC": (-100.0, 200.0), "K": (173.0, 473.0), "degF": (-150.0, 400.0)},
     "current": {"A": (-500.0, 500.0), "mA": (-5e5, 5e5), "uA": (-5e8, 5e8)},
@@ -162,13 +167,16 @@ def _vector(
     quantity = _QUANTITY[kind]
     possible = tuple(unit for unit, known in CHANNEL_UNITS.items() if known.quantity == quantity)
     found = _said(group.columns, group.unit, quantity)
-    if not found.unit and not group.unit:
-        if kind is Kind.GYRO and field_nt is not None and times is not None:
-            found = _by_turning(group.values, field_nt, times, draft.log.neighbours())
-        if kind is Kind.ACCELEROMETER:
-            found = _by_gravity(group.values)
+    if kind is Kind.GYRO and field_nt is not None and times is not None:
+        found = _by_turning(group, found, field_nt, times, draft.log.neighbours())
+        possible = found.possible or possible
+        if not found.unit and found.why.endswith(_COUNTS):
+            draft.said.append(f"channels: {group.label} left out: {found.why}; write them in deg/s to have the channel")
+            return False
+    if not found.unit and not group.unit and kind is Kind.ACCELEROMETER:
+        found = _by_gravity(group.values)
     if not found.unit:
-        if kind is Kind.TORQUER or (kind is Kind.GYRO and not group.unit):
+        if kind is Kind.TORQUER or (kind is Kind.GYRO and (found.possible or not group.unit)):
             asks = f"in which unit is {group.label}, by name {name}? {found.why}"
             draft.ask(
                 Question(f"channels.{name}.unit", asks, tuple((one, "") for one in possible), possible[0], needed=False)
@@ -208,27 +216,24 @@ def _said(columns: tuple[Column, ...], unit: str, quantity: str) -> _Unit:
     return _Unit(unit, f"the names say {quantity} in {unit}, and the numbers can be that")
 
 
-def _by_turning(rates: FloatArray, field: FloatArray, times: Times, neighbours: npt.NDArray[np.bool_]) -> _Unit:
-    """The gyro's unit by how the measured field turns: dB/dt = -w x (B - b), with the bias b as a free vector."""
-    step = np.diff(times.seconds)
-    middle = 0.5 * (field[1:] + field[:-1])
-    rate = 0.5 * (rates[1:] + rates[:-1])
-    good = neighbours & (step > 0) & np.isfinite(middle).all(axis=1) & np.isfinite(rate).all(axis=1)
-    if good.sum() < 50:
-        return _Unit("", "no name says it")
-    step, middle, rate, change = step[good], middle[good], rate[good], np.diff(field, axis=0)[good]
-    turned = -np.cross(rate, middle) * step[:, None]
-    zero = np.zeros(len(step))
-    x, y, z = rate.T * step
-    of_bias = np.stack([np.column_stack([zero, z, -y]), np.column_stack([-z, zero, x]), np.column_stack([y, -x, zero])])
-    terms = np.concatenate([np.column_stack([turned[:, i], -of_bias[i]]) for i in range(3)])
-    wanted = change.T.reshape(-1)
-    solution, *_ = np.linalg.lstsq(terms, wanted, rcond=None)
-    explained = 1.0 - float(((wanted - terms @ solution) ** 2).sum() / max(float((wanted**2).sum()), 1e-30))
-    for unit, factor in (("rad/s", 1.0), ("deg/s", _DEG), ("mrad/s", 1e-3)):
-        if explained > _SURE and 0.7 * factor < solution[0] < 1.4 * factor:
-            return _Unit(unit, f"the name says a gyro, and in {unit} it turns as the measured field does")
-    return _Unit("", "no name says it, and the measured field does not turn with it in any")
+def _by_turning(
+    group: Triple, found: _Unit, field: FloatArray, times: Times, neighbours: npt.NDArray[np.bool_]
+) -> _Unit:
+    """The gyro's unit as ``found`` by its names, or by how the measured field turns; open where the two differ."""
+    turning = by_turning(group.values, field, times.seconds, neighbours)
+    if turning is None:
+        if found.unit or group.unit:
+            return found
+        return _Unit("", "no name says it, and the measured field does not turn with it in any")
+    if found.unit:
+        if turning.unit == found.unit:
+            return found
+        other = f"{turning.unit}, in which it turns as the measured field does" if turning.unit else turning.as_counts
+        possible = (turning.unit, found.unit) if turning.unit else (found.unit,)
+        return _Unit("", f"the name says {found.unit}, but as the measured field turns {other}", possible)
+    if not turning.unit or (group.whole and turning.unit == _LIKE_COUNTS):
+        return _Unit("", f"as the measured field turns {turning.as_counts}{_COUNTS}")
+    return _Unit(turning.unit, f"the name says a gyro, and in {turning.unit} it turns as the measured field does")
 
 
 def _by_gravity(values: FloatArray) -> _Unit:
