@@ -78,6 +78,13 @@ def ecef_from_geodetic(latitude_deg: Floats, longitude_deg: Floats, altitude_km:
     return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], axis=-1)
 
 
+def ecef_from_geocentric(latitude_deg: Floats, longitude_deg: Floats, radius_km: Floats) -> Floats:
+    """Position (n, 3) ECEF [km] of geocentric latitude, longitude [deg] and distance from the centre [km]."""
+    latitude, longitude, radius = np.broadcast_arrays(np.radians(latitude_deg), np.radians(longitude_deg), radius_km)
+    across = radius * np.cos(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), radius * np.sin(latitude)], axis=-1)
+
+
 def geodetic_from_ecef(position_ecef_km: Floats) -> tuple[Floats, Floats, Floats]:
     """Geodetic latitude, longitude [deg] and height above WGS84 [km], each (n,), of (n, 3) ECEF [km].
 

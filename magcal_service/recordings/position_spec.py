@@ -27,28 +27,39 @@ class PositionFrame(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AltitudeColumn:
-    """The altitude per row, and its unit."""
+    """The altitude, or the distance from the Earth's centre, per row, and its unit."""
 
     column: str = text()
     unit: LengthUnit = choice(LengthUnit)
 
 
 def _check_altitude(reading: Reading, name: str, _: AltitudeColumn | None) -> None:
-    """Either a constant or a column."""
+    """Either a constant or a column, or the distance from the Earth's centre."""
     table = reading.table
-    if table.has("altitude_km") == table.has(name):
-        given = "both" if table.has(name) else "neither"
-        table.refuse(name, given, 'exactly one of altitude_km = 415.0 or altitude = {column = "alt", unit = "km"}')
+    given = [key for key in ("altitude_km", name, "radius") if table.has(key)]
+    if len(given) != 1:
+        accepted = 'exactly one of altitude_km = 415.0, altitude = {column = "alt", unit = "km"}'
+        accepted += ', and radius = {column = "r", unit = "km"} beside a geocentric latitude'
+        table.refuse(name, " and ".join(given) or "neither", accepted)
 
 
 @dataclass(frozen=True, slots=True)
 class GeodeticPosition:
-    """Latitude and longitude columns and their unit, and the altitude: either one constant [km] or a column."""
+    """Latitude and longitude columns and their unit, and the altitude: either one constant [km] or a column.
+
+    With ``radius``, the distance from the Earth's centre, in place of the altitude, the latitude is geocentric.
+    """
 
     columns: tuple[str, ...]
     unit: AngleUnit = choice(AngleUnit, AngleUnit.DEG)
     altitude_km: float | None = number(None, -10.0, 1e5, unit="km")
     altitude: AltitudeColumn | None = section(AltitudeColumn, None, check=_check_altitude)
+    radius: AltitudeColumn | None = section(AltitudeColumn, None)
+
+    @property
+    def height(self) -> AltitudeColumn | None:
+        """The column that says how far out a row was, from whatever."""
+        return self.altitude or self.radius
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,8 +184,9 @@ def _columns_by_key(descriptor: Descriptor) -> dict[str, tuple[str, ...]]:
     named[key] = columns_of_reference(descriptor.reference)
     if descriptor.position is not None:
         named["position.columns"] = descriptor.position.columns
-    if isinstance(descriptor.position, GeodeticPosition) and descriptor.position.altitude is not None:
-        named["position.altitude.column"] = (descriptor.position.altitude.column,)
+    if isinstance(descriptor.position, GeodeticPosition) and (height := descriptor.position.height) is not None:
+        key = "altitude" if descriptor.position.radius is None else "radius"
+        named[f"position.{key}.column"] = (height.column,)
     return named | {f"channels.{spec.name}": spec.columns for spec in descriptor.channels}
 
 

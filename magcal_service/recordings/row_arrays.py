@@ -202,17 +202,18 @@ class RowArrays:
         return km, codes
 
     def _geodetic(self, spec: GeodeticPosition) -> tuple[FloatArray, Codes]:
-        from magcal_service.earth.geomagnetic import ecef_from_geodetic
+        from magcal_service.earth.geomagnetic import ecef_from_geocentric, ecef_from_geodetic
 
         degrees, codes = self._vectors(spec.columns, ANGLE_DEG[spec.unit])
-        altitude_km = np.full(len(codes), spec.altitude_km or 0.0)
-        if spec.altitude is not None:
-            altitude, altitude_codes = self._vectors((spec.altitude.column,), LENGTH_KM[spec.altitude.unit])
-            altitude_km = altitude[:, 0]
+        height_km = np.full(len(codes), spec.altitude_km or 0.0)
+        if spec.height is not None:
+            height, altitude_codes = self._vectors((spec.height.column,), LENGTH_KM[spec.height.unit])
+            height_km = height[:, 0]
             codes = np.where(codes > 0, codes, altitude_codes)
         latitude, longitude = degrees.T
         codes = _or_absurd(codes, (np.abs(latitude) > 90.0) | (np.abs(longitude) > 360.0))
-        return ecef_from_geodetic(latitude, longitude, altitude_km), codes
+        to_ecef = ecef_from_geodetic if spec.radius is None else ecef_from_geocentric
+        return to_ecef(latitude, longitude, height_km), codes
 
     def reference(self, spec: ReferenceSpec, time_ns: IntArray, position: Position | None) -> Reference:
         """The reference field of every row."""

@@ -31,10 +31,11 @@ class TimeFormat(StrEnum):
     EXCEL_DAYS = "excel_days"
     JULIAN_DAYS = "julian_days"
     MJD_DAYS = "mjd_days"
+    MATLAB_DAYS = "matlab_days"
 
     @property
     def kind(self) -> str:
-        """``iso8601``, ``unix``, ``elapsed``, ``gps``, ``excel``, ``julian`` or ``mjd``."""
+        """``iso8601``, ``unix``, ``elapsed``, ``gps``, ``excel``, ``julian``, ``mjd`` or ``matlab``."""
         return self.value.split("_")[0]
 
     @property
@@ -57,6 +58,7 @@ _EXPECTS: Final = {
     "excel": "a number of days",
     "julian": "a number of days",
     "mjd": "a number of days",
+    "matlab": "a number of days",
 }
 
 _GPS_COLUMNS: Final = 2  # week, and time of week

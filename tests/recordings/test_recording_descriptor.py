@@ -59,6 +59,7 @@ def test_a_constant_is_converted_to_nanotesla(tmp_path: Path) -> None:
     [
         (GEODETIC, GeodeticPosition),
         ('[position]\ncolumns = ["lat", "lon"]\naltitude = {column = "alt", unit = "m"}\n', GeodeticPosition),
+        ('[position]\ncolumns = ["lat", "lon"]\nradius = {column = "r", unit = "m"}\n', GeodeticPosition),
         ('[position]\ncolumns = ["x", "y", "z"]\nunit = "km"\nframe = "eci"\n', CartesianPosition),
         ('[position]\ncolumns = ["x", "y", "z"]\nunit = "km"\nframe = "ecef"\n', CartesianPosition),
     ],
@@ -212,6 +213,11 @@ REFUSED = {
     "no altitude": (descriptor('[position]\ncolumns = ["lat", "lon"]\n'), "position.altitude", "exactly one of"),
     "two altitudes": (
         descriptor(GEODETIC + 'altitude = {column = "alt", unit = "km"}\n'),
+        "position.altitude",
+        "exactly one of",
+    ),
+    "altitude and radius": (
+        descriptor(GEODETIC + 'radius = {column = "r", unit = "km"}\n'),
         "position.altitude",
         "exactly one of",
     ),

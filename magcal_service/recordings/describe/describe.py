@@ -10,7 +10,7 @@ from magcal_service.base.errors import Fault, InputRefusedError, RecordingError,
 from magcal_service.base.typed_toml.parse import parse_toml
 from magcal_service.recordings.describe.attitude import find_attitude
 from magcal_service.recordings.describe.columns import Log, read_log, triples
-from magcal_service.recordings.describe.contradictions import warn_of_unit
+from magcal_service.recordings.describe.contradictions import doubt_model, warn_of_unit
 from magcal_service.recordings.describe.draft import Answers, Draft, Question
 from magcal_service.recordings.describe.expected import expected_nt
 from magcal_service.recordings.describe.layout import Layout, find_layout
@@ -103,6 +103,7 @@ def _fill(draft: Draft) -> None:
     draft.reserved |= {c.number for one in magnetometers for c in one.triple.columns}
     find_reference(draft, groups, magnetometers, times, place)
     warn_of_unit(draft, magnetometers, model_nt)
+    doubt_model(draft, magnetometers, place, model_nt)
     doubt_order(draft, times, place, magnetometers)
     _leave_out_position(draft, place)
     platform = draft.answers.get("platform.kind")

@@ -39,6 +39,7 @@ KEYS: Final = (
     "position.altitude_km",
     "position.altitude",
     "position.altitude.unit",
+    "position.radius",
     "position.tle",
     "platform.kind",
     "spin.axis",

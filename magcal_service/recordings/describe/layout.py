@@ -9,6 +9,7 @@ from typing import Final
 
 from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.recordings.describe.cells import COMMA_NUMBER, NUMBER, WHITESPACE, is_value, split
+from magcal_service.recordings.describe.foreign import of_text, of_unequal
 from magcal_service.recordings.describe.header import Header, find_header
 from magcal_service.recordings.describe.sample import Sample
 from magcal_service.recordings.unit_words import unit_of
@@ -82,10 +83,12 @@ def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | Non
     body = [line for line in head if line.strip() and not (comment and line.lstrip().startswith(comment))]
     body = body[len(body) // 3 :][:_LOOKED_AT] if len(body) > 6 else body
     _refuse_marked_up(sample, body)
+    if delimiter is None and (foreign := of_text(sample.path, body)):
+        raise RecordingError([Fault(str(sample.path), (body or [""])[0][:80], foreign)])
     found = [_cut(body, one) for one in ((delimiter,) if delimiter else _DELIMITERS)]
     best = max(found, key=lambda cut: round(cut.score, 2))
     if best.width < 2 or best.share < _LEAST_SHARE or best.score < 0.3:
-        accepted = (
+        accepted = of_unequal(sample.path, body) or (
             "rows of the same number of cells, most of them numbers, are accepted, cut by comma, semicolon, tab, "
             "| or blanks; --answer samples.delimiter=... says which"
         )
@@ -159,10 +162,13 @@ def _comment(lines: Sequence[str]) -> str:
 def _from_labels(labels: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of columns of values by the labels in front of them, and units by those behind; a last unit is for all."""
     before, behind = ("", *labels[:-1]), (*labels[1:], "")
-    names = tuple("" if label else text.strip(":= ") for label, text in zip(labels, before, strict=True))
+    called = ["" if label else text.strip(":= ") for label, text in zip(labels, before, strict=True)]
+    round_of = [called[:at].count(name) for at, name in enumerate(called)]  # raw readings, then the same in a unit
+    names = tuple(f"{name} {at + 1}" if name and at else name for name, at in zip(called, round_of, strict=True))
     units = tuple("" if label or not unit_of(text) else text for label, text in zip(labels, behind, strict=True))
     if unit_of(labels[-1]) and sum(map(bool, units)) == 1:
-        units = tuple("" if label else labels[-1] for label in labels)
+        last = max(at for name, at in zip(called, round_of, strict=True) if name)
+        units = tuple(labels[-1] if name and at == last else "" for name, at in zip(called, round_of, strict=True))
     return names, units
 
 

@@ -22,6 +22,7 @@ from magcal_service.recordings.describe.field import (
     size_of,
     unit_by_model,
 )
+from magcal_service.recordings.describe.foreign import of_cells
 from magcal_service.recordings.describe.kinds import kind_of_triple, may_be_milli_g
 from magcal_service.recordings.describe.vocabulary import STRONG_MAGNETOMETER, Kind, kind_of
 
@@ -86,6 +87,8 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     if not possible:
         why = "no columns are a magnetometer by their names and numbers. "
         unclear = [g.label for g in groups if kind_of_triple(g) is Kind.UNKNOWN and may_be_milli_g(g)]
+        full = ((column, of_cells(column.cells)) for column in draft.log.columns if not column.numeric)
+        why += next((f"In {column.label}, {fault}. " for column, fault in full if fault), "")
         why += "".join(f"The mg of {label} may be milligauss or milli-g. " for label in unclear)
         _ask_columns(draft, groups, model_nt, why)
         return []

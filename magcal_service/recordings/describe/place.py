@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.base.units import LENGTH_KM, AngleUnit, LengthUnit
+from magcal_service.earth.geomagnetic import ecef_from_geocentric
 from magcal_service.recordings.describe.altitude import ORBITAL_KM_S, find_altitude
 from magcal_service.recordings.describe.columns import Column, Log, Triple
 from magcal_service.recordings.describe.draft import NO, Draft, Question, answered
@@ -25,6 +26,7 @@ from magcal_service.recordings.describe.over_ground import (
     other_way_round,
 )
 from magcal_service.recordings.describe.place_unit import Degrees, in_degrees
+from magcal_service.recordings.describe.radius import CENTRED, RADIUS_KM, find_radius
 from magcal_service.recordings.describe.time_check import doubt_by_way
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import LATITUDE, LONGITUDE, Kind, frame_of
@@ -32,10 +34,8 @@ from magcal_service.recordings.describe.vocabulary import LATITUDE, LONGITUDE, K
 FloatArray = npt.NDArray[np.float64]
 
 _FASTEST_KM_S: Final = 12.0  # nothing near the Earth goes faster
-_RADIUS_KM: Final = (6330.0, 60000.0)  # from the polar ice to beyond the geostationary ring
 _LOW_KM: Final = (120.0, 2500.0)  # heights of a low orbit
 _NO_LATITUDE: Final = "a latitude of"
-_CENTRED: Final = (LengthUnit.KM, LengthUnit.M, LengthUnit.CM, LengthUnit.MM)  # no two make the same radius possible
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +202,12 @@ def _geodetic(draft: Draft, times: Times | None, degrees: Degrees, by: str) -> P
         draft.conclude("position.unit", degrees.unit, degrees.why)
     in_orbit = None if speed is None else speed > ORBITAL_KM_S
     numbers: tuple[int, ...] = (latitude.number, longitude.number)
+    radius = find_radius(draft, latitude, longitude)
+    if radius is not None:
+        out, unit = radius
+        km = ecef_from_geocentric(latitude.values, longitude.values, out.values * LENGTH_KM[unit])
+        known = (latitude.values, longitude.values)
+        return Place((*numbers, out.number), in_orbit, *known, cartesian_km=km, frame="ecef")
     parts = degrees.unit in {AngleUnit.E7, AngleUnit.E6}
     altitude = find_altitude(draft, times, speed, parts=parts)
     if isinstance(altitude, tuple):
@@ -226,7 +232,7 @@ def _cartesian_unit(triple: Triple) -> str:
         return ""
     radius = np.sqrt((good**2).sum(axis=1))
     shortest, longest = (float(q) for q in np.quantile(radius, (0.02, 0.98)))
-    units = [u for u in _CENTRED if _RADIUS_KM[0] < shortest * LENGTH_KM[u] and longest * LENGTH_KM[u] < _RADIUS_KM[1]]
+    units = [u for u in CENTRED if RADIUS_KM[0] < shortest * LENGTH_KM[u] and longest * LENGTH_KM[u] < RADIUS_KM[1]]
     return units[0] if len(units) == 1 and triple.unit in {"", units[0]} else ""
 
 
@@ -236,7 +242,7 @@ def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Pl
     frame = draft.answers.get("position.frame") or frame_of(triple.words)
     if not unit:
         asks = f"in which unit are {triple.label}? they are {radius:.6g} from the Earth's centre"
-        draft.ask(Question("position.unit", asks, tuple((one.value, "") for one in _CENTRED), "km"))
+        draft.ask(Question("position.unit", asks, tuple((one.value, "") for one in CENTRED), "km"))
         return None
     by_way = "" if frame or times is None else frame_of_way(triple.values, times.seconds)
     if by_way:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.recordings.describe.foreign import of_binary
 
 _WHOLE_BYTES: Final = 1 << 21
 """2 MiB: up to here a log is read whole, in well under a second."""
@@ -19,6 +20,7 @@ _HEAD_BYTES: Final = 1 << 19  # some thousand rows that follow on each other
 _BETWEEN_BYTES: Final = 1 << 16  # some hundred rows
 _BETWEEN: Final = 14  # stretches between head and tail, evenly
 _LONGEST_LINE: Final = 1 << 16  # characters; a row of a thousand columns has a fifth of that
+_SHOWN: Final = 16  # bytes of a binary log: enough to know its maker by
 _LONGEST_FIELD: Final = 80  # characters of a line that are shown
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _MAX_CONTROL: Final = 0.01  # share of control characters in a text: a serial line's noise, but not a binary file
@@ -105,15 +107,17 @@ def _samples(stream: BinaryIO, size: int) -> list[bytes]:
 
 def _refuse_binary(path: Path, piece: bytes) -> None:
     if piece.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise _refused(path, "UTF-16 text", "UTF-8 is accepted; save the log as UTF-8 (or plain CSV)")
+        raise _refused(
+            path,
+            "UTF-16 text",
+            "UTF-8 is accepted; save the log as UTF-8 (or plain CSV), as by iconv -f UTF-16 -t UTF-8",
+        )
     at = piece.find(b"\x00")
     if at >= 0:
-        accepted = "text in rows is accepted: a binary log has to be written as CSV by its own tool first"
-        raise _refused(path, f"a NUL byte after {piece[:40]!r}" if at else "a NUL byte", accepted)
+        raise _refused(path, f"a NUL byte after {piece[:_SHOWN]!r}" if at else "a NUL byte", of_binary(path, piece))
     text = piece.decode("utf-8", errors="replace")
     if len(_CONTROL.findall(text)) + text.count("\ufffd") > _MAX_CONTROL * len(text) + 8:
-        accepted = "text in rows is accepted: a binary log has to be written as CSV by its own tool first"
-        raise _refused(path, f"binary data {piece[:16]!r}", accepted)
+        raise _refused(path, f"binary data {piece[:_SHOWN]!r}", of_binary(path, piece))
 
 
 def _stretches(path: Path, pieces: list[bytes], whole: bool) -> tuple[Stretch, ...]:

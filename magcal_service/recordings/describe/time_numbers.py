@@ -27,6 +27,7 @@ UNIX: Final = (7.9e8, 2.3e9)
 DAYS: Final = {
     "excel_days": (34000.0, 51000.0, 25569.0),
     "mjd_days": (51000.0, 66000.0, 40587.0),
+    "matlab_days": (728000.0, 745000.0, 719529.0),
     "julian_days": (2.4495e6, 2.4665e6, 2440587.5),
 }
 """First and last day of about the same years, and the day of 1970-01-01."""

@@ -40,6 +40,9 @@ _CLOSE: Final = (0.75, 1.3)
 _ORBITAL_RAD_S: Final = 3e-4
 """2 km/s at the ground: nothing that flies in air."""
 
+_CENTRE: Final = "the distance from the Earth's centre"
+"""What a height may be in place of one above the ground."""
+
 _BALLOON_KM: Final = 60.0
 """Height below which a slow craft is no satellite: balloons stay under it."""
 
@@ -102,7 +105,7 @@ def _height_units(height_km: float, rate: float) -> list[str]:
     guesses = (("km", 1e3), ("m", 1e-3), ("miles", 1.609344e3), ("ft", 3.048e-4))
     found = [name for name, factor in guesses if _is_orbit(height_km * factor, rate, _CLOSE)]
     if _is_orbit(height_km - EARTH_KM, rate, _CLOSE):
-        found.append("the distance from the Earth's centre")
+        found.append(_CENTRE)
     units = [name for name in found if name in set(LengthUnit)]
     slow = rate < _ORBITAL_RAD_S and 0.0 <= height_km * 1e-3 < _BALLOON_KM
     return units[:1] or found or (["m"] if slow else [])
@@ -120,8 +123,9 @@ def _wrong_height(log: Log, height_km: float, speed_km_s: float, units: list[str
     says = f"the places move at {speed_km_s:.3g} km/s at a height of {height_km:.3g} km, where no orbit does"
     guess = f"is it in {' or '.join(units)}? " if units else ""
     spec = log.recording.descriptor.position
-    if isinstance(spec, GeodeticPosition) and spec.altitude is not None:
-        written = f'altitude = {{ column = "{spec.altitude.column}", unit = "{_unit(units)}" }}'
+    if isinstance(spec, GeodeticPosition) and spec.height is not None:
+        key = "altitude" if spec.radius is None and _CENTRE not in units else "radius"
+        written = f'{key} = {{ column = "{spec.height.column}", unit = "{_unit(units)}" }}'
         remedy = f"check the height's unit: {guess}then write {written} under [position]"
     else:
         remedy = f"check the unit of [position]: {guess or 'is it the right one?'}"

@@ -230,3 +230,56 @@ def test_a_tenth_of_the_field_is_a_sensor_s_scale_and_no_other_place(tmp_path: P
     way = drone(35.2, -89.0)  # 50 uT, and about a tenth more the other way round
     columns = [way.latitude_deg, way.longitude_deg, way.height_km]
     assert keys(described(tmp_path, way, "lon,lat,alt_km", columns)) == []
+
+
+def geocentric(folder: Path, head: str, *columns: object) -> Path:
+    """An orbit's log with its places as directions from the Earth's centre, and further columns."""
+    flight = maker_logs.orbit()
+    east, north, up = flight.ecef_km.T
+    latitude = np.degrees(np.arctan2(up, np.hypot(east, north)))
+    table = np.column_stack([flight.time_s, flight.field_nt, latitude, flight.longitude_deg, *columns])
+    path = folder / "log.csv"
+    path.write_text("\n".join([head, *(",".join(f"{value:.12g}" for value in row) for row in table)]))
+    return path
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1e3), ("km", 1.0)])
+def test_a_radius_makes_latitude_geocentric(unit: str, factor: float, tmp_path: Path) -> None:
+    """As a satellite's product has it: taken as geodetic, the places would be up to 21 km off."""
+    flight = maker_logs.orbit()
+    radius = np.linalg.norm(flight.ecef_km, axis=1)
+    log = geocentric(tmp_path, "unix,Bx_nT,By_nT,Bz_nT,Latitude,Longitude,Radius", radius * factor)
+    result = describe(log, {})
+    assert f'radius = {{ column = "Radius", unit = "{unit}" }}' in (result.text or "")
+    assert any("'Latitude' is taken as geocentric" in line for line in result.said)
+    descriptor = tmp_path / "RECORDING.toml"
+    descriptor.write_text(result.text or "")
+    places = read_recording(descriptor).position
+    assert places is not None
+    assert np.abs(places.km - flight.ecef_km).max() < 1e-3
+
+
+def test_a_latitude_called_geocentric_without_a_radius_is_asked_about(tmp_path: Path) -> None:
+    log = geocentric(tmp_path, "unix,Bx_nT,By_nT,Bz_nT,lat_geocentric_deg,lon_deg,alt_km", np.full(1100, 500.0))
+    result = describe(log, {})
+    assert "position.radius" in {question.key for question in result.needed}
+    told = describe(log, {"position.radius": "none"})
+    assert 'altitude = { column = "alt_km", unit = "km" }' in (told.text or "")
+    with pytest.raises(InputRefusedError, match="a distance from the Earth's centre"):
+        describe(log, {"position.radius": "alt_km"})
+
+
+def test_the_field_model_itself_is_no_magnetometer(tmp_path: Path) -> None:
+    """Calibrated against itself it would have no errors at all."""
+    flight = maker_logs.orbit()
+    model = igrf_ecef_nt((flight.time_s * 1e9).astype(np.int64), flight.ecef_km)
+    columns = (flight.time_s, flight.latitude_deg, flight.longitude_deg, np.full(len(model), 500.0), model)
+    table = np.column_stack(columns)
+    log = tmp_path / "log.csv"
+    head = "unix,lat,lon,alt_km,Bx_nT,By_nT,Bz_nT"
+    log.write_text("\n".join([head, *(",".join(f"{value:.12g}" for value in row) for row in table)]))
+    (asked,) = describe(log, {}).needed
+    assert asked.key == "magnetometer.columns"
+    assert "a model's field, for no sensor is so near it" in asked.asks
+    told = describe(log, {"magnetometer.columns": "Bx_nT,By_nT,Bz_nT"})
+    assert any(line.startswith("warning: by your answer magnetometer.columns") for line in told.said)

@@ -46,6 +46,7 @@ SURE: dict[str, tuple[str, Callable[[int], str], str]] = {
     "unix ns": ("time", lambda i: f"{unix(i) * 1e9:.0f}", 'format = "unix_ns"'),
     "excel": ("Date/Time", lambda i: f"{unix(i) / 86400 + 25569:.9f}", 'format = "excel_days"'),
     "julian": ("JD", lambda i: f"{unix(i) / 86400 + 2440587.5:.9f}", 'format = "julian_days"'),
+    "matlab": ("datenum", lambda i: f"{unix(i) / 86400 + 719529:.9f}", 'format = "matlab_days"'),
     "mjd": ("mjd", lambda i: f"{unix(i) / 86400 + 40587:.9f}", 'format = "mjd_days"'),
     "day first": ("when", lambda i: f"{at(i):%d/%m/%Y %H:%M:%S.%f}", 'pattern = "%d/%m/%Y %H:%M:%S.%f"'),
     "apart": ("Date;Time", lambda i: f"{at(i):%Y-%m-%d;%H:%M:%S.%f}", 'pattern = "%Y-%m-%d %H:%M:%S.%f"'),
