@@ -51,6 +51,7 @@ def _apply(options: argparse.Namespace) -> int:
     refuse_unwritable(options.out, options.recording, options.given)
     given = read_given(options.given)
     recording = read_recording(options.recording, options.craft, source=options.source)
+    given.refuse_other_craft(recording)
     if given.source and recording.source and given.source != recording.source:
         accepted = f"a result of magnetometer {recording.source} is accepted; --source chooses another of the recording"
         raise InputRefusedError([Fault(f"{options.given}: source", given.source, accepted)])

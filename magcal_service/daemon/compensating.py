@@ -89,6 +89,8 @@ class CompensatingCraft(Craft, CompensatingMemory):
                 self.config.name,
                 model.doubts,
             )
+        if model.craft and model.craft != self.config.name:
+            log.warning("%s: physics.toml is of craft %s; it is subtracted all the same", self.config.name, model.craft)
         self.compensation = Compensation(model)
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)

@@ -137,7 +137,7 @@ def _made(request: Request, accepted: _Accepted, progress: Callable[[str], None]
     contents = {
         DIAGNOSIS: content,
         REPORT: report(diagnosis, found, content, origin),
-        PHYSICS: write_model(diagnosis, found, recording.name),
+        PHYSICS: write_model(diagnosis, found, recording.name, recording.of_craft or ""),
     }
     return Made(diagnosis, found, contents, (*recording.report.lines(), *inspection.lines()))
 

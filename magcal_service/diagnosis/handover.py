@@ -18,18 +18,19 @@ from magcal_service.physics.interface import Hypothesis, by_name
 from magcal_service.wire.messages import Clock
 
 
-def write_model(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> str:
+def write_model(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, craft: str = "") -> str:
     """The text of ``physics.toml``, as in ``path.write_text(write_model(diagnosis, entries(diagnosis), "flight"))``."""
-    return text_of(model_of(diagnosis, entries, recording))
+    return text_of(model_of(diagnosis, entries, recording, craft))
 
 
-def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> PhysicsModel:
+def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, craft: str = "") -> PhysicsModel:
     """The model of a diagnosis; with curves that may be used elsewhere, the numbers of the fit that has them.
 
     Parameters
     ----------
     entries: of ``result.entries``: those that are no term of the fit become notes, but for ``unknown``.
     recording: name of the recording.
+    craft: whose it is; empty where the recording does not say.
     """
     usable = diagnosis.modelled if diagnosis.modelled is not None and diagnosis.modelled.is_usable else None
     fit = diagnosis.fit if usable is None else usable.fit
@@ -49,6 +50,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str) -> 
         spin=None if spin is None else _spin(spin.axis_body, spin.axis_eci, spin.rate_rad_s),
         doubts=", ".join(diagnosis.reasons),
         empirical=() if usable is None else usable.curves,
+        craft=craft,
     )
 
 

@@ -86,6 +86,7 @@ class Calibration(NineErrors):
     model_doubt: what the model seems to leave out, in words; empty where nothing was found.
     findings: what is wrong with the recording itself.
     source: of which magnetometer, where the recording says.
+    craft: whose it is, where the recording says.
     protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     """
@@ -105,6 +106,7 @@ class Calibration(NineErrors):
     protection_nt: float | None = None
     protection_by: str | None = None
     source: str = ""
+    craft: str = ""
     whole_log: str = ""
 
     @property
@@ -124,6 +126,7 @@ class Calibration(NineErrors):
         return {
             **head(CALIBRATION),
             "source": self.source,
+            "craft": self.craft,
             "method": self.method,
             "trusted": self.trusted,
             "verdict": self.verdict,
@@ -267,6 +270,7 @@ def _calibration(recording: Recording, inspection: Inspection, result: Replay, j
         protection_nt=pipeline.trust.protection_nt,
         protection_by=pipeline.trust.protection_by,
         source=recording.source,
+        craft=recording.of_craft or "",
         whole_log=judgement.whole_log,
     )
 

@@ -15,6 +15,7 @@ from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.result_head import SCHEMAS, head, schema_of
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
+from magcal_service.recordings.recording import Recording
 from magcal_service.wire.messages import Verdict
 
 _LARGEST_FILE: Final = 8 << 20
@@ -42,6 +43,7 @@ class Given(NineErrors):
     protection_nt, protection_by: the protection level of the estimate; None where the file has none.
     model: of a ``physics.toml``; None of a result.
     source: of which magnetometer it is; empty where the file does not say.
+    craft: whose it is; empty where the file does not say.
     schema: that the result keeps; empty where it says none that is known.
     """
 
@@ -58,6 +60,7 @@ class Given(NineErrors):
     model: PhysicsModel | None = None
     schema: str = ""
     source: str = ""
+    craft: str = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -73,6 +76,13 @@ class Given(NineErrors):
     def offset_nt(self) -> Array:
         """(I + D)^-1 b (3,) [nT]: what is subtracted before the matrix, w = (I + D)(B - offset)."""
         return np.asarray(np.linalg.solve(self.matrix, self.bias_nt))
+
+    def refuse_other_craft(self, recording: Recording) -> None:
+        """Raise ``InputRefusedError`` where result and recording name different craft."""
+        of_craft = recording.of_craft
+        if self.craft and of_craft and self.craft != of_craft:
+            accepted = f"a result of craft {of_craft} is accepted; where both are one craft, give it one name"
+            raise InputRefusedError([Fault(f"{self.name}: craft", self.craft, accepted)])
 
     def doubts(self) -> str:
         """Why it must not be trusted, in a line; empty where it may be."""
@@ -108,7 +118,9 @@ def read_given(path: Path) -> Given:
 def _of_model(name: str, digest: str, model: PhysicsModel) -> Given:
     doubts = (model.doubts,) if model.doubts else ()
     covariance = np.diag(np.square(model.sigma))
-    return Given(name, digest, model.x, covariance, False, model.noise_nt, not doubts, doubts, model=model)
+    return Given(
+        name, digest, model.x, covariance, False, model.noise_nt, not doubts, doubts, model=model, craft=model.craft
+    )
 
 
 def _of_result(path: Path, digest: str, content: dict[str, Any]) -> Given:
@@ -161,6 +173,7 @@ def _of_result(path: Path, digest: str, content: dict[str, Any]) -> Given:
         hazard if isinstance(hazard, str) else None,
         schema=schema_of(content),
         source=content["source"] if isinstance(content.get("source"), str) else "",
+        craft=content["craft"] if isinstance(content.get("craft"), str) else "",
     )
 
 

@@ -39,6 +39,7 @@ def refuse_unfit(given: Given, recording: Recording, craft: CraftConfig) -> None
     A method without ``takes_prior``; a result that may be wrong; one without a noise level where none is stated; and
     one that leaves vectors less sure than a start of the filter's own has to make them.
     """
+    given.refuse_other_craft(recording)
     faults = []
     if not find_method(craft.filter.method).takes_prior:
         able = ", ".join(method.name for method in methods() if method.takes_prior)

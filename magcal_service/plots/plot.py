@@ -53,7 +53,10 @@ def sheet_of(
     if name not in FIGURES:
         raise InputRefusedError([Fault("--figure", name, f"one of {', '.join(FIGURES)} is accepted")])
     nine = None if given is None else read_given(given)
-    return FIGURES[name](shown(read_recording(path, craft, source=source), nine))
+    recording = read_recording(path, craft, source=source)
+    if nine is not None:
+        nine.refuse_other_craft(recording)
+    return FIGURES[name](shown(recording, nine))
 
 
 def _of_json(path: Path) -> Sheet:

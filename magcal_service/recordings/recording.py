@@ -92,6 +92,11 @@ class Recording:
     further: Mapping[str, FloatArray] = field(default_factory=dict)
     lines: IntArray | None = None
 
+    @property
+    def of_craft(self) -> str | None:
+        """The name of the craft, where the log or its description says it."""
+        return self.craft.name if self.craft is not None else self.descriptor.craft
+
     @classmethod
     def from_arrays(
         cls,

@@ -47,9 +47,20 @@ def test_what_is_no_file_is_refused(tmp_path: Path, value: str) -> None:
         load_config(written(tmp_path, EXAMPLE, value))
 
 
+def test_a_model_of_another_craft_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    other = EXAMPLE.replace('clock = "utc"', 'clock = "utc"\ncraft = "other"')
+    Pipeline(load_config(written(tmp_path, other)).crafts[0])
+    (record,) = caplog.records
+    assert record.message == "demo: physics.toml is of craft other; it is subtracted all the same"
+
+
 def test_a_model_that_is_not_to_be_acted_on_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """By the reasons that stand in the file; the same file without them says nothing."""
     Pipeline(load_config(written(tmp_path, EXAMPLE)).crafts[0])
+    assert not caplog.records
+    Pipeline(
+        load_config(written(tmp_path, EXAMPLE.replace('clock = "utc"', 'clock = "utc"\ncraft = "demo"'))).crafts[0]
+    )
     assert not caplog.records
     doubtful = EXAMPLE.replace('clock = "utc"', 'clock = "utc"\ndoubts = "name_uncertain"')
     Pipeline(load_config(written(tmp_path, doubtful)).crafts[0])

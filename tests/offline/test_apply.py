@@ -262,3 +262,21 @@ def test_another_end_of_the_name_is_refused_before_anything_is_read(tmp_path: Pa
     done = run("apply", tmp_path / "no.toml", "--with", "no.json", "--out", tmp_path / "v.txt")
     assert (done.code, done.err.count("\n")) == (2, 1)
     assert "a name ending in .csv, .parquet, .mcap is accepted" in done.err
+
+
+def test_a_result_of_another_craft_is_refused_wherever_it_is_used(flight: Path, result: Path, tmp_path: Path) -> None:
+    """Its errors may be near enough to pass for sound: a bias 370 nT off was, at 300 nT of noise."""
+    model = tmp_path / "physics.toml"
+    model.write_text(text_of(replace(model_of(*THERMAL, origin_ns=0), craft="paper")))
+    stranger = flight.with_name("stranger.toml")
+    stranger.write_text(flight.read_text().replace('craft = "paper"', 'craft = "other"'))
+    for given in (result, model):
+        said = run("apply", stranger, "--with", given, "--out", tmp_path / "v.csv")
+        assert said.code == 2
+        assert "craft: 'paper' is refused; a result of craft other is accepted" in said.out + said.err
+    for words in (("calibrate", stranger, "--prior", result), ("plot", stranger, "--with", result, "--out", "v.png")):
+        said = run(*words)
+        assert "a result of craft other is accepted" in said.out + said.err
+    nameless = flight.with_name("nameless.toml")
+    nameless.write_text(flight.read_text().replace('craft = "paper"\n', ""))
+    assert run("apply", nameless, "--with", result, "--out", tmp_path / "v.csv").code in (0, 3)

@@ -77,6 +77,11 @@ def test_doubts_of_the_diagnosis_come_along() -> None:
         assert parse_model(text_of(model(doubts=doubts)).encode()).doubts == doubts
 
 
+def test_the_craft_comes_along() -> None:
+    for craft in ("", "demo"):
+        assert parse_model(text_of(model(craft=craft)).encode()).craft == craft
+
+
 def test_every_effect_that_is_a_field_has_a_form_here() -> None:
     """The scene of these tests drives the whole catalogue."""
     silent = {"coloured_noise", "nutation", "quantisation", "spin_rate", "stuck_axis"}

@@ -76,10 +76,7 @@ def _refuse_doubled(recordings: Sequence[Recording], names: Sequence[str]) -> No
 
 def _of_one_craft(recordings: Sequence[Recording], names: Sequence[str]) -> str:
     """Refuse recordings that name different craft; what is assumed of those that name none, in a sentence."""
-    told = {
-        name: recording.craft.name if recording.craft is not None else recording.descriptor.craft
-        for name, recording in zip(names, recordings, strict=True)
-    }
+    told = {name: recording.of_craft for name, recording in zip(names, recordings, strict=True)}
     known = {name: craft for name, craft in told.items() if craft is not None}
     if len(set(known.values())) > 1:
         listed = ", ".join(f"{name} of {craft}" for name, craft in known.items())

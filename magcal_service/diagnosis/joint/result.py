@@ -251,6 +251,7 @@ def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
         notes=(),
         spin=None,
         doubts=", ".join(diagnosis.reasons),
+        craft=latest.prepared.recording.of_craft or "",
     )
 
 

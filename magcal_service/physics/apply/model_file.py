@@ -71,6 +71,7 @@ def text_of(model: PhysicsModel) -> str:
         "",
         "[recording]",
         f"name = {_text(model.recording)}",
+        *([f"craft = {_text(model.craft)}"] if model.craft else []),
         f"origin_ns = {model.origin_ns}",
         f"clock = {_text(model.clock)}",
         *([f"doubts = {_text(model.doubts)}"] if model.doubts else []),

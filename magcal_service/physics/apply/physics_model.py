@@ -155,6 +155,7 @@ class PhysicsModel:
     Parameters
     ----------
     recording: name of the recording it comes from.
+    craft: whose it is; empty where the recording did not say.
     origin_ns, clock: instant from which effects count their time.
     x, sigma: the nine errors (9,) and their 1 sigma, fitted together with the effects.
     noise_nt: white noise, 1 sigma per axis [nT].
@@ -173,6 +174,7 @@ class PhysicsModel:
     spin: ModelSpin | None = None
     doubts: str = ""
     empirical: tuple[Empirical, ...] = ()
+    craft: str = ""
 
 
 def _origin(reading: Reading, key: str) -> int:
@@ -191,6 +193,7 @@ class RecordingSection:
     """``[recording]``: what the model comes from, and the instant from which its effects count their time."""
 
     name: str = text("", accepted="the recording's name", file_only=True)
+    craft: str = text("", accepted="the name of the craft", file_only=True)
     origin_ns: int = special(_origin)
     clock: Clock = choice(Clock)
     doubts: str = text("", accepted="reasons against acting on the model, by name", file_only=True)
@@ -255,4 +258,5 @@ class ModelSections:
             spin=self.spin,
             doubts=self.recording.doubts,
             empirical=self.empirical,
+            craft=self.recording.craft,
         )
