@@ -38,6 +38,7 @@ def test_arrays_and_the_file_of_the_same_flight_give_the_same_calibration(tmp_pa
         noise_nt=file.descriptor.magnetometer.noise_nt,
         spin_axis=file.descriptor.spin.axis,  # type: ignore[union-attr]
         spin_rpm=file.descriptor.spin.rate_rpm,  # type: ignore[union-attr]
+        craft=file.of_craft,
     )
     assert arrays.clock is Clock.UTC
     assert json.dumps(magcal.calibrate(arrays).to_dict()) == json.dumps(magcal.calibrate(file).to_dict())
