@@ -21,6 +21,7 @@ class Code(StrEnum):
     POSITION_ZERO = "position_zero"
     POSITION_STILL = "position_still"
     ALTITUDE_UNIT = "altitude_unit"
+    ORBIT_HEIGHT = "orbit_height"
     LONGITUDE_SIGN = "longitude_sign"
     SHIFTED_COLUMNS = "shifted_columns"
     AXES = "axes"

@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.base.units import LengthUnit
 from magcal_service.earth.geomagnetic import EARTH_KM, LOWEST_ORBIT_KM
 from magcal_service.recordings.inspect.finding import Code, Seen
+from magcal_service.recordings.inspect.free_fall import orbit_height
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.motion import (
     distinct,
@@ -85,7 +86,10 @@ def heights_and_times(log: Log) -> Iterator[Seen]:
     true_rate = rate_rad_s(time_s, inertial(time_s, place)) if fixed else rate
     height = float(np.median(heights_km(place)))
     radius = EARTH_KM + height
-    if rate <= 0.0 or _is_orbit(height, rate) or _is_orbit(height, true_rate):
+    if rate <= 0.0:
+        return
+    if _is_orbit(height, rate) or _is_orbit(height, true_rate):
+        yield from orbit_height(log)
         return
     if rate > _ORBITAL_RAD_S and height < LOWEST_ORBIT_KM:
         yield _wrong_height(log, height, rate * radius, _height_units(height, rate))

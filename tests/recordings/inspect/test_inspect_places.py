@@ -7,6 +7,8 @@ import pytest
 
 from magcal_service.base.errors import RecordingError
 from magcal_service.recordings.inspect.finding import Code
+from magcal_service.recordings.inspect.free_fall import falls
+from magcal_service.recordings.inspect.motion import MU_KM3_S2
 from magcal_service.recordings.reader import read_recording
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
 
@@ -115,3 +117,36 @@ def test_a_height_beyond_the_moon_is_refused_with_a_guess(tmp_path: Path) -> Non
 def test_a_height_in_metres_declared_as_km_is_refused_with_a_guess(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"check \[reference\], \[position\]"):
         read_recording(igrf().spoiled("alt", lambda column: column * 1e3).write(tmp_path))
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1.609344, "km lower would fit"), (0.75, "km higher would fit")])
+def test_a_height_that_gravity_contradicts_is_asked_about(factor: float, words: str, tmp_path: Path) -> None:
+    """Miles for kilometres: the reference is a sixth too weak everywhere, which a scale of the sensor would explain."""
+    inspection = igrf().spoiled("alt", lambda column: column * factor).inspected(tmp_path)
+    (finding,) = inspection.open
+    assert finding.code is Code.ORBIT_HEIGHT
+    assert words in finding.says
+    assert len(inspection.usable) == 1800
+
+
+def test_a_height_that_is_a_little_off_is_none(tmp_path: Path) -> None:
+    assert not igrf().spoiled("alt", lambda column: column + 30.0).inspected(tmp_path).findings
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.02, 0.15])
+def test_an_eccentric_orbit_falls_as_gravity_pulls(eccentricity: float) -> None:
+    """Integrated by leapfrog, a second a step; with a height that is 300 km off the fall is as much off."""
+    perigee = 6900.0
+    place = np.array([perigee, 0.0, 0.0])
+    speed = np.array([0.0, np.sqrt(MU_KM3_S2 * (1.0 + eccentricity) / perigee), 0.0])
+    way = []
+    for _ in range(8000):
+        way.append(place)
+        speed = speed - 0.5 * MU_KM3_S2 * place / np.linalg.norm(place) ** 3
+        place = place + speed
+        speed = speed - 0.5 * MU_KM3_S2 * place / np.linalg.norm(place) ** 3
+    places, time_s = np.array(way), np.arange(8000.0)
+    assert np.median(falls(time_s, places)) == pytest.approx(1.0, abs=0.004)
+    radius = np.linalg.norm(places, axis=1)[:, None]
+    off = np.median((1.0 + 300.0 / radius) ** 3)
+    assert np.median(falls(time_s, places * (1.0 + 300.0 / radius))) == pytest.approx(off, abs=0.01)
