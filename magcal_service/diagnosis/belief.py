@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
-from magcal_service.diagnosis.explain import CLASS_NATS, Explained, is_recorded
+from magcal_service.diagnosis.explain import CLASS_NATS, Explained
 from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.recordings.inspect.motion import kepler_rad_s

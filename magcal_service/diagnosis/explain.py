@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
+from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.rivals import is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
@@ -30,23 +32,17 @@ HELD_OUT_SHARE: Final = 0.3
 MOST_EFFECTS: Final = len(SEARCHING)
 """Effects in one recording: beyond three they explain one another on the recordings tried."""
 
-_WORTH_TEMPERING: Final = 5000.0
-"""Nats behind the best from which on no scatter that was ever seen would bring a rival back; choice: saves time."""
-
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
 
 _LIKELIER: Final = 1.0
 """Nats by which a rival in the same class comes first at the end: odds of 3 to 1; closer, the first one found stays."""
 
-RECORDED_NATS: Final = 5.0
-"""Nats for what was recorded against a driver that is inferred and against a free shape: odds of 150 to 1.  A record
-was there before the residual was looked at; steps, courses and guesses take whatever form the residual has."""
-
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters
 _RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
+_MOST_EXCHANGES: Final = 3  # names that give their place to a rival at the end; one was the rule where it was tried
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
 _NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
@@ -123,7 +119,10 @@ class Search(Screen):
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))
-        return self.compared(self._bounded(self._by_channel(settled, floor_nt)), floor_nt)
+        settled = self._bounded(self._by_channel(settled, floor_nt))
+        for index in range(len(settled.terms)):
+            settled = timed(self, settled, index)
+        return self.compared(settled, floor_nt)
 
     def again(self, problem: Problem, fit: Fit, floor_nt: float) -> Explained:
         """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful."""
@@ -220,7 +219,7 @@ class Search(Screen):
 
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
-        inside = float((before.white_residual**2).sum() - (after.white_residual**2).sum())
+        inside = _inside(before) - _inside(after)
         return inside > 0.0 and _held_out(before) - _held_out(after) > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
@@ -252,7 +251,8 @@ class Search(Screen):
             sigma = max(fit.white_rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
             if is_recorded(fit.terms[index].hypothesis):
-                ranked = self._tempered(ranked, fit, index, self.workspace(fit, index), self._blocks(fit), sigma)
+                space, blocks = self.workspace(fit, index), self._blocks(fit)
+                ranked = tempered(self, ranked, fit, index, space, blocks, sigma, most_fitted=0)
             fit = self._with_better(fit, index, ranked) or fit
         return fit
 
@@ -290,10 +290,11 @@ class Search(Screen):
         close = [h for h in self.hypotheses if h is mine or h.label in self.close or (moves and h.moves_s is not None)]
         return self.screen(space, fit, sigma, sorted(others), close)
 
-    def compared(self, fit: Fit, floor_nt: float, may_exchange: bool = True) -> Explained:
+    def compared(self, fit: Fit, floor_nt: float, given_up: frozenset[str] = frozenset()) -> Explained:
         """A fit with the rivals of each of its terms, as far as their differences stand out of the blocks' scatter.
 
-        Terms whose own evidence does not are left out; one that a rival beats even so gives it its place, once.
+        Terms whose own evidence does not are left out; one that a rival beats even so gives it its place, for good:
+        ``given_up`` are the labels of those that did.
         """
         while True:
             sigma = max(fit.white_rms_nt, floor_nt)
@@ -307,13 +308,15 @@ class Search(Screen):
             weakest = int(np.argmin(nats))
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
         rivals = [
-            self._tempered(self._rivals(fit, index, sigma), fit, index, space, blocks, sigma)
+            tempered(self, self._rivals(fit, index, sigma), fit, index, space, blocks, sigma)
             for index, space in enumerate(spaces)
         ]
-        for index, ranked in enumerate(rivals if may_exchange else ()):
-            other = self._with_better(fit, index, ranked, _LIKELIER)
+        for index, ranked in enumerate(rivals if len(given_up) < _MOST_EXCHANGES else ()):
+            open_ = [c for c in ranked if c.hypothesis.label not in given_up]
+            other = self._with_better(fit, index, open_, _LIKELIER)
             if other is not None:
-                return self.compared(self.refreshed(other), floor_nt, may_exchange=False)
+                left = given_up | {fit.terms[index].hypothesis.label}
+                return self.compared(self.refreshed(other), floor_nt, left)
         best = tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
         return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals))
 
@@ -337,54 +340,25 @@ class Search(Screen):
         terms = list(fit.terms)
         terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
         trial = solve(self.problem, fit.x, tuple(terms))
-        gained = 2.0 * (best.nats - own) * fit.white_rms_nt**2 if math.isfinite(own) else 0.0
+        gained = (
+            2.0 * min(best.nats - own, CLASS_NATS) * (fit.white_rms_nt / fit.noise_gain) ** 2
+            if math.isfinite(own)
+            else 0.0
+        )
         return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + gained else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
 
-    def _tempered(
-        self,
-        ranked: Sequence[Candidate],
-        fit: Fit,
-        index: int,
-        space: Workspace,
-        blocks: NDArray[np.intp],
-        sigma: float,
-    ) -> list[Candidate]:
-        """Candidates in a term's place, best first, each as far from the term's own as the blocks bear out."""
-        mine = fit.terms[index].hypothesis
-        own = next((c for c in ranked if c.hypothesis is mine), None)
-        if own is None:
-            return list(ranked)
 
-        def left(candidate: Candidate) -> Array:
-            rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
-            assert rows is not None
-            found: Array = space.residual - space.projected(rows @ candidate.gain.amplitudes)
-            return found
-
-        best = left(own)
-        found = []
-        for candidate in ranked:
-            nats = candidate.nats
-            if candidate is not own and nats > own.nats - _WORTH_TEMPERING:
-                dispersion = gain_over(left(candidate), best, blocks, sigma**2).dispersion
-                nats = own.nats + (nats - own.nats) / dispersion
-            if is_recorded(mine) and not is_recorded(candidate.hypothesis):
-                nats -= RECORDED_NATS
-            found.append(replace(candidate, nats=nats))
-        return sorted(found, key=lambda candidate: -candidate.nats)
-
-
-def is_recorded(hypothesis: Hypothesis) -> bool:
-    """Whether a recorded channel drives it."""
-    return hypothesis.driver.startswith("channel")
+def _inside(fit: Fit) -> float:
+    """Sum of squares on all rows, white, as the sensor's own noise: errors that shrink the field shrink it along."""
+    return float((fit.white_residual**2).sum()) / fit.noise_gain**2
 
 
 def _held_out(fit: Fit) -> float:
-    """Sum of squares on rows that took no part, white [nT^2]."""
-    return float((fit.held_out_white**2).sum())
+    """The same on rows that took no part [nT^2]."""
+    return float((fit.held_out_white**2).sum()) / fit.noise_gain**2
 
 
 def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.collapse import is_collapsed
-from magcal_service.diagnosis.explain import Explained, Search, is_recorded
+from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.leftover import Structure, significant, structures
@@ -23,6 +23,7 @@ from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import Progress, untold

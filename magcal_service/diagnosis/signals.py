@@ -16,9 +16,10 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.blocks import gain_over
-from magcal_service.diagnosis.explain import RECORDED_NATS, Explained, Search
+from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.linear import Gain, Workspace
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.rivals import RECORDED_NATS
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes, common_gain, gains
