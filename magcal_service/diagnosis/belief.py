@@ -380,6 +380,6 @@ def is_beyond_model(fit: Fit) -> bool:
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
     """Whether held-out blocks gain by the effects by more than their gains scatter."""
     number = fit.problem.blocks(fit.white_residual)
-    sigma2 = max(fit.white_rms_nt, floor_nt) ** 2
-    gain = gain_over(baseline.held_out_white, fit.held_out_white, number, sigma2)
+    sigma2 = max(fit.white_rms_nt / fit.noise_gain, floor_nt) ** 2
+    gain = gain_over(baseline.sensor_held_out, fit.sensor_held_out, number, sigma2)
     return gain.tempered > 2.0 * STANDS_OUT**2  # nats beyond so many of their sigma, sqrt(2 nats dispersion)

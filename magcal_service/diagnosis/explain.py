@@ -219,7 +219,7 @@ class Search(Screen):
 
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
-        inside = _inside(before) - _inside(after)
+        inside = float((before.sensor_residual**2).sum() - (after.sensor_residual**2).sum())
         return inside > 0.0 and _held_out(before) - _held_out(after) > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
@@ -351,14 +351,9 @@ class Search(Screen):
         return self.problem.blocks(self.white(fit.residual))
 
 
-def _inside(fit: Fit) -> float:
-    """Sum of squares on all rows, white, as the sensor's own noise: errors that shrink the field shrink it along."""
-    return float((fit.white_residual**2).sum()) / fit.noise_gain**2
-
-
 def _held_out(fit: Fit) -> float:
-    """The same on rows that took no part [nT^2]."""
-    return float((fit.held_out_white**2).sum()) / fit.noise_gain**2
+    """Sum of squares on rows that took no part, as the sensor's own noise [nT^2]."""
+    return float((fit.sensor_held_out**2).sum())
 
 
 def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:

@@ -65,7 +65,7 @@ def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:
 
 def _squares(fit: Fit) -> float:
     """Of what is left, as noise of the sensor's own [nT^2]."""
-    return float(fit.white_residual @ fit.white_residual) / fit.noise_gain**2
+    return float(fit.sensor_residual @ fit.sensor_residual)
 
 
 def _at(fit: Fit, index: int, theta: Array, amplitudes: Array) -> Fit:

@@ -59,7 +59,8 @@ def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> in
     own = [posterior(explained, index).own for index in range(len(explained.fit.terms))]
     if min(own) < _LEAST_PROBABLE:
         return int(np.argmin(own))
-    worse = explained.fit.held_out_rms_nt > _WORSE * baseline.held_out_rms_nt
+    left = [fit.held_out_rms_nt / fit.noise_gain for fit in (explained.fit, baseline)]
+    worse = left[0] > _WORSE * left[1]
     if explained.fit.converged and not worse and stands_out(baseline, explained.fit, floor_nt):
         return None
     return int(np.argmin(explained.nats))
@@ -83,7 +84,8 @@ def _all_together(
             fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
         )
         named = _squares(search, baseline) - _squares(search, fewer)
-        if named > max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product):
+        needed = max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product)
+        if named > needed / baseline.noise_gain**2:
             return explained if fewer is fit else search.compared(fewer, floor_nt)
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
 
@@ -110,7 +112,7 @@ def _first_outdone(search: Search, explained: Explained, phase: Array | None, fl
         without = beside.refreshed(solve(search.problem, fit.x, [t for i, t in enumerate(fit.terms) if i != index]))
         best = structures(beside, without, phase, floor_nt)[0]
         own = _squares(search, without) - _squares(search, fit)
-        if held and own <= NEEDED_SHARES[0] * best.squares:
+        if held and own <= NEEDED_SHARES[0] * best.squares / without.noise_gain**2:
             return index
         if term.hypothesis.is_free and explained.nats[index] * explained.gains[index].dispersion < best.nats:
             return index
@@ -136,11 +138,11 @@ def _from_known(search: Search, fit: Fit, floor_nt: float) -> Fit:
             again = replace(term, theta=candidate.theta, amplitudes=candidate.gain.amplitudes)
             terms = [again if number == index else other for number, other in enumerate(fit.terms)]
             trial = solve(search.problem, fit.x, terms)
-            fit = trial if trial.white_rms_nt < fit.white_rms_nt else fit
+            fit = min((fit, trial), key=lambda one: _squares(search, one))
     return fit
 
 
 def _squares(search: Search, fit: Fit) -> float:
-    """Sum of squares of a fit's residual through the whitening of its noise [nT^2]."""
-    white = search.white(fit.residual)
+    """Sum of squares of a fit's residual through the whitening of its noise, as the sensor's own noise [nT^2]."""
+    white = search.white(fit.residual) / fit.noise_gain
     return float(white @ white)

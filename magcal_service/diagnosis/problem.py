@@ -119,6 +119,10 @@ class Problem:
         """Whether the nine errors among the unknowns (size,) are no sensor's."""
         return is_collapsed(x)
 
+    def noise_gain(self, x: Array, unit: Array) -> float:
+        """Times a sensor's noise per axis, what errors (size,) make of it along the field's directions (n, 3)."""
+        return float(np.sqrt(np.mean(((unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2).sum(axis=1))))
+
     def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
         """What ``evaluate`` gives."""
         return _evaluated(self, x, terms, derivatives)
@@ -183,10 +187,7 @@ class Fit:
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array, Array]:
-        """Norm of each white column (p,), products of the columns so scaled (p, p), and those with the residual (p,).
-
-        A column of zeros has 1 for its norm.
-        """
+        """Norms of the white columns (p,), 1 for zeros; products of them so scaled (p, p), and with the residual (p,)."""
         scale = np.linalg.norm(self.white_columns, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = self.white_columns / scale
@@ -195,8 +196,17 @@ class Fit:
     @cached_property
     def noise_gain(self) -> float:
         """Times a sensor's own noise per axis, what calibration makes of it along the field, by I + D."""
-        along = self.unit @ (np.eye(3) + d_matrix(self.x[:STATE_SIZE]))
-        return float(np.sqrt(np.mean((along**2).sum(axis=1))))
+        return self.problem.noise_gain(self.x, self.unit)
+
+    @property
+    def sensor_residual(self) -> Array:
+        """(m,) white, as the sensor's own noise [nT]: errors that shrink the field leave less for that alone."""
+        return self.white_residual / self.noise_gain
+
+    @property
+    def sensor_held_out(self) -> Array:
+        """(m,) the same under the fit to the other folds [nT]."""
+        return self.held_out_white / self.noise_gain
 
     @cached_property
     def white_rms_nt(self) -> float:

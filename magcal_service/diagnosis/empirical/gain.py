@@ -23,7 +23,7 @@ _COVERED: Final = 0.2
 
 def gain_of(before: Fit, after: Fit) -> tuple[float, int, int]:
     """``gain_in_blocks`` of a fit over the one before."""
-    return gain_in_blocks(before.held_out_white, after.held_out_white, after.problem)
+    return gain_in_blocks(before.sensor_held_out, after.sensor_held_out, after.problem)
 
 
 def gain_in_blocks(before: Array, after: Array, problem: Problem) -> tuple[float, int, int]:

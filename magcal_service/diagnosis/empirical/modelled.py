@@ -179,7 +179,8 @@ def _stands(before: Fit, trial: Fit, forms: Sequence[Form]) -> bool:
     Of what is to be used elsewhere also in a fit that has arrived, and forward in time.
     """
     gain = gain_of(before, trial)[0]
-    if is_collapsed(trial.x) or gain < STANDS_OUT or not trial.held_out_rms_nt < before.held_out_rms_nt:
+    left = [fit.held_out_rms_nt / fit.noise_gain for fit in (before, trial)]
+    if is_collapsed(trial.x) or gain < STANDS_OUT or not left[1] < left[0]:
         return False
     if forms[-1].driver == ELAPSED:
         return True

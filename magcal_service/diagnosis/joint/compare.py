@@ -231,11 +231,11 @@ class Apart:
         nine = self._refitted([number], ()) if apart else without
         guess = self._refitted([number], None, held)
         squares = [_held_out(one) for one in (without, guess, own)]
-        sigma2 = max(own.white_rms_nt, self.floor * self.singles[number].noise_nt) ** 2
+        sigma2 = max(own.white_rms_nt / own.noise_gain, self.floor * self.singles[number].noise_nt) ** 2
         blocks = own.problem.blocks(own.white_residual)
 
         def gain(before: Fit, after: Fit) -> Gain:
-            return gain_over(before.held_out_white, after.held_out_white, blocks, sigma2)
+            return gain_over(before.sensor_held_out, after.sensor_held_out, blocks, sigma2)
 
         effects: list[Kept | None] = []
         for term in self.fit.terms:
@@ -262,7 +262,7 @@ class Apart:
 
 
 def _held_out(fit: Fit) -> float:
-    return float((fit.held_out_white**2).sum())
+    return float((fit.sensor_held_out**2).sum())
 
 
 def _shared(fit: Fit, own: Sequence[Fit], others: Sequence[Fit], names: Sequence[str]) -> list[Shared]:
