@@ -187,7 +187,7 @@ class Fit:
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array, Array]:
-        """Norms of the white columns (p,), 1 for zeros; products of them so scaled (p, p), and with the residual (p,)."""
+        """Norms of the white columns (p,), 1 for zeros; products of them so scaled (p, p) and with the residual."""
         scale = np.linalg.norm(self.white_columns, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = self.white_columns / scale

@@ -197,7 +197,7 @@ def test_held_out_blocks_have_to_gain_a_third_of_what_the_fit_gains(
     inside: float, outside: float, agrees: bool
 ) -> None:
     def standing_for(squares: float, held_out: float) -> Fit:
-        return SimpleNamespace(white_residual=np.sqrt([squares]), held_out_white=np.sqrt([held_out]))
+        return SimpleNamespace(sensor_residual=np.sqrt([squares]), sensor_held_out=np.sqrt([held_out]))
 
     search, _ = searching(flown(np.zeros((COUNT, 3))))
     assert search._agrees(standing_for(1000.0, 1100.0), standing_for(1000.0 - inside, 1100.0 - outside)) is agrees
