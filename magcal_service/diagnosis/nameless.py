@@ -9,8 +9,9 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.leftover import largest_product, structures
+from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.problem import Fit, free_numbers
+from magcal_service.diagnosis.screen import OF_LINES
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import ended, solve
 from magcal_service.model import Array
@@ -20,6 +21,10 @@ NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 
 _LEAST_PROBABLE: Final = 0.05
 """Of a name against its rivals in its place: below, one of them is likelier by more than a class is wide."""
+
+_OF_ATTITUDE: Final = 0.5
+"""Of what a line holds, what functions of the attitude may hold in its place: of eleven true lines they held 0.02 at
+the most, of three that were the attitude's own 0.7 at the least."""
 
 _WORSE: Final = 1.02
 """Times the held-out rms of the nine errors alone, from which on names are no gain, whatever whitened rows say; faint
@@ -101,17 +106,23 @@ def _each_its_own(search: Search, explained: Explained, phase: Array | None, flo
 
 
 def _first_outdone(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> int | None:
-    """The weakest of several, if the family holds more than it does; a free form, if the family is likelier than it."""
+    """The weakest of several, if a family holds more than it does; a free form, if a family is likelier than it; a
+    line or a beat, if a family of the attitude holds half as much: a craft's own turning has lines, too."""
     fit, several = explained.fit, len(explained.fit.terms) > 1
     weakest = int(np.argmin(explained.nats))
     for index, term in enumerate(fit.terms):
         held = several and index == weakest
-        if not (held or term.hypothesis.is_free):
+        is_line = any(number.role in OF_LINES for number in term.hypothesis.nonlinear)
+        if not (held or is_line or term.hypothesis.is_free):
             continue
         beside = replace(search)
         without = beside.refreshed(solve(search.problem, fit.x, [t for i, t in enumerate(fit.terms) if i != index]))
-        best = structures(beside, without, phase, floor_nt)[0]
+        families = structures(beside, without, phase, floor_nt)
+        best = families[0]
         own = _squares(search, without) - _squares(search, fit)
+        turning = max((f.squares for f in families if f.shape.of_attitude and significant(f)), default=0.0)
+        if is_line and turning / without.noise_gain**2 > _OF_ATTITUDE * own:
+            return index
         if held and own <= NEEDED_SHARES[0] * best.squares / without.noise_gain**2:
             return index
         if term.hypothesis.is_free and explained.nats[index] * explained.gains[index].dispersion < best.nats:

@@ -41,7 +41,7 @@ _NEAR: Final = 0.5
 
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
-_OF_LINES: Final = ("frequency", "period")
+OF_LINES: Final = ("frequency", "period")  # roles of numbers that are tried at the lines of a residual
 
 _WORTH_REFINING: Final = 0.3
 """Of the best evidence on the grids: what has less there does not come first by being refined."""
@@ -149,7 +149,7 @@ class Screen:
         found: list[Candidate] = []
         every = self.hypotheses if among is None else among
         wanted = [hypothesis for hypothesis in every if hypothesis.effect not in skip]
-        if any(number.role in _OF_LINES for hypothesis in wanted for number in hypothesis.nonlinear):
+        if any(number.role in OF_LINES for hypothesis in wanted for number in hypothesis.nonlinear):
             lines = self._lines(space, fit)
 
         def try_each(hypotheses: Iterable[Hypothesis]) -> None:
@@ -213,7 +213,7 @@ class Screen:
         """Nonlinear numbers (q, m) to try."""
         if not grids:
             return np.zeros((1, 0))
-        if not afresh and not any(number.role in _OF_LINES for number in hypothesis.nonlinear):
+        if not afresh and not any(number.role in OF_LINES for number in hypothesis.nonlinear):
             own = [term.theta for term in fit.terms if term.hypothesis is hypothesis]
             known = [*self._known.get(hypothesis.label, []), *own]
             if known:
@@ -306,7 +306,7 @@ def _near(found: Sequence[Candidate]) -> set[str]:
 
 def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
     """Values to try first; a period may show as a separate line or as side lines of the spin."""
-    if number.role not in _OF_LINES:
+    if number.role not in OF_LINES:
         return number.grid
     if lines is None or not len(lines):
         return np.zeros(0)

@@ -7,7 +7,7 @@ in the body, with the spin's phase, with the Sun, with a channel.  What they alo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -31,12 +31,21 @@ _MOST_COURSES: Final = 48
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """A family: name, what it would mean, and its columns as a function of the field's direction (n, 3)."""
+    """A family without a name.
+
+    Parameters
+    ----------
+    name, says: of the family, and what it would mean.
+    columns: its columns (m, k) as a function of the field's direction (n, 3).
+    terms: names of its signals, where they have any.
+    of_attitude: whether it is a function of where the craft points.
+    """
 
     name: str
     says: str
     columns: Callable[[Array], Array]
     terms: tuple[str, ...] = ()
+    of_attitude: bool = False
 
 
 def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) -> Iterator[Shape]:
@@ -51,9 +60,9 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
         for count in (24, 160):
             says = "the field's magnitude, in stretches of time"
             yield _plain(f"time {count}", says, partial(_windows, share, count))
-    yield body_shape(
-        problem, "field", "a body-fixed field that follows the field itself", *_products(scene.clean_field_nt)
-    )
+    says = "a body-fixed field that follows the field itself"
+    follows = body_shape(problem, "field", says, *_products(scene.clean_field_nt))
+    yield replace(follows, of_attitude=True)
     if line_hz is not None:
         angle = 2.0 * np.pi * line_hz * scene.time_s
         count = int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES))
@@ -66,7 +75,8 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
         yield _body(problem, "line", says, swinging)
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
-        yield body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
+        spinning = body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
+        yield replace(spinning, of_attitude=True)
     if scene.sun_body is not None and scene.lit is not None:
         sun = np.concatenate([scene.sun_body, np.maximum(scene.sun_body, 0.0), np.ones((len(scene), 1))], axis=1)
         yield body_shape(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
