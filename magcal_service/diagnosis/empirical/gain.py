@@ -60,5 +60,5 @@ def forward_rms_nt(before: Fit, after: Fit, forms: Sequence[Form]) -> tuple[floa
 
 def _foretold_nt(fit: Fit, fold: NDArray[np.intp], rows: NDArray[np.bool_]) -> float:
     """rms of rows [nT] under the fit to those whose fold (m,) is not 0."""
-    solution = fold_solutions(fit.white_residual, fit.white_columns, fold, fit.tie * fit.white_rms_nt**2)[0]
+    solution = fold_solutions(fit.white_residual, fit.white_columns, fold, fit.held_tie)[0]
     return float(np.sqrt(np.mean((fit.residual[rows] - fit.columns[rows] @ solution) ** 2)))

@@ -91,6 +91,6 @@ def _held_out(fit: Fit, rows: Array, hypothesis: Hypothesis) -> Array:
     problem = fit.problem
     term = Term(hypothesis, np.zeros(0), np.zeros(hypothesis.size))
     columns = np.concatenate([fit.white_columns, problem.white(rows)], axis=1)
-    tie = np.concatenate([fit.tie, amplitude_tie(problem, term, hypothesis.columns(term.theta))])
-    solutions = fold_solutions(fit.white_residual, columns, problem.fold, tie * fit.white_rms_nt**2)
+    own = amplitude_tie(problem, term, hypothesis.columns(term.theta)) * fit.white_rms_nt**2
+    solutions = fold_solutions(fit.white_residual, columns, problem.fold, np.concatenate([fit.held_tie, own]))
     return held_out(fit.white_residual, columns, problem.fold, solutions)
