@@ -1,0 +1,170 @@
+"""Names against rivals that are fitted in their place, and fits against one another under the sensor's own noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magcal_service import read_recording
+from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.instants import timed
+from magcal_service.diagnosis.joint.problem import JointProblem
+from magcal_service.diagnosis.problem import Problem, Term, evaluate
+from magcal_service.diagnosis.rivals import tempered
+from magcal_service.diagnosis.screen import Candidate
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import measure
+from magcal_service.physics.columns import along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from tests.blind.draw import draw_case as draw_blind
+from tests.blind.recording import write_case as write_blind
+from tests.diagnosis.made_up import FLOOR_NT, OTHER, QUICK, SLOW, TIME_S, along, body_form, flown, searching
+from tests.physics.scenes import COUNT, NOISE_NT, X, scene, spoiled
+from tests.regimes.case import draw_case
+from tests.regimes.write import write_case
+
+# Fits are compared by what they leave as the sensor's own noise
+
+
+@pytest.mark.parametrize("d", [0.2, -0.3])
+def test_a_sensor_s_noise_is_the_same_whatever_gain_its_errors_have(d: float) -> None:
+    """|(I + D) n| along the field has (1 + d) times the noise per axis, and the sensor's own has once."""
+    x = np.concatenate([X[:3], [d, d, d, 0.0, 0.0, 0.0]])
+    clean = scene()
+    noise = np.random.default_rng(5).normal(0.0, NOISE_NT, (COUNT, 3))
+    noisy = spoiled(measure(x, clean.calibrated_nt) + noise, clean)
+    fit = solve(Problem(noisy, NOISE_NT), x)
+    assert fit.noise_gain == pytest.approx(1.0 + d, rel=2e-3)
+    assert fit.white_rms_nt == pytest.approx((1.0 + d) * NOISE_NT, rel=0.04)
+    assert np.sqrt(np.mean(fit.sensor_residual**2)) == pytest.approx(NOISE_NT, rel=0.04)
+    assert np.sqrt(np.mean(fit.sensor_held_out**2)) == pytest.approx(NOISE_NT, rel=0.04)
+
+
+def test_several_recordings_have_the_gain_of_all_their_samples() -> None:
+    part = Problem(flown(along(0, 0.0 * SLOW)), NOISE_NT)
+    other = X + np.concatenate([np.zeros(3), [0.1, 0.1, 0.1], np.zeros(3)])
+    joint = evaluate(JointProblem.of([part, part]), np.concatenate([X, other]), ())
+    each = [evaluate(part, x, ()).noise_gain for x in (X, other)]
+    assert each[1] > each[0] + 0.09
+    assert joint.noise_gain == pytest.approx(np.sqrt(np.mean(np.square(each))), rel=1e-9)
+
+
+# Instants by joint solutions
+
+
+def step_form() -> Hypothesis:
+    """A field along each axis from an instant on."""
+    grid = TIME_S[50:-50:100]
+    return Hypothesis(
+        "one",
+        "none",
+        lambda theta: along_axes((theta[0] <= TIME_S).astype(float)),
+        (Block("step_nt", "nT"),),
+        nonlinear=(Nonlinear("at_s", "s", grid, "instant"),),
+    )
+
+
+@pytest.mark.parametrize("off_s", [-900.0, 0.0, 700.0])
+def test_an_instant_that_a_fit_has_wrong_is_sought_again(off_s: float) -> None:
+    form, at_s = step_form(), 4002.0
+    search, fit = searching(flown(along(1, 500.0 * (at_s <= TIME_S))), form)
+    began = solve(search.problem, fit.x, [Term(form, np.array([at_s + off_s]), np.zeros(3))])
+    found = timed(search, began, 0)
+    assert abs(float(found.terms[0].theta[0]) - at_s) <= 8.0
+    assert found.converged
+    assert (found.sensor_residual**2).sum() <= (began.sensor_residual**2).sum()
+
+
+def test_a_form_without_an_instant_stays_as_it_is() -> None:
+    form = body_form("one", "", along(0, SLOW))
+    search, fit = searching(flown(along(0, 100.0 * SLOW)), form)
+    began = solve(search.problem, fit.x, [Term(form, np.zeros(0), np.zeros(1))])
+    assert timed(search, began, 0) is began
+
+
+# Rivals by their own fit
+
+
+def placed(*forms: Hypothesis) -> tuple[dict[str, Candidate], dict[str, Candidate], float]:
+    """Rivals of the first form in its place, to first order and as they are compared; and their noise [nT]."""
+    search, fit = searching(flown(along(0, 60.0 * SLOW)), *forms)
+    fit = solve(search.problem, fit.x, [Term(forms[0], np.zeros(0), np.zeros(forms[0].size))])
+    space, sigma = search.workspace(fit, 0), max(fit.white_rms_nt, FLOOR_NT)
+    ranked = search.screen(space, fit, sigma)
+    by_fit = tempered(search, ranked, fit, 0, space, search.problem.blocks(fit.white_residual), sigma)
+    return *({one.hypothesis.effect: one for one in found} for found in (ranked, by_fit)), sigma  # type: ignore[return-value]
+
+
+def test_rivals_that_come_near_are_fitted_and_others_are_not() -> None:
+    """Where the nine errors hardly move, a rival's fit says what its first order did."""
+    mine = body_form("mine", "", along(0, SLOW))
+    near = body_form("near", "", along(0, SLOW + 0.15 * QUICK))
+    far = body_form("far", "", along(0, OTHER))
+    first, by_fit, _ = placed(mine, near, far)
+    own = by_fit["mine"]
+    assert first["near"].nats > 0.7 * own.nats > first["far"].nats
+    assert by_fit["near"].nats == pytest.approx(first["near"].nats, abs=3.0)
+    assert by_fit["near"].gain.amplitudes != pytest.approx(first["near"].gain.amplitudes, abs=1e-9)
+    assert by_fit["far"].gain.amplitudes == pytest.approx(first["far"].gain.amplitudes, abs=1e-12)
+    assert own.nats > by_fit["near"].nats > by_fit["far"].nats
+
+
+def test_a_term_is_compared_at_the_numbers_of_its_fit() -> None:
+    """Not at those that are best to first order: rivals are judged beside what was fitted."""
+    form = step_form()
+    search, fit = searching(flown(along(1, 90.0 * (TIME_S >= 4002.0))), form)
+    fit = solve(search.problem, fit.x, [Term(form, np.array([4202.0]), np.zeros(3))])
+    space, sigma = search.workspace(fit, 0), fit.white_rms_nt
+    ranked = search.screen(space, fit, sigma, among=[form])
+    (own,) = tempered(search, ranked, fit, 0, space, search.problem.blocks(fit.white_residual), sigma)
+    assert ranked[0].theta[0] != 4202.0
+    assert own.theta[0] == 4202.0
+    assert own.gain.amplitudes == pytest.approx(fit.terms[0].amplitudes, rel=0.05, abs=1.0)
+
+
+# On the cases that showed it
+
+
+def of_blind(seed: int, kind: str, folder: Path) -> Diagnosis:
+    return diagnose(read_recording(write_blind(draw_blind(seed, kind), folder / "case")))
+
+
+def of_regime(seed: int, index: int, folder: Path) -> Diagnosis:
+    case = draw_case(seed, index)
+    folder.mkdir(exist_ok=True)
+    return diagnose(read_recording(write_case(case, folder / "case")))
+
+
+def names_of(diagnosis: Diagnosis) -> list[str]:
+    return [term.hypothesis.effect for term in diagnosis.fit.terms]
+
+
+def test_a_step_on_a_craft_that_looks_down_is_no_drift(tmp_path: Path) -> None:
+    """To first order, where the step's nine errors are not, the drift was 39 nats better."""
+    assert names_of(of_regime(4201, 50, tmp_path)) == ["bias_step"]
+
+
+def test_a_name_that_grows_the_field_is_not_refused_for_its_larger_noise(tmp_path: Path) -> None:
+    """A place 9 km too low grows the field by 0.4 %, and its noise, which is more than the name explains."""
+    diagnosis = of_blind(410100093, "position_offset", tmp_path)
+    assert names_of(diagnosis) == ["position_offset"]
+    assert diagnosis.reasons == ()
+
+
+@pytest.mark.parametrize("of", ["blind", "regime"])
+def test_a_line_of_the_craft_s_own_turning_is_no_tone(of: str, tmp_path: Path) -> None:
+    """A product of two components of the field, and the size of its change, have lines where the craft turns."""
+    if of == "blind":
+        diagnosis = of_blind(410100022, "outside:field_product", tmp_path)
+    else:
+        diagnosis = of_regime(4203, 58, tmp_path)
+    assert names_of(diagnosis) == []
+    assert diagnosis.reasons == ("unexplained_structure",)
+
+
+def test_a_true_line_beside_a_turning_craft_stays_one(tmp_path: Path) -> None:
+    diagnosis = of_blind(410100034, "tone", tmp_path)
+    assert names_of(diagnosis) == ["tone"]
+    assert diagnosis.reasons == ()
