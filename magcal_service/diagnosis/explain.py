@@ -313,7 +313,7 @@ class Search(Screen):
         ]
         for index, ranked in enumerate(rivals if len(given_up) < _MOST_EXCHANGES else ()):
             open_ = [c for c in ranked if c.hypothesis.label not in given_up]
-            other = self._with_better(fit, index, open_, _LIKELIER)
+            other = self._with_better(fit, index, open_, _LIKELIER, CLASS_NATS)
             if other is not None:
                 left = given_up | {fit.terms[index].hypothesis.label}
                 return self.compared(self.refreshed(other), floor_nt, left)
@@ -329,10 +329,15 @@ class Search(Screen):
         return tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.driver) for ranked in own)
 
     def _with_better(
-        self, fit: Fit, index: int, ranked: Sequence[Candidate], by_nats: float = CLASS_NATS
+        self,
+        fit: Fit,
+        index: int,
+        ranked: Sequence[Candidate],
+        by_nats: float = CLASS_NATS,
+        may_cost: float = math.inf,
     ) -> Fit | None:
         """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks speak
-        against it by less."""
+        against it by less, and by no more than ``may_cost`` [nats]."""
         own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
         if not ranked or ranked[0].nats < own + by_nats:
             return None
@@ -340,11 +345,8 @@ class Search(Screen):
         terms = list(fit.terms)
         terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
         trial = solve(self.problem, fit.x, tuple(terms))
-        gained = (
-            2.0 * min(best.nats - own, CLASS_NATS) * (fit.white_rms_nt / fit.noise_gain) ** 2
-            if math.isfinite(own)
-            else 0.0
-        )
+        noise = fit.white_rms_nt / fit.noise_gain
+        gained = 2.0 * min(best.nats - own, may_cost) * noise**2 if math.isfinite(own) else 0.0
         return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + gained else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
