@@ -6,7 +6,7 @@ Several effects by forward selection with a backward check; rivals by their evid
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -104,18 +104,32 @@ class Search(Screen):
         return self.refreshed(baseline)
 
     def run(self, start: Fit, floor_nt: float, progress: Progress = untold) -> Explained:
-        """Forward selection with a backward check after every step."""
-        fit = start
+        """Forward selection with a backward check after every step, and once more into room that rivals leave."""
+        fit = self._selected(start, floor_nt, progress)
+        progress(RIVALS)
+        found = self._settled(fit, floor_nt)
+        kept = {term.hypothesis.effect for term in found.fit.terms}
+        dropped = {term.hypothesis.effect for term in fit.terms} - kept
+        if not kept or not dropped:
+            return found
+        more = self._selected(found.fit, floor_nt, progress, dropped)
+        return found if more is found.fit else self._settled(more, floor_nt)
+
+    def _selected(self, fit: Fit, floor_nt: float, progress: Progress, without: Set[str] = frozenset()) -> Fit:
+        """A fit with further effects, as many as hold; ``without``: effects that are not tried."""
         while len(fit.terms) < MOST_EFFECTS:
             progress(SEARCHING[len(fit.terms)])
-            larger = self._larger(fit, floor_nt)
+            larger = self._larger(fit, floor_nt, without)
             if larger is None:
                 break
             larger = self.refreshed(larger)
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
-        progress(RIVALS)
+        return fit
+
+    def _settled(self, fit: Fit, floor_nt: float) -> Explained:
+        """What was selected, at its end, beside its rivals."""
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))
@@ -162,9 +176,9 @@ class Search(Screen):
         """As ``clean_vectors``."""
         return clean_vectors(fit)
 
-    def _larger(self, fit: Fit, floor_nt: float) -> Fit | None:
+    def _larger(self, fit: Fit, floor_nt: float, without: Set[str]) -> Fit | None:
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
-        present = {term.hypothesis.effect for term in fit.terms}
+        present = {term.hypothesis.effect for term in fit.terms} | without
         tried: set[str] = set()
         for candidate in self._ranked(fit, floor_nt, sorted(present)):
             if candidate.nats < ACCEPTED_NATS:

@@ -84,7 +84,7 @@ def tempered(
                 if by_fit is not None:
                     one, beside = by_fit[0], (by_fit[1], search.white(fit.residual))
             dispersion = gain_over(*beside, blocks, sigma_nt**2).dispersion
-            one = replace(one, nats=own.nats + (one.nats - own.nats) / dispersion)
+            one = replace(one, nats=own.nats + _beyond(one, own, dispersion))
         if is_recorded(mine) and not is_recorded(one.hypothesis):
             one = replace(one, nats=one.nats - RECORDED_NATS)
         found.append(one)
@@ -126,6 +126,12 @@ def _fitted(
     term = trial.terms[index]
     found = replace(rival, theta=term.theta, gain=replace(rival.gain, amplitudes=term.amplitudes), nats=nats)
     return found, left
+
+
+def _beyond(candidate: Candidate, own: Candidate, dispersion: float) -> float:
+    """Evidence beyond that of a term's own [nats]: by its scatter what the data say, and fully what odds there are."""
+    odds = own.hypothesis.odds - candidate.hypothesis.odds
+    return (candidate.nats - own.nats - odds) / dispersion + odds
 
 
 def _cost(candidate: Candidate, sigma_nt: float) -> float:

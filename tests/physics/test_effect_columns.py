@@ -95,7 +95,9 @@ def test_a_bias_drifts_by_its_rate_and_bends_by_its_curve() -> None:
     assert added(found["none", "relaxing"], end, 900.0) == pytest.approx(relaxed)
     names = [[(block.name, block.unit) for block in form.blocks] for form in found.values()]
     assert names == [[("nt_per_s", "nT/s")], [("nt_per_s", "nT/s"), ("nt_per_s2", "nT/s2")], [("nt_end", "nT")]]
-    assert found["none", "relaxing"].nonlinear[0].grid == pytest.approx(SPAN_S * np.array([0.02, 0.05, 0.1, 0.2, 0.4]))
+    assert found["none", "relaxing"].nonlinear[0].grid == pytest.approx(
+        SPAN_S * np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])
+    )
 
 
 def test_before_the_origin_of_time_nothing_has_relaxed() -> None:

@@ -16,7 +16,7 @@ from magcal_service.physics.scene.scene import Scene
 _INSTANTS: Final = 96
 """Change times tried first; choice: one percent of the recording apart, the best is refined; more cost a gain each."""
 
-_RELAXATION_SHARES: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
+_RELAXATION_SHARES: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Time constants of a relaxation, as shares of the recording: shorter is a step, longer a parabola."""
 
 
