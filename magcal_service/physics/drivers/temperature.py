@@ -23,7 +23,7 @@ _AGAINST_GUESSING: Final = 5.0
 """Nats against inferring a temperature where one was recorded: odds of 150 to 1 for the record."""
 
 _SELDOM_HEAT: Final = 2.0
-"""Nats against heat for what only settles, which is a drift whatever its cause: odds of 7 to 1.  Of eighteen courses
+"""Nats against heat for what only settles, which is a drift whatever its cause: odds of 7 to 1.  Of sixteen courses
 that relaxed in other hands' simulators without a record two were heat."""
 
 _LEAST_SWING_K: Final = 0.05
