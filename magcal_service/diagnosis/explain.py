@@ -38,6 +38,10 @@ CLASS_NATS: Final = 3.0
 _LIKELIER: Final = 1.0
 """Nats by which a rival in the same class comes first at the end: odds of 3 to 1; closer, the first one found stays."""
 
+_OF_BLOCKS: Final = 5.0
+"""Nats that held-out blocks may speak against a likelier rival at the end: between names of one class they scatter so;
+a choice."""
+
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters
@@ -327,7 +331,7 @@ class Search(Screen):
         ]
         for index, ranked in enumerate(rivals if len(given_up) < _MOST_EXCHANGES else ()):
             open_ = [c for c in ranked if c.hypothesis.label not in given_up]
-            other = self._with_better(fit, index, open_, _LIKELIER, CLASS_NATS)
+            other = self._with_better(fit, index, open_, _LIKELIER, _OF_BLOCKS)
             if other is not None:
                 left = given_up | {fit.terms[index].hypothesis.label}
                 return self.compared(self.refreshed(other), floor_nt, left)
@@ -348,10 +352,10 @@ class Search(Screen):
         index: int,
         ranked: Sequence[Candidate],
         by_nats: float = CLASS_NATS,
-        may_cost: float = math.inf,
+        may_cost: float | None = None,
     ) -> Fit | None:
         """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks speak
-        against it by less, and by no more than ``may_cost`` [nats]."""
+        against it by less, or by no more than ``may_cost`` [nats]."""
         own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
         if not ranked or ranked[0].nats < own + by_nats:
             return None
@@ -360,8 +364,9 @@ class Search(Screen):
         terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
         trial = solve(self.problem, fit.x, tuple(terms))
         noise = fit.white_rms_nt / fit.noise_gain
-        gained = 2.0 * min(best.nats - own, may_cost) * noise**2 if math.isfinite(own) else 0.0
-        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + gained else None
+        gained = best.nats - own if math.isfinite(own) else 0.0
+        most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
+        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + most else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))

@@ -20,7 +20,7 @@ NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 """Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
 
 _LEAST_PROBABLE: Final = 0.05
-"""Of a name against its rivals in its place: below, one of them is likelier by more than a class is wide."""
+"""Of the likeliest rival's probability, what a name has to have: below, that one is likelier by more than a class."""
 
 _OF_ATTITUDE: Final = 0.5
 """Of what a line holds, what functions of the attitude may hold in its place: of eleven true lines they held 0.02 at
@@ -61,9 +61,10 @@ def standing(
 
 def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:
     """A name that a rival beats and may not replace; else the weakest, where the fit or its gain does not hold."""
-    own = [posterior(explained, index).own for index in range(len(explained.fit.terms))]
-    if min(own) < _LEAST_PROBABLE:
-        return int(np.argmin(own))
+    each = [posterior(explained, index) for index in range(len(explained.fit.terms))]
+    beside = [one.own / max((rival for _, rival in one.rivals), default=1e-300) for one in each]
+    if min(beside) < _LEAST_PROBABLE:
+        return int(np.argmin(beside))
     left = [fit.held_out_rms_nt / fit.noise_gain for fit in (explained.fit, baseline)]
     worse = left[0] > _WORSE * left[1]
     if explained.fit.converged and not worse and stands_out(baseline, explained.fit, floor_nt):
