@@ -10,7 +10,7 @@ equations in the metric of their own derivative.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -43,6 +43,9 @@ _NEAR: Final = 4.0
 
 _WIDEST, _NARROWEST = 0.2, 0.005
 """Steps of such a number, as shares of it, at first and at the last; what is left to go changes with their square."""
+
+_REACH: Final = 12
+"""Steps of ``_WIDEST`` in which a zero is looked for: a factor of nine, from one end of a grid to near the other."""
 
 _MAY_COST: Final = 100.0
 """Noise variances by which the cost may rise on the way to the zero of the score: ten sigma of what the noise in the
@@ -130,26 +133,59 @@ def ended(fit: Fit) -> Fit:
     steady = [replace(one, role="held") if k == number else one for k, one in enumerate(own.nonlinear)]
     held = replace(own, nonlinear=tuple(steady))
 
-    def at(value: float) -> tuple[float, Fit]:
-        """What is left to go with that number held there, in sigmas squared, and the fit."""
+    def at(value: float) -> _Held:
         terms = [_with(term, held, number, value) if k == index else term for k, term in enumerate(fit.terms)]
         rest = solve(fit.problem, fit.x, terms)
         whole = [replace(term, hypothesis=own) if k == index else term for k, term in enumerate(rest.terms)]
         found = evaluate(fit.problem, rest.x, whole)
-        to_go = _Step.of(found, here.sigma2).to_go / here.sigma2
-        return to_go, replace(found, converged=to_go < _CONVERGED)
+        step = _Step.of(found, here.sigma2)
+        to_go = step.to_go / here.sigma2
+        way = float(step.damped(0.0)[fit.linear_size + numbers.index((index, number))])
+        return _Held(value, to_go, way, replace(found, converged=to_go < _CONVERGED))
+
+    def inside(value: float) -> float:
+        return _inside(own, number, value)
 
     start = float(fit.terms[index].theta[number])
-    value, width, best = start, _WIDEST, (here.to_go / here.sigma2, fit)
-    while width > _NARROWEST and not best[1].converged:
-        sides = [_inside(own, number, value * factor) for factor in (1.0 / (1.0 + width), 1.0 + width)]
-        trials = [(*at(side), side) for side in sides if side != value]
-        nearest = min(trials, key=lambda trial: trial[0], default=(np.inf, fit, value))
-        if nearest[0] < best[0]:
-            best, value = nearest[:2], nearest[2]
+    best, width = _Held(start, here.to_go / here.sigma2, 0.0, fit), _WIDEST
+    while width > _NARROWEST and not best.fit.converged:
+        sides = [inside(best.value * factor) for factor in (1.0 / (1.0 + width), 1.0 + width)]
+        nearest = min((at(side) for side in sides if side != best.value), key=lambda one: one.to_go, default=best)
+        if nearest.to_go < best.to_go:
+            best = nearest
         else:
             width *= 0.5
-    return best[1]
+    return best.fit if best.fit.converged else _where_it_turns(at, inside, best)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A number held at a value, all others solved for: what is left to go, in sigmas squared, and which way."""
+
+    value: float
+    to_go: float
+    way: float
+    fit: Fit
+
+
+def _where_it_turns(at: Callable[[float], _Held], inside: Callable[[float], float], near: _Held) -> Fit:
+    """The fit at the zero of the score that the score itself points to, over a hump of what is left to go."""
+    first = last = at(near.value)
+    for _ in range(_REACH):
+        last = at(inside(first.value * (1.0 + _WIDEST if first.way > 0.0 else 1.0 / (1.0 + _WIDEST))))
+        if last.fit.converged or last.to_go > _NEAR:
+            return last.fit if last.fit.converged else near.fit
+        if last.way * first.way < 0.0:
+            break
+        first = last
+    else:
+        return near.fit
+    while abs(last.value / first.value - 1.0) > _NARROWEST * _NARROWEST:
+        middle = at(0.5 * (first.value + last.value))
+        if middle.fit.converged:
+            return middle.fit
+        first, last = (middle, last) if middle.way * first.way > 0.0 else (first, middle)
+    return near.fit
 
 
 def _with(term: Term, hypothesis: Hypothesis, number: int, value: float) -> Term:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.prepare import baseline_start
 from magcal_service.diagnosis.problem import Problem, evaluate
-from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.solution import _Held, _where_it_turns, solve
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -104,3 +106,29 @@ def test_a_short_arc_does_not_end_in_a_half_collapsed_minimum() -> None:
     assert float(np.linalg.det(np.eye(3) + d_matrix(x))) == pytest.approx(
         float(np.linalg.det(np.eye(3) + d_matrix(large))), rel=0.1
     )
+
+
+def test_a_zero_over_a_hump_is_found_where_the_score_points() -> None:
+    """What is left to go rises between 0.079 and the zero at 0.05, and falls before the zero; the sign leads there."""
+
+    def at(value: float) -> _Held:
+        way = 0.05 - value
+        to_go = 0.0156 + 0.05 * abs(way) if abs(way) > 0.004 else way**2
+        fit: Any = SimpleNamespace(converged=to_go < 1e-6, value=value)
+        return _Held(value, to_go, way, fit)
+
+    found: Any = _where_it_turns(at, lambda value: min(max(value, 0.01), 1.0), at(0.079))
+    assert found.value == pytest.approx(0.05, abs=1e-3)
+    assert found.converged
+
+
+def test_without_a_zero_within_reach_a_fit_stays() -> None:
+    """A score that points one way for ever, and one whose end is too far off."""
+
+    def endless(value: float) -> _Held:
+        fit: Any = SimpleNamespace(converged=False)
+        return _Held(value, 0.5, 1.0, fit)
+
+    near = endless(0.1)
+    assert _where_it_turns(endless, lambda value: value, near) is near.fit
+    assert _where_it_turns(lambda value: replace(endless(value), to_go=5.0), lambda value: value, near) is near.fit
