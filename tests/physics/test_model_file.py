@@ -97,7 +97,7 @@ def test_a_file_makes_the_same_disturbance_on_the_same_scene(hypothesis: Hypothe
 
 
 _SETTLES = {
-    "hysteresis": 400,
+    "hysteresis": 1500,
     "position_offset": 130,
     "thermal_bias": 2500,
     "thermal_scale": 2500,

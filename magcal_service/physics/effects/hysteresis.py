@@ -1,8 +1,10 @@
-"""Permeable parts have hysteresis: play operators of the field that acts."""
+"""Permeable parts have hysteresis: they follow the field that acts late, and by the way it came."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -10,12 +12,22 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers.between import is_coarse, smooth_field, smoothing, with_turning_points
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.sunlight import carried
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
+_FORGETS: Final = np.array([0.02, 0.06, 0.15, 0.4, 1.0])
+"""Shares of the largest field: of 50 uT 0.8 to 40 A/m, about the coercive fields of mu-metal and of annealed iron
+(Bozorth 1951)."""
+
+_RODS, _GRADUAL = "rods along the axes", "gradual"
+
+_BETWEEN: Final = "turns_between"  # constant: 1 where turning points between the samples are followed
+_SMOOTHED: Final = "smoothed_over"  # constant: samples before and after that the field is smoothed over
 
 _MOST_KNOWN: Final = 16  # answers kept for what is tried again: two forms, on a grid and about its best
 
@@ -54,43 +66,118 @@ def _stepped(values: Array, state: float, half_width: float) -> Array:
     return np.array(found)
 
 
+def gradual(values: Array, length: float, start: Array | float = 0.0) -> Array:
+    """What gives way little by little (n, k): dz = dh - |dh| z / length, along each course h (n, k).
+
+    It is that part of the field that is held back, at most ``length``, and forgets over as much.  Exact for a course
+    that goes one way from one value to the next.  Source: Coleman & Hodgdon 1987, with a linear anhysteretic curve;
+    the model of Bouc 1967 and Wen 1976 with exponent 1; Dahl 1968.
+    """
+    steps = np.diff(values, axis=0)
+    kept = np.exp(-np.abs(steps) / length)
+    answer = np.empty_like(values)
+    answer[0] = start
+    if len(steps):
+        answer[1:] = carried(kept, np.sign(steps) * length * (1.0 - kept), answer[0])
+    return answer
+
+
+@dataclass(eq=False)
+class _Rods:
+    """What rods along the axes add at a share of 1: minus the field that they do not follow yet.
+
+    Parameters
+    ----------
+    scale_nt: the largest field, that widths are shares of.
+    half_window: samples that a whole recording's field is smoothed over; a stream's is taken as it comes.
+    is_between: whether turning points between the samples are followed.
+    is_gradual: give way little by little, else all at once.
+    """
+
+    scene: Scene
+    scale_nt: float
+    half_window: int = 0
+    is_between: bool = False
+    is_gradual: bool = False
+    _known: Recent[float, Array] = field(default_factory=lambda: Recent(_MOST_KNOWN), init=False)
+
+    @cached_property
+    def course(self) -> Array:
+        """(n, 3) field along each rod, or (2 n - 1, 3) with what lies between the samples."""
+        vectors = smooth_field(self.scene, self.half_window) if self.scene.memory is None else self.scene.calibrated_nt
+        if self.is_between and len(vectors) > 1:
+            return with_turning_points(self.scene, vectors)
+        return vectors
+
+    def lagging(self, share: float) -> Array:
+        """(n, 3) [nT], for a half width as a share of the largest field."""
+        return self._known.once(share, lambda: self._lagging(share))
+
+    def _lagging(self, share: float) -> Array:
+        every = 2 if self.is_between and len(self.scene) > 1 else 1
+        begin, width = self.scene.begin("answer", 0.0), share * self.scale_nt
+        state = (gradual if self.is_gradual else play)(self.course, width, begin)[::every]
+        self.scene.keep("answer", state)
+        return -state if self.is_gradual else np.asarray(state - self.course[::every])
+
+    def own(self, theta: Array) -> Columns:
+        """Each along its own axis."""
+        return Columns(axes=self.lagging(float(theta[0]))[None])
+
+    def everywhere(self, theta: Array) -> Columns:
+        """Each along every axis."""
+        return along_axes(self.lagging(float(theta[0])))
+
+
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    field = scene.calibrated_nt
-    scale = scene.constant("scale_nt", float(np.percentile(np.abs(field), 99)))
-    known = Recent[float, Array](_MOST_KNOWN)
+    scale = scene.constant("scale_nt", float(np.percentile(np.abs(scene.calibrated_nt), 99)))
+    between = scene.constant(_BETWEEN, 0.0 if scene.is_given else float(is_coarse(scene)))
+    smoothed = scene.constant(_SMOOTHED, 0.0 if scene.is_given else float(smoothing(scene)))
+    added = {name: value for name, value in ((_BETWEEN, between), (_SMOOTHED, smoothed)) if value}
+    width, forgets = (Nonlinear("half_width", "1", grid) for grid in (_WIDTHS, _FORGETS))
+    each = Block("share", "1")
+    matrix = Block("share_matrix", "1", (3, 3), labels=(("rod along x", "rod along y", "rod along z"), AXES))
+    sharp = _Rods(scene, scale)
+    yield _form("", sharp.own, each, width, {"scale_nt": scale})
+    yield _form(_RODS, sharp.everywhere, matrix, width, {"scale_nt": scale})
+    if between and scene.rate_body is None:
+        return
+    constants = {"scale_nt": scale, **added}
+    soft = _Rods(scene, scale, int(smoothed), bool(between), is_gradual=True)
+    yield _form(_GRADUAL, soft.own, each, forgets, constants)
+    yield _form(f"{_GRADUAL}, {_RODS}", soft.everywhere, matrix, forgets, constants)
 
-    def lag(share: float) -> Array:
-        answer = play(field, share * scale, scene.begin("answer", 0.0))
-        scene.keep("answer", answer)
-        return np.asarray(answer - field)
 
-    def lagging(share: float) -> Array:
-        return known.once(share, lambda: lag(share))
-
-    def own(theta: Array) -> Columns:
-        return Columns(axes=lagging(float(theta[0]))[None])
-
-    def rods(theta: Array) -> Columns:
-        return along_axes(lagging(float(theta[0])))
-
-    width = Nonlinear("half_width", "1", _WIDTHS)
-    constants = {"scale_nt": scale}
-    yield Hypothesis("hysteresis", "none", own, (Block("share", "1"),), "", (width,), constants, is_free=True)
-    block = Block("share_matrix", "1", (3, 3), labels=(("rod along x", "rod along y", "rod along z"), AXES))
-    yield Hypothesis("hysteresis", "none", rods, (block,), "rods along the axes", (width,), constants, is_free=True)
+def _form(
+    variant: str,
+    columns: Callable[[Array], Columns],
+    block: Block,
+    width: Nonlinear,
+    constants: Mapping[str, float],
+) -> Hypothesis:
+    return Hypothesis("hysteresis", "none", columns, (block,), variant, (width,), constants, is_free=True)
 
 
 EFFECT = Effect(
     name="hysteresis",
     acts_on=ActsOn.FIELD,
     title="permeable parts remember the field",
-    equation="d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r",
+    equation=(
+        "d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r; gradual: d_i = -share_i z_i, "
+        "dz_i = dB_i - |dB_i| z_i / r"
+    ),
     units={"share": "1", "share_matrix": "1", "half_width": "1", "scale_nt": "nT"},
     prior=(10.0, 2000.0),
-    valid="one play operator stands for the part's spread of them; sampled several times a turn",
+    valid=(
+        "one width stands for a part's spread of them: of four play operators the gradual form leaves a twentieth of "
+        "what is seen; sampled several times a turn, or at a known rate; live, noise is not smoothed first"
+    ),
     confused_with=("cubic_response", "response_lag", "axis_skew"),
     separated_by="the two branches: the same field approached from both sides",
-    source="Visintin 1994 (play operator); Jiles & Atherton 1986; 0.1-5 % for soft magnetic parts",
+    source=(
+        "Visintin 1994 (play operator); Coleman & Hodgdon 1987, Bouc 1967, Wen 1976 (gradual); Jiles & Atherton 1986; "
+        "0.1-5 % for soft magnetic parts"
+    ),
     says=(
         "Permeable parts hold back {share.percent} of the field's turns on {share.place}, within "
         "{half_width.percent} of the largest field.",

@@ -119,16 +119,16 @@ def _in_stretches(aged: Array, pushed: Array, value: Array) -> Array:
 
 
 def carried(kept: Array, pushed: Array, value: Array) -> Array:
-    """y_k = kept_k y_(k-1) + pushed_k (n, m) from ``value`` (m,), for kept (n,) of 0 to 1 and a short memory.
+    """y_k = kept_k y_(k-1) + pushed_k (n, m) from ``value`` (m,), for kept (n,) or (n, m) of 0 to 1, a short memory.
 
     By doubling (Hillis & Steele 1986): after each pass y_k holds twice as many terms, until what is kept over them is
     below the last bit.
     """
-    found, share = np.array(pushed, dtype=np.float64), np.array(kept, dtype=np.float64)
+    found, share = np.array(pushed, dtype=np.float64), np.array(kept, dtype=np.float64).reshape(len(kept), -1)
     found[0] += share[0] * value
     share[0], reach = 0.0, 1
     while reach < len(found) and float(share.max()) > _NOTHING:
-        found[reach:] += share[reach:, None] * found[:-reach]
+        found[reach:] += share[reach:] * found[:-reach]
         share[reach:] *= share[:-reach].copy()
         share[:reach] = 0.0
         reach *= 2
