@@ -110,8 +110,8 @@ def from_dataframe(frame: DataFrame, tables: Mapping[str, Any]) -> Recording:
     descriptor = descriptor_of(Table(content, "tables", "", []), Path("tables"))
     header = tuple(_names(frame))
     cells = [_texts(frame[name]) for name in header]
-    rows = [list(row) for row in zip(*cells, strict=True)]
-    return read_rows(descriptor, TextTable(header, rows, np.arange(1, len(rows) + 1), len(rows), ()))
+    count = len(cells[0]) if cells else 0
+    return read_rows(descriptor, TextTable(header, cells, np.arange(1, count + 1), count, ()))
 
 
 def _names(frame: DataFrame) -> Iterable[str]:

@@ -61,7 +61,7 @@ class RowArrays:
         self._table = table
         self.entries: list[RowCount] = list(table.entries)
         self.remarks: list[str] = []
-        self.kept = np.ones(len(table.rows), dtype=np.bool_)
+        self.kept = np.ones(len(table.lines), dtype=np.bool_)
 
     def _count(
         self, part: str, codes: Codes, columns: tuple[str, ...] = (), *, kept: bool, expects: str = "a number"

@@ -9,7 +9,7 @@ from typing import Final
 from magcal_service.base.errors import Fault, RecordingError
 
 DEFAULT_MAX_ROWS: Final = 2_000_000
-"""Choice: five hours at 100 Hz, two days at 10 Hz; a row of seven columns takes about 0.8 kB of memory."""
+"""Choice: five hours at 100 Hz, two days at 10 Hz; a row of seven columns takes about 0.25 kB of memory."""
 
 HIGHEST_MAX_ROWS: Final = 1_000_000_000  # choice: more than any memory here holds
 
@@ -64,5 +64,5 @@ class RowLimits:
             self._refuse(path, f"{rows} rows of {columns} columns", accepted)
 
     def _refuse(self, path: Path, value: str, accepted: str) -> None:
-        remedy = "split the log, or set max_rows under [samples] higher where there is memory for it (0.8 kB a row)"
+        remedy = "split the log, or set max_rows under [samples] higher where there is memory for it (0.25 kB a row)"
         raise RecordingError([Fault(str(path), value, f"{accepted}; {remedy}")])

@@ -8,6 +8,7 @@ import io
 import math
 import re
 import zlib
+from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ import numpy.typing as npt
 
 from magcal_service.base.errors import Fault, FileFault, RecordingError
 from magcal_service.base.progress import Work, counted
+from magcal_service.recordings.packed_cells import CellPacker, PackedCells
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
 from magcal_service.recordings.row_limits import RowLimits
@@ -53,7 +55,7 @@ class TextTable:
     Parameters
     ----------
     header: the column names, blanks stripped; the columns' numbers from 1 where the log has none.
-    rows: cells as text.
+    cells: of each column, as text.
     lines: (n,) line in the file of each row, from 1.
     seen: rows of the file, those that were not split included.
     entries: what was counted on the way.
@@ -64,7 +66,7 @@ class TextTable:
     """
 
     header: tuple[str, ...]
-    rows: list[list[str]]
+    cells: Sequence[list[str] | PackedCells]
     lines: IntArray
     seen: int
     entries: tuple[RowCount, ...]
@@ -77,8 +79,8 @@ class TextTable:
         """All cells of one column."""
         if name in self.joined:
             return self.joined[name]()
-        index = self.header.index(name)
-        return [row[index] for row in self.rows]
+        cells = self.cells[self.header.index(name)]
+        return cells if isinstance(cells, list) else cells.cells()
 
     def numbers(self, name: str) -> tuple[FloatArray, Codes]:
         """One column as numbers (n,), NaN where faulty, and the fault codes (n,)."""
@@ -118,7 +120,8 @@ def read_table(path: Path, form: RowForm = PLAIN_ROWS, limits: RowLimits | None 
     rows = len(lines) - first if lines[-1].strip() else len(lines) - first - 1
     limits.check_rows(path, rows)
     limits.check_cells(path, len(header), rows)
-    splitter = _Splitter(_splitting(form.delimiter), len(header), form.comment, form.decimal, form.header)
+    split, width = _splitting(form.delimiter), len(header)
+    splitter = _Splitter(split, width, form.comment, form.decimal, form.header, CellPacker(width))
     with counted(Work(f"reading {path.name}", rows, "rows")) as work:
         for number, line in enumerate(islice(lines, first, None), start=first + 1):
             splitter.add(number, line, at_end=number == len(lines))
@@ -231,9 +234,9 @@ class _Splitter:
     comment: str
     decimal: str
     header: bool
+    packer: CellPacker
     units: tuple[str, ...] = ()
-    rows: list[list[str]] = field(default_factory=list)
-    numbers: list[int] = field(default_factory=list)
+    numbers: array[int] = field(default_factory=lambda: array("q"))
     comments: list[int] = field(default_factory=list)
     seen: int = 0
     faults: dict[RowFault, list[int]] = field(default_factory=dict)
@@ -267,7 +270,7 @@ class _Splitter:
         elif len(cells) > self.width and any(cell.strip() for cell in cells[self.width :]):
             self.note(RowFault.LONG_ROW, number, f"{len(cells)} cells where {self.width} are expected")
         else:
-            self.rows.append(cells)
+            self.packer.add(cells)
             self.numbers.append(number)
 
     def _line_of_units(self, line: str) -> tuple[str, ...]:
@@ -285,7 +288,8 @@ class _Splitter:
             for kind, at in self.faults.items()
         )
         numbers = np.array(self.numbers, dtype=np.int64)
-        return TextTable(header, self.rows, numbers, self.seen, entries, self.decimal, self.comments, self.units)
+        cells = self.packer.columns()
+        return TextTable(header, cells, numbers, self.seen, entries, self.decimal, self.comments, self.units)
 
 
 def parse_numbers(cells: list[str]) -> tuple[FloatArray, Codes]:

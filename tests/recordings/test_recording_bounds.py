@@ -12,6 +12,7 @@ import zlib
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 
@@ -19,6 +20,7 @@ from magcal_service.base.errors import InputRefusedError, RecordingError
 from magcal_service.cli.__main__ import main
 from magcal_service.offline.given import read_given
 from magcal_service.recordings import mcap_limits, mcap_reader, mcap_records, row_limits
+from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
 from magcal_service.recordings.reader import read_recording
@@ -78,6 +80,26 @@ def test_a_log_of_too_many_cells_is_refused(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(row_limits, "_LEAST_CELLS", 0)
     with pytest.raises(RecordingError, match=r"5 rows of 19 columns.*at most 80 cells"):
         read_recording(limited(tmp_path, 5, ROWS))
+
+
+def test_a_row_takes_less_than_half_a_kilobyte(tmp_path: Path) -> None:
+    """At the peak of reading and inspecting: a text of its own for each cell would take twice as much."""
+    path = tmp_path / "RECORDING.toml"
+    count = 60_000
+    rng = np.random.default_rng(3)
+    fields = rng.uniform(-5e4, 5e4, (count, 3))
+    lines = [f"{i * 0.01:.2f},{x:.3f},{y:.3f},{z:.3f},48000.00,20.50,7" for i, (x, y, z) in enumerate(fields)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,x,y,z,f,temp,n", *lines]))
+    path.write_text(
+        'version = 1\n[samples]\nfile = "log.csv"\n[time]\ncolumn = "t"\nformat = "elapsed_s"\n'
+        '[magnetometer]\ncolumns = ["x", "y", "z"]\nunit = "nT"\n[reference]\nmagnitude = "f"\nunit = "nT"\n'
+        '[channels]\ntemperature = { column = "temp", unit = "degC" }\n'
+    )
+    tracemalloc.start()
+    assert len(inspect(read_recording(path)).usable) == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 400 * count
 
 
 def packed(content: bytes, times: int) -> bytes:

@@ -27,6 +27,9 @@ _OTHERS_MOVE: Final = 30.0
 
 _LONGEST_START: Final = 30  # rows; choice: half a minute at 1 Hz, settling and not physics
 _SHARE_OF_START: Final = 0.02  # choice: of the log; longer is no start
+_MOST_FITTED: Final = 200_000
+"""Rows at once; choice: 16 MB of columns, and ten numbers are as sure by these as by ten times as many."""
+
 _OUT: Final = 30.0
 """Robust sigmas that every row of a bad start lies off, and hardly a row after it."""
 
@@ -137,8 +140,15 @@ def _nine_errors_residual(field_nt: FloatArray, magnitude_nt: FloatArray) -> Flo
     """|B| calibrated less |H| (n,) [nT] of the ellipsoid that fits best, the first rows taking no part."""
     begin = min(_LONGEST_START, len(field_nt) // 4)
     scale = float(np.mean(magnitude_nt))
-    x, y, z = (field_nt / scale).T
-    columns = np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(x))], axis=1)
     squares = (magnitude_nt / scale) ** 2
-    solution = np.linalg.lstsq(columns[begin:], squares[begin:], rcond=None)[0]
-    return np.asarray((columns @ solution - squares) / (2.0 * np.sqrt(squares)) * scale)
+    fitted = slice(begin, None, -(-len(field_nt) // _MOST_FITTED))
+    solution = np.linalg.lstsq(_quadric(field_nt[fitted] / scale), squares[fitted], rcond=None)[0]
+    blocks = range(0, len(field_nt), _MOST_FITTED)
+    lengths = np.concatenate([_quadric(field_nt[at : at + _MOST_FITTED] / scale) @ solution for at in blocks])
+    return np.asarray((lengths - squares) / (2.0 * np.sqrt(squares)) * scale)
+
+
+def _quadric(field: FloatArray) -> FloatArray:
+    """(n, 10) what an ellipsoid is linear in, of vectors (n, 3)."""
+    x, y, z = field.T
+    return np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(x))], axis=1)
