@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,15 +12,22 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
-from magcal_service.physics.scene.scene import Scene
-from magcal_service.physics.scene.smooth import smooth_course
+from magcal_service.physics.drivers.late import by_average, by_low_pass
+from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
+from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
+from magcal_service.physics.scene.scene import AT_START_S, Scene
+from magcal_service.physics.scene.smooth import quintic_slope, smooth_course
 
 _AVERAGING: Final = "average of samples"
 """The form of a driver that averages: it needs samples that follow one another, and no gyro."""
 
 _BY_STEPS: Final = "by the steps"
 """Form of a low-pass whose turn is taken from samples that follow one another: of a craft of which no rate is known."""
+
+_BEGUN: Final = "from its start"
+"""Added to the form of a low-pass that held something else when the recording began than the turn before would tell."""
+
+_AT_START_NT: Final = 100.0  # change at the start that its part later is a quotient of: 0.3 % of the field
 
 _MOST_MEMORY: Final = 90.0
 """(1 - a) / a^2 at most: a = 0.1, a tenth of every new sample; slower averages are no way to read a magnetometer."""
@@ -33,8 +41,12 @@ _SELDOM: Final = 3.0
 _NEXT: Final = 1.5
 """Sample periods up to which a sample follows the one before; a longer time has others between that are not there."""
 
-_TRIED_S: Final = np.array([0.0, 1.0, 4.0])
-"""Lateness at which a lag is expanded while nothing is known of it [s]: a spun craft's shows by the turn alone."""
+_TRIED_S: Final = (0.0, 1.0, 4.0)
+"""Lateness at which a lag is expanded while nothing is known of it [s], by the field's own course."""
+
+_TRIED_TURNS: Final = (0.1, 0.3, 1.0)
+"""The same by the craft's turn in a time constant [rad]: loses 0.5, 4 and 29 %.  To first order alone the loss of a
+tenth of a radian is 1 % off, 4 nT, which a gain that relaxed as a spin slowed down explained better by 36 nats."""
 
 _MOST_LOST: Final = 0.3
 """Share of the field that may be lost at most: turned by a radian in a time constant, 1 - 1 / sqrt(2)."""
@@ -43,10 +55,13 @@ _OF_ONE_COURSE: Final = 0.9
 """Share of a course's variance that another one holds where both are of one turn: of a steady spin 0.999, of a tumbling
 craft whose turn was taken for a steady one 0.6."""
 
-_SMALL_TURN: Final = 0.2
-"""Turn [rad] over which a step is taken: its chord is shorter by 0.2 %."""
+_EITHER_SIDE: Final = 1.0
+"""Turn [rad] to either side of a sample that a polynomial of degree five is laid through.  Where the field turns by so
+much in 18 samples, its slope has 6.8 % of one sample's noise; where the craft turns twice as fast as the field in it,
+a cubic's would be 3.1 % short, this one's 0.1 %."""
 
-_MOST_STEPS: Final = 30  # of them together: a craft that hardly turns loses nothing by its turn
+_LEAST_STEPS: Final = 3  # to either side: its six numbers are then from seven samples
+_MOST_STEPS: Final = 30  # to either side: a craft that hardly turns loses nothing by its turn
 
 _LEAST_LATE_S: Final = 1e-3  # less moves the field by less than 0.1 nT in any orbit
 
@@ -66,7 +81,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     step2 = _steps2(scene, period_s)
     if step2 is None:
         return
-    yield _low_pass(scene, step2 / period_s**2, _BY_STEPS, {"period_s": period_s})
+    chord = np.sqrt(step2 / (scene.calibrated_nt**2).sum(axis=1))
+    rate = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) / period_s
+    yield from _by_steps(scene, step2 / period_s**2, rate, {"period_s": period_s})
     memory = Block("memory", "1", (), most=_MOST_MEMORY, least=0.0)
     yield _form(
         scene,
@@ -74,6 +91,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         memory,
         lambda late_s: late_s / period_s * (1.0 + late_s / period_s),
         lambda a: period_s * (1.0 / _share(a) - 1.0),
+        lambda late_s, drive, steps: by_average(drive, rate, steps, period_s, period_s / (period_s + late_s)),
         _AVERAGING,
         {"period_s": period_s},
     )
@@ -82,24 +100,81 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 def _is_turning_so(scene: Scene, turned2: Array, period_s: float) -> bool:
     """Whether a rate is the craft's own: a gyro's, or one whose turn (n,) goes along with the samples' steps.
 
-    A turn that was fitted as a steady one, or found in the field alone, need not be.
+    A turn that was fitted as a steady one, or found in the field alone, need not be; where the samples' own is known
+    better than that, both are tried.
     """
     if any(channel.values.shape[1] == 3 for channel in scene.of_quantity("angular rate")):
         return True
     step2 = _steps2(scene, period_s)
     if step2 is None or min(float(np.ptp(turned2)), float(np.ptp(step2))) <= 0.0:
         return True
+    if _either_side(scene, np.sqrt(step2)) >= _LEAST_STEPS:
+        return False
     return float(np.corrcoef(turned2, step2)[0, 1]) ** 2 > _OF_ONE_COURSE
 
 
 def _low_pass(
-    scene: Scene, turned2: Array, variant: str = "", constants: Mapping[str, float] | None = None
+    scene: Scene,
+    turned2: Array,
+    follow: Callable[[float, Array, Array], Array] | None = None,
+    variant: str = "",
+    constants: Mapping[str, float] | None = None,
 ) -> Hypothesis:
     """A low-pass while the field turns by what squares to (n,) [nT^2/s^2]."""
-    block, turned = Block("tau2_s2", "s2", (), most=_LONGEST_S**2, least=0.0), _lost(scene, turned2)
     return _form(
-        scene, turned, block, lambda late_s: late_s**2, lambda a: float(np.sqrt(max(a, 0.0))), variant, constants
+        scene,
+        _lost(scene, turned2),
+        Block("tau2_s2", "s2", (), most=_LONGEST_S**2, least=0.0),
+        lambda late_s: late_s**2,
+        lambda a: float(np.sqrt(max(a, 0.0))),
+        follow,
+        variant,
+        constants,
     )
+
+
+def _by_steps(scene: Scene, turned2: Array, rate: Array, constants: Mapping[str, float]) -> Iterator[Hypothesis]:
+    """A low-pass, the turn being (n,) [rad/s] in the step to each row.
+
+    A second form frees what the low-pass held when the recording began.
+    """
+    plain = _low_pass(
+        scene,
+        turned2,
+        lambda late_s, drive, steps: by_low_pass(drive, rate, steps, late_s),
+        _BY_STEPS,
+        constants,
+    )
+    yield plain
+    begins = len(scene) >= FEWEST_FOR_MEANS and scene.memory is None and abs(float(scene.time_s[0])) < AT_START_S
+
+    def begun(theta: Array) -> Columns:
+        """What the plain form has, and what is added along the field by one nT more at the start."""
+        held = plain.columns(theta)
+        assert held.body is not None
+        drive, steps = scene.magnitude_nt, _steps_s(scene)
+        more = np.zeros(len(scene))
+        if begins and float(theta[0]) > _LEAST_LATE_S:
+            first, last = (by_low_pass(drive, rate, steps, float(theta[0]), start) for start in (0.0, _AT_START_NT))
+            more = (last - first) / _AT_START_NT
+        return Columns(body=np.concatenate([held.body, (more[:, None] * scene.unit)[None]]))
+
+    own = plain.nonlinear[0]
+    yield replace(
+        plain,
+        columns=begun,
+        blocks=(*plain.blocks, Block(f"{START}nt", "nT", ())),
+        variant=f"{_BY_STEPS}, {_BEGUN}",
+        nonlinear=(replace(own, grid=own.grid[own.grid > _LEAST_LATE_S]),),
+        refines=plain.label,
+    )
+
+
+def _steps_s(scene: Scene) -> Array:
+    """Time (n,) from the sample before [s]; infinite where a stretch begins."""
+    steps = np.concatenate([[np.inf], np.diff(scene.time_s)])
+    steps[scene.pauses] = np.inf
+    return steps
 
 
 def _form(
@@ -108,45 +183,76 @@ def _form(
     block: Block,
     size: Callable[[float], float],
     late_s: Callable[[float], float],
+    follow: Callable[[float, Array, Array], Array] | None,
     variant: str = "",
     constants: Mapping[str, float] | None = None,
 ) -> Hypothesis:
-    """A lag that loses by the square of the turn and follows the field's own course late, expanded at one lateness.
+    """A lag that loses by the square of the turn and follows the field's own course late, as it is at one lateness.
 
     Parameters
     ----------
     turned: (n,) what is lost along the field by a small amplitude, per one [nT].
     size: from how late it is [s] to the amplitude; ``late_s``: the way back.
+    follow: from how late it is [s], the field's length (n,) and the steps (n,) [s] to the length that is read (n,).
+        None: expanded, for a rate whose own noise would be followed.
     """
     found = 0.0 if scene.moved_s is None else -float(np.mean(scene.moved_s))
-    slope, bend, length = scene.magnitude_slope, scene.magnitude_bend, np.linalg.norm(scene.calibrated_nt, axis=1)
+    has_course = len(scene) >= FEWEST_FOR_MEANS and scene.memory is None  # a moment has none
+    steps, length = _steps_s(scene), np.linalg.norm(scene.calibrated_nt, axis=1)
 
-    def course(at_s: float) -> Array:
-        """(n,) per amplitude of one [nT]."""
-        return np.zeros_like(slope) if at_s <= _LEAST_LATE_S else (at_s * bend - slope) * at_s / size(at_s)
-
-    def loss(at_s: float) -> Array:
-        """(n,) per amplitude of one [nT]: of |H|^2 - |y|^2, by the turn of y, which is shorter than H, and as late."""
-        late = np.interp(scene.time_s - at_s, scene.time_s, turned)
-        lost = np.minimum(-late * size(max(at_s, 0.0)) / length, _MOST_LOST)
-        return np.asarray(late * (1.0 - lost) ** 2 / (1.0 - 0.5 * lost))
+    def short(at_s: float) -> Array:
+        """(n,) what is added along the field by an amplitude of one [nT]: by the whole of what a lag so late does."""
+        if follow is None:
+            return _expanded(scene, turned, size, at_s)
+        if not has_course:
+            return turned / _rooted(-2.0 * turned * size(max(at_s, 0.0)) / length)
+        if at_s <= _LEAST_LATE_S:
+            return turned
+        drive = np.array(scene.magnitude_nt)
+        drive[scene.pauses] -= at_s * scene.magnitude_slope[scene.pauses]
+        return (follow(at_s, drive, steps) - scene.magnitude_nt) / size(at_s)
 
     def columns(theta: Array) -> Columns:
-        at_s = float(theta[0])
-        return Columns(body=((loss(at_s) + course(at_s))[:, None] * scene.unit)[None])
+        return Columns(body=(short(float(theta[0]))[:, None] * scene.unit)[None])
 
-    by_turn, by_course = float(np.sum(loss(found) ** 2)), float(np.sum(course(found) ** 2))
+    rate2 = -2.0 * float(np.mean(turned / length))  # of the turn, per amplitude of one
+    turning = [late_s(turn**2 / rate2) for turn in _TRIED_TURNS] if rate2 > 0.0 else []
+    tried = np.unique([*_TRIED_S, *(tau for tau in turning if _LEAST_LATE_S < tau < max(_TRIED_S))])
+    by_course = float(np.sum((found * scene.magnitude_slope) ** 2))
+    by_turn = float(np.sum((size(found) * turned) ** 2))
     return Hypothesis(
         "response_lag",
         "none",
         columns,
         (block,),
         variant,
-        (Nonlinear("expanded_at_s", "s", np.array([found]) if found > _LEAST_LATE_S else _TRIED_S, "held"),),
-        constants={**(constants or {}), "order": 1.0 + by_turn / max(by_turn + by_course, 1e-300)},
+        (Nonlinear("expanded_at_s", "s", np.array([found]) if found > _LEAST_LATE_S else tried, "held"),),
+        constants={
+            **(constants or {}),
+            "order": 2.0 if by_course <= 0.0 else 1.0 + by_turn / (by_turn + by_course),
+        },
         odds=_SELDOM if found > _LEAST_LATE_S else 0.0,
         moves_s=lambda a: -late_s(float(a[0])),
     )
+
+
+def _expanded(scene: Scene, turned: Array, size: Callable[[float], float], at_s: float) -> Array:
+    """What ``_form`` adds along the field (n,) to second order, by the turn of what is shorter and late."""
+    late = np.interp(scene.time_s - at_s, scene.time_s, turned)
+    turn2 = -2.0 * late * size(max(at_s, 0.0)) / np.linalg.norm(scene.calibrated_nt, axis=1)
+    lost = np.minimum(1.0 - 1.0 / np.sqrt(1.0 + turn2), _MOST_LOST)
+    loss = np.asarray(late * (1.0 - lost) ** 2 / (1.0 - 0.5 * lost))
+    if at_s <= _LEAST_LATE_S:
+        return loss
+    return np.asarray(loss + (at_s * scene.magnitude_bend - scene.magnitude_slope) * at_s / size(at_s))
+
+
+def _rooted(turn2: Array) -> Array:
+    """Half of 1 + sqrt(1 + x^2) (n,): by it less than x^2 / 2 is what a vector lacks that turns by x in its lateness.
+
+    A length |y| that lags has lost |y| (sqrt(1 + x^2) - 1) against what it follows.
+    """
+    return np.asarray(0.5 * (1.0 + np.sqrt(1.0 + turn2)))
 
 
 def _lost(scene: Scene, turned2: Array) -> Array:
@@ -155,40 +261,46 @@ def _lost(scene: Scene, turned2: Array) -> Array:
 
 
 def _steps2(scene: Scene, period_s: float) -> Array | None:
-    """Square (n,) [nT^2] of the step from a sample to the next, over as many of them as hold a small turn.
+    """Square (n,) [nT^2] of the step from a sample to the next: the chord of the turn in it.
 
-    How fast the field turns changes slowly against its noise, which is smoothed away; what the noise adds in the mean
-    is a constant, which the nine errors take up.  None where the samples do not follow one another.
+    Of a craft that turns little from one to the next, it follows from the slope of a quintic over a radian to either
+    side; else how fast the field turns changes slowly against its noise, which is smoothed away.  What the noise adds
+    in the mean is a constant, which the nine errors take up.  None where the samples do not follow one another.
     """
     follows = np.concatenate([[False], np.diff(scene.time_s) < _NEXT * period_s])
     begins = np.flatnonzero(~follows)
-    if scene.is_given:
-        return _over(scene.calibrated_nt, begins, 1)
+    single = _steps(scene.calibrated_nt, begins)
     if len(scene) < _FEWEST or len(begins) * _FEWEST > len(scene):
-        return None
-    single = _over(scene.calibrated_nt, begins, 1)
-    turn = float(np.sqrt(np.median(single))) / float(np.mean(np.linalg.norm(scene.calibrated_nt, axis=1)))
-    span = int(np.clip(_SMALL_TURN / max(turn, 1e-9), 1, _MOST_STEPS))
-    found = single if span == 1 else _over(scene.calibrated_nt, begins, span)
-    smooth: Array = np.concatenate([_smooth(part, span) for part in np.split(found, begins[1:])])
-    return np.maximum(smooth, 0.0)
+        return single if scene.is_given else None
+    half = _either_side(scene, np.sqrt(single))
+    if half < _LEAST_STEPS:
+        smooth: Array = np.concatenate([smooth_course(part) for part in np.split(single, begins[1:])])
+        return np.maximum(smooth, 0.0)
+    found: Array = np.concatenate([_even_steps2(part, half) for part in np.split(scene.calibrated_nt, begins[1:])])
+    return found
 
 
-def _smooth(steps2: Array, span: int) -> Array:
-    """A smooth course under squares (n,), of those that share no sample: their noise is white."""
-    rows = np.arange(len(steps2))
-    return np.asarray(np.interp(rows, rows[::span], smooth_course(steps2[::span])))
+def _either_side(scene: Scene, steps: Array) -> int:
+    """Rows to either side of a sample within which the field turns by a radian, of the steps (n,) between samples."""
+    turn = float(np.median(steps)) / float(np.mean(np.linalg.norm(scene.calibrated_nt, axis=1)))
+    return int(min(_EITHER_SIDE / max(turn, 1e-9), _MOST_STEPS))
 
 
-def _over(vectors: Array, begins: NDArray[np.intp], span: int) -> Array:
-    """Square (n,) of the mean step of vectors (n, 3) over ``span`` of them about each, within stretches."""
-    rows = np.arange(len(vectors))
+def _even_steps2(vectors: Array, half: int) -> Array:
+    """Square (n,) of the chord to each of vectors (n, 3) from the one before, by slopes of quintics over so many rows
+    to either side."""
+    slope2 = (quintic_slope(vectors, half) ** 2).sum(axis=1)
+    middle = 0.5 * (slope2 + np.concatenate([slope2[:1], slope2[:-1]]))
+    length2 = (vectors**2).sum(axis=1)
+    return np.asarray(4.0 * length2 * np.sin(0.5 * np.sqrt(middle / length2)) ** 2)
+
+
+def _steps(vectors: Array, begins: NDArray[np.intp]) -> Array:
+    """Square (n,) of the step to each of vectors (n, 3), that of the next one where a stretch begins."""
+    steps2 = np.concatenate([[0.0], (np.diff(vectors, axis=0) ** 2).sum(axis=1)])
     ends = np.append(begins[1:], len(vectors))
-    stretch = np.searchsorted(begins, rows, side="right") - 1
-    low = np.maximum(rows - (span + 1) // 2, begins[stretch])
-    high = np.minimum(np.maximum(rows + span // 2, low + 1), ends[stretch] - 1)
-    steps = np.maximum(high - low, 1)
-    return np.asarray(((vectors[high] - vectors[low]) ** 2).sum(axis=1) / steps**2)
+    steps2[begins] = np.where(ends - begins > 1, np.append(steps2, 0.0)[begins + 1], 0.0)
+    return steps2
 
 
 def _derived(parameters: Values) -> Values:
@@ -196,13 +308,15 @@ def _derived(parameters: Values) -> Values:
     if "memory" in parameters:
         return _of_average(parameters["memory"], parameters)
     loss = parameters["tau2_s2"]
-    if "period_s" in parameters and float(loss.value) > 0.0:
-        period2_s2 = float(parameters["period_s"].value) ** 2
-        return _of_average(value_of(loss.value / period2_s2, loss.sigma / period2_s2, "1"), parameters)
     tau = float(np.sqrt(max(float(loss.value), 0.0)))
     if tau <= 0.0:
         return {}
-    return {"tau_s": value_of(tau, float(loss.sigma) / (_order(parameters) * tau), "s")}
+    found = {"tau_s": value_of(tau, float(loss.sigma) / (_order(parameters) * tau), "s")}
+    if "period_s" not in parameters:
+        return found
+    period2_s2 = float(parameters["period_s"].value) ** 2
+    alike = _of_average(value_of(loss.value / period2_s2, loss.sigma / period2_s2, "1"), parameters)
+    return {"new_share": alike["new_share"], **found}
 
 
 def _order(parameters: Values) -> float:
@@ -246,9 +360,10 @@ EFFECT = Effect(
         "period_s": "s",
         "expanded_at_s": "s",
         "order": "1",
+        "start_nt": "nT",
     },
     prior=(5.0, 5000.0),
-    valid="tau below about a tenth of a turn; an average of samples: no sample of the driver is left out",
+    valid="any turn in a time constant, as far as it is known; an average of samples: none of the driver is left out",
     confused_with=("axis_skew", "scale_drift", "spin_rate", "time_offset"),
     separated_by="another spin rate: at a steady rate it is a late clock, with a gain that nine errors take up",
     source="first-order response; Wertz 1978, section 17 (eddy currents)",

@@ -116,6 +116,7 @@ class Scene:
         where telemetry shows its light and shadow elsewhere.
     moved_s: (n,) how far along its course the fit so far moves the reference [s]; what moves it is expanded halfway
         there.  None: nowhere.
+    is_solved: whether the attitude was solved from the samples, not recorded.
     """
 
     time_s: Array
@@ -135,6 +136,7 @@ class Scene:
     in_orbit: bool = True
     sun_ahead_deg: float = 0.0
     moved_s: Array | None = None
+    is_solved: bool = False
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
@@ -228,12 +230,14 @@ class Scene:
 
     @cached_property
     def rate_body(self) -> Array | None:
-        """(n, 3) angular rate [rad/s], body, from the attitude or a gyro channel; None without either."""
-        if self.body_from_eci is not None and self.period_s < 30.0 and self.turning_rad_s is None:
+        """(n, 3) angular rate [rad/s], body, from a recorded attitude, a gyro channel, or what was solved, or None."""
+        has_attitude = self.body_from_eci is not None and self.period_s < 30.0 and self.turning_rad_s is None
+        gyros = [channel.values for channel in self.of_quantity("angular rate") if channel.values.shape[1] == 3]
+        if gyros and (self.is_solved or not has_attitude):
+            return gyros[0]
+        if has_attitude:
+            assert self.body_from_eci is not None
             return motion.rate_of(self.body_from_eci, self.time_s, self.pauses)
-        for channel in self.of_quantity("angular rate"):
-            if channel.values.shape[1] == 3:
-                return channel.values
         if self.turning_rad_s is not None:
             return np.broadcast_to(self.turning_rad_s, (len(self), 3))
         return None

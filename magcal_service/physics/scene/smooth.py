@@ -25,6 +25,8 @@ as between sessions, that no smooth one follows.  White noise has 1 to a few per
 _FEWEST: Final = 32
 """Samples below which nothing is told of a channel's noise."""
 
+_QUINTIC: Final = 6  # numbers of a polynomial of degree five
+
 
 def smooth_course(values: Array) -> Array:
     """The likeliest smooth course (n,) under values (n,) at even times; as they are where they have no noise."""
@@ -41,6 +43,28 @@ def smooth_course(values: Array) -> Array:
     course = np.asarray(_inverse_cosine(transform * gain) + line)
     white = float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6.0))  # of a normal law, whatever jumps
     return course if float(np.std(values - course)) < _MOST_TAKEN * white else values
+
+
+def quintic_slope(values: Array, half: int) -> Array:
+    """Slope per row (n, k) of values (n, k) by the quintic through so many rows to either side of each, least squares.
+
+    At the ends it is that of the last whole one; of fewer rows one of lower degree, of a single one 0.
+
+    Source: Savitzky & Golay 1964.
+    """
+    count = len(values)
+    half = min(half, (count - 1) // 2)
+    if half < 1:
+        return np.gradient(values, axis=0) if count > 1 else np.zeros_like(values)
+    rows = np.arange(-half, half + 1) / half
+    fitted = np.linalg.pinv(np.vander(rows, min(_QUINTIC, len(rows)), increasing=True))
+    inside = np.stack([np.convolve(column, fitted[1, ::-1], mode="valid") for column in values.T], axis=1)
+    powers = np.arange(1, len(fitted))
+    sides = []
+    for window, part in ((values[: 2 * half + 1], rows[:half]), (values[-2 * half - 1 :], rows[half + 1 :])):
+        sides.append((powers * part[:, None] ** (powers - 1)) @ (fitted[1:] @ window))
+    found: Array = np.concatenate([sides[0], inside, sides[1]]) / half
+    return found
 
 
 def _likelihood(power: Array, rough: Array, ratio: float) -> float:
