@@ -37,6 +37,7 @@ class Work:
     done, failed: what has ended; ``failed`` of it with no result.
     kept: of ``done``, what was there before and says nothing about how long the rest will take.
     place: which step it is of how many at most; the end of such a work is not known.
+    step_began_s: when that step began; ``longest_s``: what the longest step before it took [s], None for the first.
     """
 
     what: str
@@ -47,6 +48,8 @@ class Work:
     kept: float = 0.0
     place: tuple[int, int] | None = None
     began_s: float = field(default_factory=time.monotonic)
+    step_began_s: float | None = None
+    longest_s: float | None = None
 
     def left_s(self, elapsed_s: float) -> float | None:
         """Seconds until the end, at the pace so far; None before anything has ended, and where the end is unknown."""
@@ -61,6 +64,9 @@ class Work:
         if self.failed:
             parts.append(f"{self.failed} failed")
         parts.append(duration(elapsed_s))
+        if self.step_began_s is not None and self.longest_s is not None:
+            step_s = self.began_s + elapsed_s - self.step_began_s
+            parts[-1] += f" (step {duration(step_s)}, longest {duration(self.longest_s)})"
         left = self.left_s(elapsed_s)
         if left is not None:
             parts.append(f"{duration(left)} left, until {time.strftime('%H:%M', time.localtime(now + left))}")
@@ -186,5 +192,8 @@ def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
             number = names.index(step)
             work.what, work.place = step if number > furthest else f"{step} once more", (number + 1, len(names))
             furthest = max(furthest, number)
+            now_s = time.monotonic()
+            took_s = now_s - (work.began_s if work.step_began_s is None else work.step_began_s)
+            work.step_began_s, work.longest_s = now_s, max(work.longest_s or 0.0, took_s)
 
         yield begin

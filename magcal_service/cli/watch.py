@@ -115,14 +115,15 @@ class Watch:
             self._why_s = time.monotonic() + _WHY_S
         return found
 
-    def frame(self, number: int = 1, of: int = 1, keys: str = "") -> Frame:
-        """What is around the picture of a magnetometer."""
+    def frame(self, number: int = 1, of: int = 1, keys: str = "", listened_s: float | None = None) -> Frame:
+        """What is around the picture of a magnetometer; ``listened_s`` [s] as in ``Frame``."""
         from magcal_service.views.picture import Frame
 
         origin = self._source.origin
         silence = self._silence or (origin.note if origin.kind == "recording" else "")
         place = number, max(of, 1)
-        return Frame(origin.address, time.monotonic(), silence, place, self.is_recorded, origin.has_ended, keys)
+        now_s, recorded = time.monotonic(), self.is_recorded
+        return Frame(origin.address, now_s, silence, place, recorded, origin.has_ended, keys, listened_s)
 
     def picture(self, one: Magnetometer | None, frame: Frame, size: tuple[int, int], colour: bool) -> list[str]:
         """The lines of a screen."""
@@ -204,12 +205,14 @@ def _once(watch: Watch, timeout_s: float) -> int:
     from magcal_service.views.picture import HEIGHT, WIDTH
     from magcal_service.wire.messages import Verdict
 
+    began_s = time.monotonic()
     found = _gathered(watch, timeout_s)
+    listened_s = None if watch.is_recorded else time.monotonic() - began_s
     if not found:
         where = watch.frame().where
         raise NotReachedError(f"no result on {where}: {watch.why_silent() or watch.frame().silence or 'it has none'}")
     for number, one in enumerate(found, 1):
-        frame = watch.frame(number, len(found))
+        frame = watch.frame(number, len(found), listened_s=listened_s)
         print("\n".join(line.rstrip() for line in watch.picture(one, frame, (WIDTH, HEIGHT), colour=False)))
     return DONE if all(one.result.verdict is Verdict.TRUSTED for one in found) else NOT_TRUSTED
 

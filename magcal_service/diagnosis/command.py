@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from pathlib import Path
 from magcal_service.base.disk import write_whole
 from magcal_service.base.errors import unwritable
 from magcal_service.diagnosis.content import as_json
-from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
+from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.handover import write_model
 from magcal_service.diagnosis.report.frame import Origin, check_packages
@@ -22,6 +23,7 @@ from magcal_service.diagnosis.stages import WRITING
 from magcal_service.diagnosis.summary import summary
 from magcal_service.model import Array
 from magcal_service.offline.result_files import (
+    CALIBRATION,
     DIAGNOSIS,
     PHYSICS,
     REPORT,
@@ -60,9 +62,32 @@ class Request:
         """The command line that does this."""
         parts = ["magcal", "diagnose", str(self.recording), "--out", str(self.out)]
         parts += ["--simulation", self.simulation] if self.simulation is not None else []
-        parts += ["--craft", self.craft] if self.craft is not None else []
-        parts += ["--source", self.source] if self.source is not None else []
-        return shlex.join(parts)
+        return shlex.join(parts + self._which)
+
+    @property
+    def _which(self) -> list[str]:
+        parts = ["--craft", self.craft] if self.craft is not None else []
+        return parts + (["--source", self.source] if self.source is not None else [])
+
+    def next_lines(self, diagnosis: Diagnosis) -> list[str]:
+        """What to do with a result that may be acted on; none where it may not: its reasons hold their remedies."""
+        if not diagnosis.trusted:
+            return []
+        found, physics = diagnosis.verdict is not Verdict.NONE, self.out / PHYSICS
+        given = physics if found else self.out / CALIBRATION
+        commands = [] if found else [["calibrate", str(self.recording), *self._which, "--json", str(given)]]
+        commands += [["apply", str(self.recording), *self._which, "--with", str(given)]]
+        commands[-1] += ["--out", str(self.out / "vectors.csv")]
+        lines = [f"next: {shlex.join(['magcal', *commands[0]])}"]
+        lines += [f"      {shlex.join(['magcal', *command])}" for command in commands[1:]]
+        if found:
+            return [*lines, f"      {in_flight(physics)}"]
+        return [*lines, f"      {shlex.join(['magcal', 'export', str(given), '--format', 'c-header'])}"]
+
+
+def in_flight(physics: Path) -> str:
+    """The line of a daemon's configuration by which it compensates what was found."""
+    return f"in flight: physics = {json.dumps(str(physics.resolve()))} under [[craft]] of the daemon's configuration"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +126,7 @@ def run(request: Request, progress: Callable[[str], None]) -> Outcome:
     made = _made(request, accepted, progress)
     files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
+    lines += request.next_lines(made.diagnosis)
     lines += removed_line(request.out, earlier, files)
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 

@@ -12,7 +12,7 @@ from magcal_service.views.series import Row
 from magcal_service.views.sphere import AROUND, BANDS, CELLS
 from magcal_service.views.state import Magnetometer
 from magcal_service.views.text import BARS, Line, Span, Style, bars, columns, cut, fitted, wrapped
-from magcal_service.wire.messages import Verdict
+from magcal_service.wire.messages import Status, Verdict
 
 WIDTH, HEIGHT = 80, 24
 """The smallest screen that the picture is made for; a larger one has longer traces and more events."""
@@ -36,6 +36,9 @@ _LESS: Final = ("tick_late_", "rss_kb", "open_files", "threads", "running", "com
 """Those that are no count, or are said elsewhere."""
 
 
+_COUNTED_OF: Final = {"reference": ("ticks", "s with one"), "samples": ("accepted", "accepted")}
+"""The counter of a status that says whether the daemon has what was not heard here: no tick is without a reference."""
+
 _OF_LIVE: Final = ("tick_late_", "link.")
 """Those that say nothing of a recording."""
 
@@ -53,6 +56,7 @@ class Frame:
     recorded: whether it is a recording that plays.
     ended: whether all of it was played.
     keys: what the keys do, for the last line; empty where there are none.
+    listened_s: how long a single picture has listened [s]; None where somebody keeps looking.
     """
 
     where: str
@@ -62,6 +66,7 @@ class Frame:
     recorded: bool = False
     ended: bool = False
     keys: str = ""
+    listened_s: float | None = None
 
 
 def picture(one: Magnetometer | None, frame: Frame, width: int, height: int, marks: str = BARS) -> list[Line]:
@@ -90,7 +95,7 @@ def _of(one: Magnetometer, frame: Frame, width: int, height: int, marks: str) ->
         [],
         *_errors(shown),
         [],
-        *_traces(field, shown, max(width - _LABEL - _FIGURE, 8), marks),
+        *_traces(field, shown, max(width - _LABEL - _FIGURE, 8), marks, _Unheard(frame.listened_s, one.result.status)),
         [],
         *_coverage_and_counters(one, field, shown, width, marks, frame.recorded),
     ]
@@ -191,13 +196,32 @@ def _cell(name: str, value: str, limit: str, unit: str) -> str:
     return f"{name} {value:>8} +-{limit:>7}{ends}" if limit else f"{name} {value}"
 
 
-def _traces(field: FieldView | None, shown: Mapping[str, Any], width: int, marks: str) -> list[Line]:
+@dataclass(frozen=True, slots=True)
+class _Unheard:
+    """What is said of a trace that has no value: how long somebody listened, and what the daemon has counted."""
+
+    listened_s: float | None
+    status: Status | None
+
+    def of(self, what: str) -> str:
+        """``what``: reference, samples or calibrated vectors."""
+        if self.listened_s is None:
+            return f"no {what} over this link so far"
+        heard = f"no {what} heard in {self.listened_s:.1f} s"
+        if self.status is None:
+            return f"{heard}, and no status"
+        counter, means = _COUNTED_OF.get(what, ("", ""))
+        count = self.status.counters.get(counter)
+        return heard if count is None else f"{heard}; the status counts {count} {means}"
+
+
+def _traces(field: FieldView | None, shown: Mapping[str, Any], width: int, marks: str, unheard: _Unheard) -> list[Line]:
     """|H|, what |B| is off it before and after on one scale, and the newest residual on its own."""
     whole, recent = ([], []) if field is None else (field.whole.rows, list(field.recent.rows))
     span_s = (recent[-1][0] or 0.0) if recent else 0.0
     lines = [
-        _range("|H|", _column(whole, 3), "reference", span_s, width, marks),
-        *_off(whole, recent, width, marks),
+        _range("|H|", _column(whole, 3), unheard.of("reference"), span_s, width, marks),
+        *_off(whole, recent, width, marks, unheard),
     ]
     residual = _chunks(_column(recent, 4), width)
     if shown["started"] and residual:
@@ -206,7 +230,7 @@ def _traces(field: FieldView | None, shown: Mapping[str, Any], width: int, marks
     return lines
 
 
-def _off(whole: Sequence[Row], recent: Sequence[Row], width: int, marks: str) -> list[Line]:
+def _off(whole: Sequence[Row], recent: Sequence[Row], width: int, marks: str, unheard: _Unheard) -> list[Line]:
     traces = {name: _chunks(_off_by(whole, place), width) for name, place in (("before", 1), ("after", 2))}
     most = max(_finite([value for trace in traces.values() for value in trace]), default=0.0)
     lines = []
@@ -215,9 +239,9 @@ def _off(whole: Sequence[Row], recent: Sequence[Row], width: int, marks: str) ->
         if not math.isnan(newest):
             lines.append(_trace(name, trace, 0.0, most, width, f"{newest:8.1f} nT rms off |H|", marks))
         elif name == "after":
-            lines.append(_range(name, _column(whole, 2), "calibrated vectors", 0.0, width, marks))
+            lines.append(_range(name, _column(whole, 2), unheard.of("calibrated vectors"), 0.0, width, marks))
         else:
-            lines.append(_range(name, _column(whole, 1), "samples", 0.0, width, marks))
+            lines.append(_range(name, _column(whole, 1), unheard.of("samples"), 0.0, width, marks))
     return lines
 
 
@@ -246,11 +270,11 @@ def _chunks(values: Sequence[float], most: int) -> list[float]:
     return [_rms(values[at * held // shown : (at + 1) * held // shown]) for at in range(shown)]
 
 
-def _range(name: str, values: Sequence[float], what: str, span_s: float, width: int, marks: str) -> Line:
-    """A trace between its lowest and its highest value; a remark where there is none."""
+def _range(name: str, values: Sequence[float], lacking: str, span_s: float, width: int, marks: str) -> Line:
+    """A trace between its lowest and its highest value; ``lacking`` where there is none."""
     known = _finite(values)
     if not known:
-        return [Span(f"{name:<{_LABEL}}"), Span(f"no {what} over this link so far", Style.DIM)]
+        return [Span(f"{name:<{_LABEL}}"), Span(lacking, Style.DIM)]
     figure = f"{min(known):.0f} to {max(known):.0f} nT"
     figure += f" in {duration(span_s)}" if span_s else ""
     return _trace(name, _chunks(values, width), min(known), max(known), width, figure, marks)

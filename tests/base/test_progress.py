@@ -50,6 +50,9 @@ def test_what_was_kept_says_nothing_of_the_pace() -> None:
 
 def test_where_nobody_knows_the_end_none_is_claimed() -> None:
     assert Work("reading", done=5.0).line(3.0, 0.0) == "reading, 3 s"
+    search = Work("searching", place=(3, 10), began_s=100.0, step_began_s=110.0, longest_s=7.0)
+    said = "step 3 of at most 10: searching, 15 s (step 5 s, longest 7 s)"
+    assert search.line(15.0, 0.0) == said
 
 
 @pytest.mark.parametrize(
@@ -69,9 +72,9 @@ def test_a_terminal_sees_the_outermost_end_and_an_empty_line_after_it(terminal: 
         with steps(("first", "second", "third")) as begin:
             terminal.wait_for("step 1 of at most 3: first, 0 s")
             begin("third")
-            terminal.wait_for("step 3 of at most 3: third, 0 s")
+            terminal.wait_for("step 3 of at most 3: third, 0 s (step 0 s, longest 0 s)")
             begin("second")
-            terminal.wait_for("step 2 of at most 3: second once more, 0 s")
+            terminal.wait_for("step 2 of at most 3: second once more, 0 s (step 0 s, longest 0 s)")
 
 
 def test_what_ends_within_two_seconds_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

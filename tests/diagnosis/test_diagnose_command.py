@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from magcal_service.base import progress
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema
+from tests.cli.cli_inputs import run
 from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
 
@@ -95,14 +97,15 @@ def test_the_physics_file_holds_the_nine_errors_and_every_effect(content: dict[s
 
 def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, folder: Path) -> None:
     lines = done.out.splitlines()
-    assert len(lines) <= 16
+    assert len(lines) <= 18
     assert "verdict: named" in lines
     assert any(line.startswith("  thermal_bias: ") for line in lines)
     assert any(
         line.startswith("rms on rows held out of the fit: ") and "noise floor 100.0 nT" in line for line in lines
     )
     assert any(line.startswith("bias: without these effects a calibration is off by ") for line in lines)
-    assert all(str(folder / name) in lines[-1] for name in ("diagnosis.json", "report.html", "physics.toml"))
+    files = next(line for line in lines if line.startswith("files: "))
+    assert all(str(folder / name) in files for name in ("diagnosis.json", "report.html", "physics.toml"))
 
 
 def typed(value: object) -> object:
@@ -173,6 +176,23 @@ def test_a_clean_recording_has_no_effect(clean: Path, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert (done.code, content["verdict"], content["effects"]) == (0, "none", [])
     assert "agree to the noise" in done.out
+    carry_out(done, tmp_path)
+    assert (tmp_path / "vectors.csv").is_file()
+
+
+def carry_out(done: Done, folder: Path) -> None:
+    """Run each command that the end of a diagnosis names as the next one; its last lines stand below ``next:``."""
+    lines = done.out[done.out.index("\nnext: ") :].strip().removeprefix("next:").splitlines()
+    commands = [shlex.split(line)[1:] for line in map(str.strip, lines) if line.startswith("magcal ")]
+    assert commands
+    for command in commands:
+        assert run(*command).code == 0, (command, folder)
+
+
+def test_a_trusted_cause_is_followed_by_what_to_do_with_it(done: Done, folder: Path) -> None:
+    carry_out(done, folder)
+    physics = json.dumps(str((folder / "physics.toml").resolve()))
+    assert done.out.endswith(f"\n      in flight: physics = {physics} under [[craft]] of the daemon's configuration\n")
 
 
 def test_the_scenarios_errors_are_what_the_recording_is_compared_with(clean: Path, tmp_path: Path) -> None:
@@ -191,6 +211,7 @@ def test_a_result_that_must_not_be_trusted_ends_with_3_and_says_why(tmp_path: Pa
     content = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert (done.code, content["trusted"]) == (3, False)
     assert "not_enough_data" in content["reasons"]
+    assert "next: " not in done.out
     assert done.out.index("  do not act on this:\n") < done.out.index("    not_enough_data: too few samples")
 
 

@@ -11,7 +11,7 @@ from magcal_service.views.picture import HEIGHT, WIDTH, Frame, duration, picture
 from magcal_service.views.result import Replayed
 from magcal_service.views.state import Magnetometer, Views
 from magcal_service.views.text import ASCII_BARS, columns, painted
-from magcal_service.wire.messages import CommandReply, Message, Verdict
+from magcal_service.wire.messages import CommandReply, Message, Status, Verdict
 from tests.views.view_messages import estimate, second_of, status
 
 TEXT = (
@@ -123,6 +123,24 @@ def test_a_line_that_brings_results_alone_says_what_it_does_not_bring() -> None:
     assert "|H|       no reference over this link so far" in text
     assert "before    no samples over this link so far" in text
     assert " 40000 to 40000 nT\n" in text
+
+
+@pytest.mark.parametrize(
+    ("told", "reference", "samples"),
+    [
+        ([COUNTED], "; the status counts 8 s with one", "; the status counts 9 accepted"),
+        ([status(9, "trusted, 9 ticks")], "", ""),
+        ([], ", and no status", ", and no status"),
+    ],
+)
+def test_one_picture_says_how_long_it_listened_and_what_the_daemon_counts(
+    told: list[Message], reference: str, samples: str
+) -> None:
+    told = [replace(one, counters={}) if one is not COUNTED and isinstance(one, Status) else one for one in told]
+    vectors = [one for second in range(5) for one in second_of(second) if type(one).__name__ == "CalibratedVector"]
+    text = shown(fed(TRUSTED, *told, messages=vectors), listened_s=2.44)
+    assert f"|H|       no reference heard in 2.4 s{reference}\n" in text
+    assert f"before    no samples heard in 2.4 s{samples}\n" in text
 
 
 def test_a_status_that_was_asked_for_is_no_event_and_a_command_is_one() -> None:

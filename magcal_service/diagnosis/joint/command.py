@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from magcal_service.diagnosis.command import digest, write
+from magcal_service.diagnosis.command import digest, in_flight, write
+from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
@@ -82,7 +83,10 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     for recording, one in zip(gathered.recordings, diagnosis.recordings, strict=True):
         rows = f"rows: {account_of(one.inspection, one.prepared)}"
         said += [f"{one.name}: {line}" for line in [*recording.report.lines(), *one.inspection.lines(), rows]]
-    lines = [*said, *summary(diagnosis, files), *removed_line(request.out, earlier, files)]
+    onward = []
+    if diagnosis.trusted and diagnosis.verdict is not Verdict.NONE:
+        onward = [f"next: {in_flight(request.out / PHYSICS)}"]
+    lines = [*said, *summary(diagnosis, files), *onward, *removed_line(request.out, earlier, files)]
     return JointOutcome(diagnosis, tuple(lines))
 
 
