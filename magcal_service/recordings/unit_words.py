@@ -154,6 +154,13 @@ def are_units(cells: Sequence[str]) -> bool:
     return sum(is_unit(cell) for cell in cells) * 2 >= sum(bool(cell) for cell in cells)
 
 
+def unknown_unit(name: str) -> str:
+    """What stands in brackets in a name and is no unit that is known here, as ``nmi``; empty where nothing does."""
+    match = _BRACKETED.match(name)
+    text = match.group(2) if match else ""
+    return text if re.fullmatch(r"[A-Za-z]{1,6}", text) and not unit_of(text) else ""
+
+
 def split_unit(name: str) -> tuple[str, str]:
     """A column's name without its unit, and the unit; empty where the name says none."""
     index = _INDEX.search(name)

@@ -16,6 +16,7 @@ from magcal_service.recordings.describe.over_ground import EARTH_KM
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.vocabulary import ALTITUDE
 from magcal_service.recordings.inspect.motion import kepler_rad_s
+from magcal_service.recordings.unit_words import unknown_unit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,6 +35,7 @@ _HIGH_KM: Final = 9.0  # nothing stands still as high
 _STANDS_KM_S: Final = 0.01  # slower than a balloon in the wind up there
 _TALL: Final = 1000.0  # whole units: below that a number of metres is usual, and of mm it is a stone's throw
 _LARGE: Final = LENGTH_KM[LengthUnit.M] * _AIR_KM[1]
+_DATUMS: Final = frozenset({"msl", "amsl", "agl", "gps", "hae"})  # what a height is above, in brackets as a unit is
 _NAMED_FIRST: Final = (LengthUnit.KM, LengthUnit.M, LengthUnit.MM, LengthUnit.CM)  # of what no name says
 
 
@@ -113,6 +115,9 @@ def _unit(heights: Heights) -> tuple[str, str, tuple[str, ...]]:
     found = _possible(heights)
     if column.unit:
         return "", f"the name says {column.unit}, but {usual:.5g} {column.unit} cannot be{moves}", found
+    strange = unknown_unit(column.name)
+    if strange and strange.lower() not in _DATUMS:
+        return "", f"the name says {strange}, which is no unit of a length here", found
     if len(found) == 1 and heights.speed_km_s is not None:
         return found[0], f"the name says altitude, and{moves} only {usual:.5g} {found[0]} can be", found
     return "", "neither its name nor its numbers decide", found

@@ -159,6 +159,14 @@ def test_a_height_is_taken_in_the_unit_that_its_name_says_where_it_can_be_that(
         assert "position.altitude.unit" in keys(wrong)
 
 
+@pytest.mark.parametrize(("label", "asks"), [("hgt [nmi]", True), ("alt [MSL]", False), ("alt", False)])
+def test_a_height_in_a_unit_that_is_not_known_is_asked(label: str, asks: bool, tmp_path: Path) -> None:
+    """Numbers would take 285 nautical miles for kilometres."""
+    way = orbit(*ORBITS[1], 10.0)
+    result = described(tmp_path, way, f"lat,lon,{label}", [way.latitude_deg, way.longitude_deg, way.height_km / 1.852])
+    assert ("position.altitude.unit" in keys(result)) is asks
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("km", 1.0), ("m", 1e3), ("cm", 1e5), ("mm", 1e6)])
 def test_the_height_of_an_orbit_has_one_unit_that_goes_with_its_speed(unit: str, factor: float, tmp_path: Path) -> None:
     way = orbit(*ORBITS[1], 10.0)
