@@ -166,6 +166,8 @@ def _verdict(shown: Mapping[str, Any], stale: bool) -> Line:
     if shown["protection_nt"] is not None:
         by = f" ({shown['protection_by']})" if shown["protection_by"] else ""
         line.append(Span(f", protected to {math.ceil(shown['protection_nt'])} nT{by}"))
+    elif verdict is Verdict.TRUSTED:
+        line.append(Span(", no protection level"))
     if shown["method"]:
         line.append(Span(f", {shown['method']}, tick {shown['ticks']}", Style.DIM))
     return line

@@ -73,7 +73,7 @@ def test_a_daemon_over_zenoh_is_shown_when_it_is_known_whole() -> None:
             service.send(message)
         done = run("watch", "--link", link, "--once", "--timeout", "60")
     assert (done.code, done.err) == (0, "")
-    assert "verdict   TRUSTED, ukf, tick 2" in done.out
+    assert "verdict   TRUSTED, no protection level, ukf, tick 2" in done.out
     assert "received 7, refused.too_large 1" in done.out
 
 
