@@ -170,9 +170,12 @@ class _Held:
 
 def _where_it_turns(at: Callable[[float], _Held], inside: Callable[[float], float], near: _Held) -> Fit:
     """The fit at the zero of the score that the score itself points to, over a hump of what is left to go."""
+    if near.value == 0.0:
+        return near.fit  # steps are shares of the number
     first = last = at(near.value)
     for _ in range(_REACH):
-        last = at(inside(first.value * (1.0 + _WIDEST if first.way > 0.0 else 1.0 / (1.0 + _WIDEST))))
+        outwards = first.way * first.value > 0.0
+        last = at(inside(first.value * (1.0 + _WIDEST if outwards else 1.0 / (1.0 + _WIDEST))))
         if last.fit.converged or last.to_go > _NEAR:
             return last.fit if last.fit.converged else near.fit
         if last.way * first.way < 0.0:

@@ -108,17 +108,18 @@ def test_a_short_arc_does_not_end_in_a_half_collapsed_minimum() -> None:
     )
 
 
-def test_a_zero_over_a_hump_is_found_where_the_score_points() -> None:
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_zero_over_a_hump_is_found_where_the_score_points(side: float) -> None:
     """What is left to go rises between 0.079 and the zero at 0.05, and falls before the zero; the sign leads there."""
 
     def at(value: float) -> _Held:
-        way = 0.05 - value
+        way = side * 0.05 - value
         to_go = 0.0156 + 0.05 * abs(way) if abs(way) > 0.004 else way**2
         fit: Any = SimpleNamespace(converged=to_go < 1e-6, value=value)
         return _Held(value, to_go, way, fit)
 
-    found: Any = _where_it_turns(at, lambda value: min(max(value, 0.01), 1.0), at(0.079))
-    assert found.value == pytest.approx(0.05, abs=1e-3)
+    found: Any = _where_it_turns(at, lambda value: side * min(max(side * value, 0.01), 1.0), at(side * 0.079))
+    assert found.value == pytest.approx(side * 0.05, abs=1e-3)
     assert found.converged
 
 
@@ -129,6 +130,7 @@ def test_without_a_zero_within_reach_a_fit_stays() -> None:
         fit: Any = SimpleNamespace(converged=False)
         return _Held(value, 0.5, 1.0, fit)
 
-    near = endless(0.1)
+    near, nothing = endless(0.1), endless(0.0)
+    assert _where_it_turns(endless, lambda value: value, nothing) is nothing.fit
     assert _where_it_turns(endless, lambda value: value, near) is near.fit
     assert _where_it_turns(lambda value: replace(endless(value), to_go=5.0), lambda value: value, near) is near.fit

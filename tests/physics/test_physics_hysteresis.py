@@ -93,6 +93,18 @@ def test_turning_points_between_samples_are_followed() -> None:
     assert not is_coarse(flight(0.1, 400))
 
 
+@pytest.mark.parametrize("start", [0.0, math.pi])
+def test_a_sample_at_its_own_extreme_has_no_other_before_the_next(start: float) -> None:
+    """A field that turns about z from +-x exactly: the first sample is the extreme, and what follows lies within."""
+    coarse = flight(0.6, 9)
+    angle = start + 0.6 * (coarse.time_s - coarse.time_s[0])
+    field = 30_000.0 * np.stack([np.cos(angle), -np.sin(angle), np.zeros(9)], axis=1)
+    field[0, 1] = 0.0
+    about_z = replace(coarse, body_from_eci=None, turning_rad_s=np.array([0.0, 0.0, 0.6]), channels={})
+    dense = with_turning_points(about_z, field)
+    assert min(dense[0, 0], dense[2, 0]) - 1e-6 <= dense[1, 0] <= max(dense[0, 0], dense[2, 0]) + 1e-6
+
+
 def test_noise_is_smoothed_as_far_as_the_turn_allows() -> None:
     """Noise of 300 nT on a slow turn falls to less than a third, a fast turn is left as it is."""
     slow = flight(0.01, 2000, noise_nt=300.0)

@@ -76,7 +76,8 @@ def with_turning_points(scene: Scene, field: Array) -> Array:
     cosine, sine = field[:-1] - along, -np.cross(axis, field[:-1])
     peak = np.arctan2(sine, cosine)
     turned = (speed * np.diff(scene.time_s))[:, None]
-    inside = (np.mod(peak, np.pi) < turned) & (turned < np.pi)
+    until = np.mod(peak, np.pi)  # to the next extreme; at 0 it is the sample itself
+    inside = (until > 0.0) & (until < turned) & (turned < np.pi)
     size = np.hypot(cosine, sine)
     highest = np.maximum(along + size, np.maximum(field[:-1], field[1:]))
     lowest = np.minimum(along - size, np.minimum(field[:-1], field[1:]))
