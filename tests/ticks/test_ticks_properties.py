@@ -128,7 +128,7 @@ def test_every_reference_is_accepted_or_refused_for_one_reason(stream: list[Refe
         target.add_reference(message)
     for message in (reference(1e5), reference(1e5 + 1), reference(1e5 + 2), reference(1e5 + 3)):
         target.add_reference(message)  # whatever was in the air is settled by now
-    kinds = ("reference", "reference_doubled", "reference_jump")
+    kinds = ("reference", "reference_doubled", "reference_jump", "reference_zero")
     assert sum(target.counters[kind] for kind in kinds) == len(stream) + 4
 
 
