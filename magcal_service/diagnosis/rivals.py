@@ -76,13 +76,15 @@ def tempered(
     for candidate in ranked:
         one = own if candidate is sought else candidate
         if one is not own and one.nats > own.nats - _WORTH_TEMPERING:
-            beside = _left(search, one, fit, space), best
+            by_fit = None
             is_near = one.nats > _WORTH_FITTING * own.nats and len(fitted) <= most_fitted
             if is_near and one.hypothesis.effect not in fitted:
                 fitted.add(one.hypothesis.effect)
                 by_fit = _fitted(search, one, own, fit, index, sigma_nt)
-                if by_fit is not None:
-                    one, beside = by_fit[0], (by_fit[1], search.white(fit.residual))
+            if by_fit is None:
+                beside = _left(search, one, fit, space), best
+            else:
+                one, beside = by_fit[0], (by_fit[1], search.white(fit.residual))
             dispersion = gain_over(*beside, blocks, sigma_nt**2).dispersion
             one = replace(one, nats=own.nats + _beyond(one, own, dispersion))
         if is_recorded(mine) and not is_recorded(one.hypothesis):

@@ -17,6 +17,7 @@ from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.motion import MU_KM3_S2, heights_km, inertial, placed_rows
 from magcal_service.recordings.table import FloatArray
+from magcal_service.residuals import MEDIAN_TO_SIGMA
 from magcal_service.wire.messages import Frame
 
 _STEP_S: Final = 300.0
@@ -36,7 +37,6 @@ and places rounded to a degree keep it."""
 
 _SCATTER: Final = 5.0  # the median has to be off by so many of its own sigma
 _MEDIAN: Final = 1.2533  # sigma of a median over that of a mean: sqrt(pi / 2)
-_MAD: Final = 1.4826  # sigma over the median of absolute deviations, of normal numbers
 _SLOWEST_RAD_S: Final = 3e-4  # 2 km/s at the ground: nothing that flies in air
 
 
@@ -58,7 +58,7 @@ def orbit_height(log: Log) -> Iterator[Seen]:
     if len(found) < _FEWEST:
         return
     middle = float(np.median(found))
-    sigma = _MEDIAN * _MAD * float(np.median(np.abs(found - middle))) / np.sqrt(len(found))
+    sigma = _MEDIAN * MEDIAN_TO_SIGMA * float(np.median(np.abs(found - middle))) / np.sqrt(len(found))
     if abs(middle - 1.0) < max(_OFF, _SCATTER * sigma):
         return
     radius = float(np.median(np.linalg.norm(place, axis=1)))
