@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.recordings.recording import Channel, Position, Recording, Reference
-from magcal_service.recordings.table import FloatArray
+from magcal_service.recordings.table import FloatArray, IntArray
 from magcal_service.wire.messages import (
     Clock,
     Command,
@@ -22,9 +22,11 @@ from magcal_service.wire.messages import (
 
 SOURCE = "recording"
 _SEQUENCE_END = 1 << 32  # a sequence number has 32 bits on the wire
+_AT_ONCE = 1 << 12  # rows that are numbers of Python at a time: they take ten times the memory of an array's
 
-Maker = Callable[[int, int], Message | None]
-"""Row and its time [ns] to the row's message, or None where the row has none."""
+Values = tuple[float, ...]
+Part = tuple[Iterator[Values | None], Callable[[int, Values], Message]]
+"""What each row has of one kind, None where it has nothing, and what makes its message of a time [ns] and that."""
 
 
 def messages(
@@ -50,20 +52,20 @@ def messages(
                 yield received if received.craft == craft else replace(received, craft=craft)
         return
     stamp = _Stamp(craft, source or recording.source or SOURCE, recording.clock)
-    makers = [stamp.reference(recording.reference)]
+    parts = [stamp.reference(recording.reference)]
     if recording.position is not None:
-        makers.append(stamp.position(recording.position))
+        parts.append(stamp.position(recording.position))
     if telemetry:
         sequence = _sequence()
-        makers += [stamp.channel(channel, sequence) for channel in recording.channels.values()]
-    makers.append(stamp.magnetometer(recording.field_body_nt))
+        parts += [stamp.channel(channel, sequence) for channel in recording.channels.values()]
+    parts.append(stamp.magnetometer(recording.field_body_nt))
     for name, vectors_nt in recording.further.items():
-        makers.append(_Stamp(craft, name, recording.clock).magnetometer(vectors_nt))
-    for row, time_ns in enumerate(recording.time_ns.tolist()):
-        for make in makers:
-            message = make(row, time_ns)
-            if message is not None:
-                yield message
+        parts.append(_Stamp(craft, name, recording.clock).magnetometer(vectors_nt))
+    makers = [make for _, make in parts]
+    for time_ns, *row in zip(_instants(recording.time_ns), *(rows for rows, _ in parts), strict=True):
+        for values, make in zip(row, makers, strict=True):
+            if values is not None:
+                yield make(time_ns, values)
 
 
 def _ends_the_daemon(message: Message) -> bool:
@@ -75,92 +77,87 @@ def _sequence() -> Iterator[int]:
     return (number % _SEQUENCE_END for number in itertools.count())
 
 
-def _complete(values: FloatArray) -> list[bool]:
-    """Rows of (n, k) whose values are all finite."""
-    complete: list[bool] = np.all(np.isfinite(values), axis=1).tolist()
-    return complete
+def _instants(time_ns: IntArray) -> Iterator[int]:
+    """Times (n,) [ns] one by one."""
+    for begin in range(0, len(time_ns), _AT_ONCE):
+        yield from time_ns[begin : begin + _AT_ONCE].tolist()
+
+
+def _rows(values: FloatArray) -> Iterator[Values | None]:
+    """Rows of (n, k) one by one, None where a value is not finite."""
+    for begin in range(0, len(values), _AT_ONCE):
+        some = values[begin : begin + _AT_ONCE]
+        whole = np.all(np.isfinite(some), axis=1).tolist()
+        yield from (tuple(row) if is_whole else None for row, is_whole in zip(some.tolist(), whole, strict=True))
 
 
 class _Stamp:
-    """Holds what all messages of a recording carry; each method gives the maker of one kind of message."""
+    """Holds what all messages of a recording carry; each method gives the rows and the maker of one kind of message."""
 
     def __init__(self, craft: str, source: str, clock: Clock) -> None:
         self._craft, self._source, self._clock = craft, source, clock
 
-    def magnetometer(self, field_nt: FloatArray) -> Maker:
+    def magnetometer(self, field_nt: FloatArray) -> Part:
         """Vectors (n, 3) [nT]; rows without one give none."""
         craft, source, clock, sequence = self._craft, self._source, self._clock, _sequence()
-        known, vectors = _complete(field_nt), list(map(tuple, field_nt.tolist()))
 
-        def make(row: int, time_ns: int) -> Message | None:
-            if not known[row]:
-                return None
+        def make(time_ns: int, field_body_nt: Values) -> Message:
+            x, y, z = field_body_nt
             return MagnetometerSample(
                 craft=craft,
                 source=source,
                 sequence=next(sequence),
                 time_ns=time_ns,
                 clock=clock,
-                field_body_nt=vectors[row],
+                field_body_nt=(x, y, z),
             )
 
-        return make
+        return _rows(field_nt), make
 
-    def reference(self, reference: Reference) -> Maker:
+    def reference(self, reference: Reference) -> Part:
         """A vector with its frame where there is one, else the magnitude."""
         craft, source, clock, sequence = self._craft, self._source, self._clock, _sequence()
-        known = np.isfinite(reference.magnitude_nt).tolist()
-        vector_nt, frame = reference.vector_nt, reference.frame
-        vectors = None if vector_nt is None else list(map(tuple, vector_nt.tolist()))
-        magnitudes = reference.magnitude_nt.tolist()
+        vector_nt, frame, magnitude_nt = reference.vector_nt, reference.frame, reference.magnitude_nt
 
-        def make(row: int, time_ns: int) -> Message | None:
-            if not known[row]:
-                return None
+        def make(time_ns: int, field: Values) -> Message:
             return ReferenceSample(
                 craft=craft,
                 source=source,
                 sequence=next(sequence),
                 time_ns=time_ns,
                 clock=clock,
-                field_nt=None if vectors is None else vectors[row],
+                field_nt=None if vector_nt is None else (field[0], field[1], field[2]),
                 frame=frame,
-                magnitude_nt=magnitudes[row] if vectors is None else None,
+                magnitude_nt=field[0] if vector_nt is None else None,
             )
 
-        return make
+        return _rows(magnitude_nt[:, None] if vector_nt is None else vector_nt), make
 
-    def position(self, position: Position) -> Maker:
+    def position(self, position: Position) -> Part:
         """Rows without a position give none."""
         craft, source, clock, sequence = self._craft, self._source, self._clock, _sequence()
-        known = _complete(position.km)
-        vectors = list(map(tuple, position.km.tolist()))
+        frame = position.frame
 
-        def make(row: int, time_ns: int) -> Message | None:
-            if not known[row]:
-                return None
+        def make(time_ns: int, position_km: Values) -> Message:
+            x, y, z = position_km
             return PositionSample(
                 craft=craft,
                 source=source,
                 sequence=next(sequence),
                 time_ns=time_ns,
                 clock=clock,
-                position_km=vectors[row],
-                frame=position.frame,
+                position_km=(x, y, z),
+                frame=frame,
             )
 
-        return make
+        return _rows(position.km), make
 
-    def channel(self, channel: Channel, sequence: Iterator[int]) -> Maker:
+    def channel(self, channel: Channel, sequence: Iterator[int]) -> Part:
         """Rows where any of the channel's values is missing give none."""
         craft, source, clock = self._craft, self._source, self._clock
         name, unit = channel.spec.wire_name, channel.spec.unit
-        known = _complete(channel.values)
-        values = list(map(tuple, channel.values.tolist()))
 
-        def make(row: int, time_ns: int) -> Message | None:
-            if not known[row]:
-                return None
+        def make(time_ns: int, values: Values) -> Message:
             return TelemetrySample(
                 craft=craft,
                 source=source,
@@ -169,7 +166,7 @@ class _Stamp:
                 clock=clock,
                 channel=name,
                 unit=unit,
-                values=values[row],
+                values=values,
             )
 
-        return make
+        return _rows(channel.values), make
