@@ -183,7 +183,8 @@ enum {
     MAGCAL_REASON_RATE_DISAGREES = 28,
     MAGCAL_REASON_REFERENCE_HELD = 29,
     MAGCAL_REASON_HELD_READINGS = 30,
-    MAGCAL_REASON_NOISE_MISSTATED = 31
+    MAGCAL_REASON_NOISE_MISSTATED = 31,
+    MAGCAL_REASON_HEIGHT_DISAGREES = 32
 };
 enum {
     MAGCAL_HAZARD_REFERENCE_LATE = 0,
@@ -306,6 +307,7 @@ static inline const char *magcal_reason_name(int code) {
         case 29: return "reference_held";
         case 30: return "held_readings";
         case 31: return "noise_misstated";
+        case 32: return "height_disagrees";
         default: return "unknown";
     }
 }
@@ -313,7 +315,7 @@ static inline const char *magcal_reason_name(int code) {
 /* The number of a name as it travels; MAGCAL_UNKNOWN_NAME for one that is newer than this header. */
 static inline int magcal_reason_of(const char *bytes, size_t size) {
     int code;
-    for (code = 0; code < 32; code++) {
+    for (code = 0; code < 33; code++) {
         if (magcal_same(bytes, size, magcal_reason_name(code))) return code;
     }
     return MAGCAL_UNKNOWN_NAME;

@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_service.base.errors import InputRefusedError
 from magcal_service.earth.geomagnetic import eci_from_ecef, igrf_eci_nt
+from magcal_service.trust.height_sense import HeightSense
 from magcal_service.wire.messages import Clock, Frame, PositionSample, ReferenceSample
 
 NOT_USED: Final = "reference_not_used"
@@ -19,6 +20,21 @@ UNPLACED: Final = "position_without_utc"
 
 OUTSIDE: Final = "position_out_of_range"
 """Counts positions where the model says nothing: another unit, or a date beyond it."""
+
+
+def watch_height(sense: HeightSense, position: PositionSample) -> None:
+    """Give a position that a reference was computed at to the watch over the positions' height."""
+    time_s = position.time_ns * 1e-9
+    if sense.wants(time_s):
+        sense.push(time_s, inertial_place_km(position))
+
+
+def inertial_place_km(position: PositionSample) -> tuple[float, float, float]:
+    """A position on UTC in axes that do not turn [km]."""
+    if position.frame is not Frame.ECEF:
+        return position.position_km
+    x, y, z = eci_from_ecef(np.array([position.time_ns], dtype=np.int64), np.array([position.position_km]))[0].tolist()
+    return x, y, z
 
 
 @lru_cache(maxsize=16)
@@ -36,11 +52,8 @@ def reference_at(position: PositionSample) -> ReferenceSample | str:
     if position.clock is not Clock.UTC:
         return UNPLACED
     time_ns = np.array([position.time_ns], dtype=np.int64)
-    place = np.array([position.position_km])
     try:
-        if position.frame is Frame.ECEF:
-            place = eci_from_ecef(time_ns, place)
-        x, y, z = igrf_eci_nt(time_ns, place)[0].tolist()
+        x, y, z = igrf_eci_nt(time_ns, np.array([inertial_place_km(position)]))[0].tolist()
     except InputRefusedError:
         return OUTSIDE
     return ReferenceSample(

@@ -20,7 +20,7 @@ from magcal_service.daemon.compensating import CompensatingCraft, CompensatingMe
 from magcal_service.daemon.craft_commands import CRAFT_COMMANDS
 from magcal_service.daemon.events import BY_COMMAND, Event
 from magcal_service.daemon.outbox import calibrated_vector, command_reply, status_message
-from magcal_service.daemon.own_reference import NOT_USED, reference_at
+from magcal_service.daemon.own_reference import NOT_USED, reference_at, watch_height
 from magcal_service.estimators.interface import Phase
 from magcal_service.ticks.time_window import is_usable
 from magcal_service.trust.vector_gate import strays
@@ -186,6 +186,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
             self.counters[found] += 1
         else:
             self._reference(found)
+            watch_height(self.monitor.senses.height, position)
 
     def _sample(self, sample: MagnetometerSample) -> list[Message]:
         if self.plain is not None and self.compensation is not None and self.compensation.begins_elsewhere(sample):

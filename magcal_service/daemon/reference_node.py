@@ -13,10 +13,12 @@ from typing import Final
 import numpy as np
 
 from magcal_service.base.errors import Fault, InputRefusedError, MagcalError
-from magcal_service.daemon.own_reference import reference_at
+from magcal_service.daemon.own_reference import reference_at, watch_height
 from magcal_service.earth.orbit_elements import read_element_sets
 from magcal_service.links.base import Link
 from magcal_service.links.silence import why_silent
+from magcal_service.trust.height_sense import HeightSense
+from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.messages import Clock, Frame, PositionSample
 
 log = logging.getLogger("magcal")
@@ -144,11 +146,13 @@ def run_along(
 
 def run_beside(link: Link, heard: Link, craft: str, stop: threading.Event) -> Sent:
     """Send the field at each position of the craft that is heard on ``heard``, a viewer's end, until ``stop``."""
-    sent, look_s = Sent(), time.monotonic() + _LOOK_S
+    sent, height, look_s = Sent(), HeightSense(), time.monotonic() + _LOOK_S
     while not stop.is_set():
-        for message in heard.receive(0.2):
-            if isinstance(message, PositionSample) and message.craft == craft and message.source != SOURCE:
-                _send(link, message, sent, with_position=False)
+        positions = [message for message in heard.receive(0.2) if isinstance(message, PositionSample)]
+        for position in positions:
+            theirs = position.craft == craft and position.source != SOURCE
+            if theirs and _send(link, position, sent, with_position=False):
+                _watch(height, position)
         link.receive(0.0)
         if time.monotonic() > look_s:
             look_s = time.monotonic() + _LOOK_S
@@ -158,17 +162,27 @@ def run_beside(link: Link, heard: Link, craft: str, stop: threading.Event) -> Se
     return sent
 
 
-def _send(link: Link, position: PositionSample | str, sent: Sent, *, with_position: bool) -> None:
+def _watch(height: HeightSense, position: PositionSample) -> None:
+    """Log once that positions do not fall as they should."""
+    before = height.said
+    watch_height(height, position)
+    if height.said and not before:
+        log.warning("%s: %s", height.said, REMEDIES[Reason.HEIGHT_DISAGREES])
+
+
+def _send(link: Link, position: PositionSample | str, sent: Sent, *, with_position: bool) -> bool:
+    """Send the field at a position; whether there is one."""
     found = position if isinstance(position, str) else reference_at(position)
     if isinstance(found, str):
         if found not in sent.refused:
             log.error("no reference is sent for a position: %s; further ones are counted, not logged", found)
         sent.refused[found] = sent.refused.get(found, 0) + 1
-        return
+        return False
     if with_position and isinstance(position, PositionSample):
         link.send(position)
     link.send(found)
     sent.references += 1
+    return True
 
 
 def _log_alone(link: Link, craft: str) -> None:

@@ -43,6 +43,7 @@ class Reason(StrEnum):
     REFERENCE_HELD = "reference_held"
     HELD_READINGS = "held_readings"
     NOISE_MISSTATED = "noise_misstated"
+    HEIGHT_DISAGREES = "height_disagrees"
 
 
 REMEDIES: Final = {
@@ -88,6 +89,8 @@ REMEDIES: Final = {
     Reason.RATE_DISAGREES: "gyro and magnetometer turn differently: check signs, order and units of both sensors' axes",
     Reason.REFERENCE_HELD: "the reference repeats while time goes on: check that its source gets new positions, and "
     "its rate",
+    Reason.HEIGHT_DISAGREES: "the reference is that of another height: check the positions' unit, whether they "
+    "are from the Earth's centre, their frame and their times, then reset",
     Reason.HELD_READINGS: "the sensor has new readings more seldom than samples come; repeats are not learned from: "
     "send each reading once",
     Reason.NOISE_MISSTATED: "the residual's noise is not sensor.noise_nt: set it to what was measured, or leave it out",

@@ -2,7 +2,8 @@
 
 A swap or flip of axes leaves |B| as it is, and so the residual, the estimate and its covariance.  The vector's own
 continuity shows it (``axes_watch``), a stated spin (``spin_sense``) or a gyro (``rate_sense``); the reference's course
-shows one that repeats (``reference_sense``).
+shows one that repeats (``reference_sense``), the way of the positions that it is made of one at another height
+(``height_sense``).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import BIAS, d_matrix
 from magcal_service.ticks.assembler import SECOND_NS, Tick
 from magcal_service.trust.axes_watch import AxesWatch
+from magcal_service.trust.height_sense import HeightSense
 from magcal_service.trust.rate_sense import RateSense
 from magcal_service.trust.reasons import Reason
 from magcal_service.trust.reference_sense import ReferenceSense
@@ -26,7 +28,9 @@ from magcal_service.trust.signed_axes import any_of
 from magcal_service.trust.spin_sense import SpinSense
 from magcal_service.wire.messages import Clock
 
-DOUBTS: Final = (Reason.AXES_CHANGED, Reason.RATE_DISAGREES, Reason.SPIN_DISAGREES, Reason.REFERENCE_HELD)
+DOUBTS: Final = (
+    Reason.AXES_CHANGED, Reason.RATE_DISAGREES, Reason.SPIN_DISAGREES, Reason.HEIGHT_DISAGREES, Reason.REFERENCE_HELD,
+)  # fmt: skip
 """Reasons that a sense gives, the gravest first; each makes an estimate doubtful."""
 
 
@@ -38,6 +42,7 @@ class SensesMemory:
     spin: SpinSense | None
     rate: RateSense
     reference: ReferenceSense
+    height: HeightSense
     said: dict[Reason, str]
 
 
@@ -58,6 +63,7 @@ class Senses(Stateful, SensesMemory):
         self.spin = None if config.spin is None else SpinSense(config.spin)
         self.rate = RateSense()
         self.reference = ReferenceSense()
+        self.height = HeightSense()
         self.said = {}
 
     def observe(self, tick: Tick, estimate: StateEstimate) -> None:
@@ -76,6 +82,7 @@ class Senses(Stateful, SensesMemory):
             self._say_axes(tick)
         self._say(Reason.RATE_DISAGREES, self.rate.said)
         self._say(Reason.SPIN_DISAGREES, "" if self.spin is None else self.spin.said)
+        self._say(Reason.HEIGHT_DISAGREES, self.height.said)
         self._say(Reason.REFERENCE_HELD, self._held(estimate.noise_nt))
 
     def _interrupt(self) -> None:

@@ -114,6 +114,24 @@ def placed(first_s: int, end_s: int, *, positions: bool) -> Iterator[Message]:
         yield sample
 
 
+def test_heights_in_miles_are_doubted_before_they_can_be_trusted() -> None:
+    """And a position in kilometres is not; in either frame."""
+    simulation = Simulation(load_scenario("paper"), 12, 500.0)
+    for factor, doubted in ((1.0, False), (1.609344, True)):
+        pipeline = Pipeline(CRAFT)
+        for number in range(0, 500, 5):
+            time_ns = AT.time_ns + number * 1_000_000_000
+            place = simulation.truth.orbit.position_eci_km(np.array([time_ns]))
+            radius = float(np.linalg.norm(place))
+            place *= 1.0 + (factor - 1.0) * (radius - 6371.0) / radius
+            frame = Frame.ECI if number % 2 else Frame.ECEF
+            place = place if frame is Frame.ECI else ecef_from_eci(np.array([time_ns]), place)
+            pipeline.handle(
+                replace(AT, craft="paper", time_ns=time_ns, position_km=tuple(place[0].tolist()), frame=frame)
+            )
+        assert bool(pipeline.monitor.senses.height.said) is doubted
+
+
 def test_a_daemon_without_positions_recovers_when_they_come(tmp_path: Path) -> None:
     """None for 100 s, then one a second: it is trusted.  None for 90 s: as the page says.  They come again: trusted."""
     path = tmp_path / "magcal.toml"

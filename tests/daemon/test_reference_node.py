@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -110,6 +111,30 @@ def test_the_field_at_positions_that_are_heard() -> None:
         (reference,) = (one for one in service.receive(0.1) if isinstance(one, ReferenceSample))
     assert (reference.craft, reference.time_ns) == ("one", EPOCH_NS)
     assert sent.refused == {"position_without_utc": 1}
+
+
+@pytest.mark.parametrize(("factor", "warnings"), [(1.0, 0), (1.1, 1)])
+def test_positions_that_fall_otherwise_than_their_height_says_are_warned_of_once(
+    factor: float, warnings: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with (
+        open_link("loop:falls", Role.SERVICE) as service,
+        open_link("loop:falls", Role.NODE) as node,
+        open_link("loop:fallen", Role.SERVICE) as heard,
+        open_link("loop:fallen", Role.NODE) as craft,
+    ):
+        for second in range(0, 600, 10):
+            angle = 1.1068e-3 * second  # of a circle at 6878 km
+            place = (factor * 6878.0 * math.cos(angle), factor * 6878.0 * math.sin(angle), 0.0)
+            craft.send(
+                PositionSample(
+                    craft="one", source="gps", sequence=second, time_ns=EPOCH_NS + second * 10**9, clock=Clock.UTC,
+                    position_km=place, frame=Frame.ECI,
+                )
+            )  # fmt: skip
+        assert run_beside(node, heard, "one", Stop(6)).references == 60
+        service.receive(0.0)
+    assert sum("positions fall 1.33 times" in record.message for record in caplog.records) == warnings
 
 
 @pytest.mark.parametrize(("days", "words"), [(0.2, "0.2 days from the epoch, about 6 nT"), (9.0, "more than 900 nT")])

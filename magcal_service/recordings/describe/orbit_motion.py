@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.recordings.inspect.motion import EARTH_RAD_S, MU_KM3_S2
+from magcal_service.earth.free_fall import MU_KM3_S2
+from magcal_service.recordings.inspect.motion import EARTH_RAD_S
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -1,9 +1,4 @@
-"""In orbit a place falls as gravity pulls at its height: a height that is off, however smooth, does not go with that.
-
-With n^2 r^3 = GM on every orbit, and places of a time T apart, r(t+T) + r(t-T) = 2 cos(nT) r(t) to fourth order of nT
-times the eccentricity: n is measured and r told.  A height that is off by d makes n^2 r^3 / GM = (1 + d/r)^3, on an
-eccentric orbit too.  Source: f and g series of the two-body problem, such as Vallado 2013, section 2.3.
-"""
+"""In orbit a place falls as gravity pulls at its height (``earth.free_fall``): one in miles does not go with that."""
 
 from __future__ import annotations
 
@@ -12,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.earth.free_fall import OFF, falls
 from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM
 from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
-from magcal_service.recordings.inspect.motion import MU_KM3_S2, heights_km, inertial, placed_rows
+from magcal_service.recordings.inspect.motion import heights_km, inertial, placed_rows
 from magcal_service.recordings.table import FloatArray
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 from magcal_service.wire.messages import Frame
@@ -27,17 +23,12 @@ _LONGEST_S: Final = 600.0  # where rows are further apart: a tenth of a low orbi
 _EVEN: Final = 0.01  # share of the step by which the two may differ: what that adds is as small a share of the fall
 _FEWEST: Final = 10  # choice: fewer falls than this may be a few false places
 
-_OFF: Final = 0.03
-"""Of n^2 r^3 / GM from 1: a hundredth of the radius, 70 km, which is 3 % of the field.  The Earth's flattening and
-a height that is told as constant make 0.6 %, and field models hardly differ by what less does."""
-
 _PLANAR: Final = 0.01
 """Distance from its plane (rms) that an orbit keeps, as a share of the radius: in a day the plane turns by 0.1 of that,
 and places rounded to a degree keep it."""
 
 _SCATTER: Final = 5.0  # the median has to be off by so many of its own sigma
 _MEDIAN: Final = 1.2533  # sigma of a median over that of a mean: sqrt(pi / 2)
-_SLOWEST_RAD_S: Final = 3e-4  # 2 km/s at the ground: nothing that flies in air
 
 
 def orbit_height(log: Log) -> Iterator[Seen]:
@@ -54,12 +45,12 @@ def orbit_height(log: Log) -> Iterator[Seen]:
     unit = place / np.linalg.norm(place, axis=1)[:, None]
     if np.sqrt(max(float(np.linalg.eigvalsh(unit.T @ unit / len(unit))[0]), 0.0)) > _PLANAR:
         return  # something else is wrong with them: a sign, or the frame
-    found = falls(time_s, place)
+    found = falls_of(time_s, place)
     if len(found) < _FEWEST:
         return
     middle = float(np.median(found))
     sigma = _MEDIAN * MEDIAN_TO_SIGMA * float(np.median(np.abs(found - middle))) / np.sqrt(len(found))
-    if abs(middle - 1.0) < max(_OFF, _SCATTER * sigma):
+    if abs(middle - 1.0) < max(OFF, _SCATTER * sigma):
         return
     radius = float(np.median(np.linalg.norm(place, axis=1)))
     off_km = radius * (1.0 - middle ** (-1.0 / 3.0))
@@ -74,7 +65,7 @@ def orbit_height(log: Log) -> Iterator[Seen]:
     yield Seen(Code.ORBIT_HEIGHT, False, log.rows, says, remedy)
 
 
-def falls(time_s: FloatArray, place_km: FloatArray) -> FloatArray:
+def falls_of(time_s: FloatArray, place_km: FloatArray) -> FloatArray:
     """n^2 r^3 / GM (k,) of places (n, 3) at times (n,), by those a step before and behind each."""
     after = np.searchsorted(time_s, time_s + _STEP_S - 1e-6)
     before = np.searchsorted(time_s, time_s - _STEP_S + 1e-6, side="right") - 1
@@ -83,9 +74,5 @@ def falls(time_s: FloatArray, place_km: FloatArray) -> FloatArray:
     ahead, behind = time_s[after] - time_s[inside], time_s[inside] - time_s[before]
     step = 0.5 * (ahead + behind)
     even = (np.abs(ahead - behind) < _EVEN * step) & (step <= _LONGEST_S)
-    here, both = place_km[inside[even]], place_km[after[even]] + place_km[before[even]]
-    radius2 = (here**2).sum(axis=1)
-    cosine = np.clip((both * here).sum(axis=1) / (2.0 * radius2), -1.0, 1.0)
-    rate = np.arccos(cosine) / step[even]
-    flies = rate > _SLOWEST_RAD_S
-    return np.asarray((rate**2 * radius2**1.5 / MU_KM3_S2)[flies])
+    here, first, last = place_km[inside[even]], place_km[before[even]], place_km[after[even]]
+    return falls(behind[even], first, here, ahead[even], last)

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.earth.free_fall import MU_KM3_S2
 from magcal_service.earth.geomagnetic import WGS84_A_KM
 from magcal_service.recordings.inspect.finding import Rows
 from magcal_service.recordings.inspect.log import Log
@@ -13,9 +14,6 @@ from magcal_service.recordings.table import FloatArray
 
 _POLE_KM: Final = 6356.752
 """Polar radius of the Earth (WGS84)."""
-
-MU_KM3_S2: Final = 398_600.4418
-"""Gravitational parameter of the Earth (WGS84)."""
 
 EARTH_RAD_S: Final = 7.292_115e-5
 """Rate of the Earth's rotation (WGS84)."""

@@ -13,7 +13,15 @@ from magcal_service.config.settings import CraftConfig, SensorConfig, SpinConfig
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.model import STATE_SIZE, Array, d_matrix, field_jacobian, measure
 from magcal_service.studies.unseen.motion import SPIN_AXIS, SPIN_RPM, Motion, Track, field_eci_nt, track
-from magcal_service.wire.messages import CalibratedVector, Estimate, Frame, MagnetometerSample, ReferenceSample, Verdict
+from magcal_service.wire.messages import (
+    CalibratedVector,
+    Estimate,
+    Frame,
+    MagnetometerSample,
+    PositionSample,
+    ReferenceSample,
+    Verdict,
+)
 
 CRAFT: Final = "study"
 
@@ -42,6 +50,7 @@ class Sent:
     config: the craft's configuration.
     step_nt: of the readings' rounding, a part of the noise; 0 where they are not rounded [nT].
     post: what the sensor makes of its readings (n, 3), after noise.
+    places_ecef_km: (n, 3) positions that are sent in place of the reference, of which the daemon makes it; None: none.
     """
 
     track: Track
@@ -59,6 +68,7 @@ class Sent:
     config: CraftConfig
     step_nt: float = 0.0
     post: list[Callable[[Array], Array]] = field(default_factory=list)
+    places_ecef_km: Array | None = None
 
     @property
     def time_s(self) -> Array:
@@ -147,7 +157,7 @@ def hear(sent: Sent, ends: Callable[[float, Pipeline], bool] | None = None) -> H
     latest: Estimate | None = None
     for index, time_ns in enumerate(sent.track.time_ns.tolist()):
         if sent.reference_sent[index]:
-            pipeline.handle(_reference(index, time_ns, sent.reference_nt[index]))
+            pipeline.handle(_told(sent, index, time_ns))
         if not sent.sample_sent[index]:
             continue
         sample = _sample(index, time_ns + int(sent.sample_ns[index]), measured[index])
@@ -242,6 +252,16 @@ def _reference(index: int, time_ns: int, field_nt: Array) -> ReferenceSample:
     x, y, z = field_nt.tolist()
     return ReferenceSample(
         craft=CRAFT, source="model", sequence=index, time_ns=time_ns, field_nt=(x, y, z), frame=Frame.ECI
+    )
+
+
+def _told(sent: Sent, index: int, time_ns: int) -> ReferenceSample | PositionSample:
+    """The reference, or the position that is sent in its place."""
+    if sent.places_ecef_km is None:
+        return _reference(index, time_ns, sent.reference_nt[index])
+    x, y, z = sent.places_ecef_km[index].tolist()
+    return PositionSample(
+        craft=CRAFT, source="gps", sequence=index, time_ns=time_ns, position_km=(x, y, z), frame=Frame.ECEF
     )
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from magcal_service.base.errors import RecordingError
+from magcal_service.earth.free_fall import MU_KM3_S2
 from magcal_service.recordings.inspect.finding import Code
-from magcal_service.recordings.inspect.free_fall import falls
-from magcal_service.recordings.inspect.motion import MU_KM3_S2
+from magcal_service.recordings.inspect.free_fall import falls_of
 from magcal_service.recordings.reader import read_recording
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
 
@@ -146,7 +146,7 @@ def test_an_eccentric_orbit_falls_as_gravity_pulls(eccentricity: float) -> None:
         place = place + speed
         speed = speed - 0.5 * MU_KM3_S2 * place / np.linalg.norm(place) ** 3
     places, time_s = np.array(way), np.arange(8000.0)
-    assert np.median(falls(time_s, places)) == pytest.approx(1.0, abs=0.004)
+    assert np.median(falls_of(time_s, places)) == pytest.approx(1.0, abs=0.004)
     radius = np.linalg.norm(places, axis=1)[:, None]
     off = np.median((1.0 + 300.0 / radius) ** 3)
-    assert np.median(falls(time_s, places * (1.0 + 300.0 / radius))) == pytest.approx(off, abs=0.01)
+    assert np.median(falls_of(time_s, places * (1.0 + 300.0 / radius))) == pytest.approx(off, abs=0.01)
