@@ -3,11 +3,12 @@
     python -m tests.benchmarks.bench_protection cost
     python -m tests.benchmarks.bench_protection false-alarms --flights 40
     python -m tests.benchmarks.bench_protection just-below --json docs/results/just-below.json
+    python -m tests.benchmarks.bench_protection new-step --json docs/results/new-step.json
 
 The first gives each tick of the paper's flight to the filter and to two monitors in turn, one with protection levels
 and one without.  The second flies the paper's craft at drawn spin directions with nothing wrong, and prints the largest
 evidence of a flight beside the alarm.  The third looks for the largest size of each hazard that is not seen, and prints
-the level over the error there (``just_below``).
+the level over the error there (``just_below``).  The fourth does so for the step that the published level always holds.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from magcal_service.trust.protection import alarm_gain
 from magcal_service.wire.messages import Verdict
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
-from tests.benchmarks.just_below import GIVEN, cases, medians, row_of, search
+from tests.benchmarks.just_below import GIVEN, MOTIONS, cases, medians, new_step_row, row_of, search
+from tests.benchmarks.just_below import NOISES_NT as BELOW_NT
 from tests.benchmarks.results import write
 
 FLIGHT_S = 9000.0
@@ -128,20 +130,32 @@ def just_below(names: list[str], path: Path | None) -> None:
     print("\n".join(f"{name}: {_said(value)}" for name, value in medians(list(rows.values())).items()))
 
 
+def new_step(flights: int, path: Path | None) -> None:
+    """Print, and write, the published level over the error between a step of ``disturbance_nt`` and the first doubt."""
+    rows = []
+    for noise_nt in BELOW_NT:
+        for motion in MOTIONS:
+            rows.append(new_step_row(motion, noise_nt, flights))
+            print(", ".join(f"{key} {_said(value)}" for key, value in rows[-1].items()), flush=True)
+    write(path, {"rows": rows})
+
+
 def _said(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "false-alarms", "just-below"))
-    parser.add_argument("--flights", type=int, default=30, help="flights for the false alarms (default 30)")
+    parser.add_argument("what", choices=("cost", "false-alarms", "just-below", "new-step"))
+    parser.add_argument("--flights", type=int, default=30, help="flights, of new-step each (default 30)")
     parser.add_argument("--hazard", action="append", default=[], choices=list(GIVEN), help="only this one")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="where the figures of just-below go")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="where the figures of the last two go")
     options = parser.parse_args()
     if options.what == "cost":
         cost()
     elif options.what == "just-below":
         just_below(options.hazard, options.json)
+    elif options.what == "new-step":
+        new_step(options.flights, options.json)
     else:
         false_alarms(options.flights)

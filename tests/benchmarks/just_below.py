@@ -343,6 +343,31 @@ OVER_ALL: Final = {
 }
 
 
+def new_step_row(motion: Motion, noise_nt: float, flights: int) -> Row:
+    """A bias step of ``disturbance_nt``, which the published level always holds: from its second to the first doubt.
+
+    Medians over the flights' medians; flights that were not trusted then are in none.
+    """
+    ratios, unseen_s, beyond_s = [], [], 0
+    for number in range(flights):
+        flight = Case(Hazard.BIAS_STEP, motion, noise_nt, number).fly(_OWN_NT)
+        heard, rows = flight.heard, flight.active
+        if not rows.any():
+            continue
+        ratios.append(float(np.median(heard.protection_nt[rows] / heard.error_nt[rows])))
+        unseen_s.append(int(rows.sum()))
+        beyond_s += int((rows & (heard.error_nt > heard.protection_nt + COVERED_SIGMA * heard.sigma_nt)).sum())
+    return {
+        "motion": str(motion),
+        "noise_nt": noise_nt,
+        "flights": len(ratios),
+        "unseen_s": float(np.median(unseen_s)) if unseen_s else None,
+        "ratio": float(np.median(ratios)) if ratios else None,
+        "largest_ratio": max(ratios, default=None),
+        "beyond_s": beyond_s,
+    }
+
+
 def cases(names: list[str]) -> list[Case]:
     """Every hazard, or those named, in all motions and noises in which it is looked for."""
     return [

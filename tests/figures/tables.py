@@ -237,6 +237,23 @@ def just_below_over_all() -> str:
     return table(["median over the flights that detection limits", ""], rows, [1])
 
 
+def new_step() -> str:
+    """The published level beside the error that a step of ``disturbance_nt`` makes until it is seen."""
+    rows = [
+        [
+            f"{row['motion']}, {row['noise_nt']:.0f}",
+            str(row["flights"]),
+            f"{row['unseen_s']:.0f}",
+            f"{row['ratio']:.3g}",
+            f"{row['largest_ratio']:.3g}",
+            str(row["beyond_s"]),
+        ]
+        for row in _rows("new-step")
+    ]
+    head = ["motion, noise [nT]", "flights", "unseen [s]", "level / error", "largest of a flight", "beyond [s]"]
+    return table(head, rows, range(1, 6))
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-ukf": recordings_main,
     "recordings-methods": lambda: _side_by_side("after_nt"),
@@ -248,5 +265,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "concealed-reliability": _concealed_reliability,
     "just-below": just_below,
     "just-below-over-all": just_below_over_all,
+    "new-step": new_step,
     "costs": costs,
 }

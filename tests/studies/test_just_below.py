@@ -11,7 +11,7 @@ import pytest
 from magcal_service.studies.unseen.flight import Heard, Sent, begin, hear
 from magcal_service.studies.unseen.motion import Motion
 from magcal_service.trust.hazards import Hazard
-from tests.benchmarks.just_below import GIVEN, STEP_S, Case, Flight, medians, row_of, search
+from tests.benchmarks.just_below import GIVEN, STEP_S, Case, Flight, medians, new_step_row, row_of, search
 
 pytest.importorskip("ppigrf")
 
@@ -98,3 +98,10 @@ def test_a_flight_ends_where_it_is_asked_to() -> None:
         return time_s >= 5.0
 
     assert hear(sent(), ends).time_s.tolist() == asked == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_a_new_step_of_the_largest_size_is_within_the_published_level_until_it_is_seen() -> None:
+    row = new_step_row(Motion.SPIN, 100.0, 1)
+    assert (row["flights"], row["beyond_s"]) == (1, 0)
+    assert row["unseen_s"] < 600.0
+    assert 0.9 < row["ratio"] < 1.5
