@@ -27,6 +27,7 @@ MAX_COUNTER: Final = (1 << 64) - 1  # the counter is a u64 on the line
 
 LABEL: Final = b"magcal sealed command 1\0"
 _COUNTER: Final = struct.Struct("<Q")
+_US_PER_S: Final = 1e6  # microseconds in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,12 @@ class SealGate:
         if self._last is None:
             raise DecodeError("not_kept", "the last counter is not known here; mend the counter's file")
         if sealed.counter <= self._last:
-            raise DecodeError("replayed", f"counter {sealed.counter} was used; above {self._last} is accepted")
+            behind_s = (self._last - sealed.counter) / _US_PER_S
+            raise DecodeError(
+                "replayed",
+                f"counter {sealed.counter} was used; above {self._last} is accepted; a clock that the counter follows, "
+                f"as of magcal send, is {behind_s:.6g} s behind: set it, or wait",
+            )
         try:
             self._keep(sealed.counter)
         except OSError as error:

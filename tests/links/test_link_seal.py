@@ -81,6 +81,14 @@ def test_a_recorded_command_is_refused_counted_and_answered(line: Callable[[Role
     assert service.counters["refused.replayed"] == 1
 
 
+def test_a_sender_whose_clock_is_behind_is_told_by_how_much(line: Callable[[Role], Link]) -> None:
+    service, operator = line(Role.SERVICE), line(Role.VIEWER)
+    raw(operator, sealed_frame(1_700_000_090_500_000))
+    assert gather(service, 1) == [command(1)]
+    raw(operator, sealed_frame(1_700_000_000_000_000, 2))
+    assert "is 90.5 s behind: set it, or wait" in answers(operator, service)[0].text
+
+
 def test_a_recorded_command_is_refused_after_a_restart_too(line: Callable[[Role], Link]) -> None:
     """The counter outlives the process that stored it."""
     service, operator = line(Role.SERVICE), line(Role.VIEWER)
