@@ -122,3 +122,6 @@ CHANNEL_UNITS: Mapping[str, ChannelUnit] = MappingProxyType(
     }
 )
 """Every unit a telemetry channel may have."""
+
+FACTORS = (1e-12, 1e12)
+"""Of values in a unit without a name here, to one that has one: from a pico- to a tera-unit, and no sign."""

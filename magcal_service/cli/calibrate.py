@@ -30,7 +30,10 @@ from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_re
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
 
-PRIOR_HELP = "an earlier result of this sensor: the filter goes on from it, without a start of its own"
+PRIOR_HELP = (
+    "an earlier result of this sensor: the filter goes on from its nine errors, without a start of its own; effects of "
+    "other physics are not taken from it"
+)
 START_HELP = "first seconds that a filter starts from; a log that is no longer is taken as one batch (default: 120)"
 
 
@@ -128,8 +131,9 @@ def _table(result: Calibration) -> str:
         lines.append(f"  {name:<4}{number}   (3 sigma)")
     residuals = result.residuals
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
+    after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"
     lines.append(
-        f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after; "
+        f"residual rms: {residuals.before:.1f} nT before{after}; "
         f"noise floor {residuals.noise_floor:.1f} nT; held out: {held_out}"
     )
     lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))

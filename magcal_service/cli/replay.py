@@ -62,10 +62,8 @@ def _replay(options: argparse.Namespace) -> int:
         result = replay(recording, craft, options.speed, csv, as_recorded=True, inspection=inspection)
     residuals = residuals_of(inspection.usable, result, result.pipeline.config)
     print(_counts(recording, result))
-    print(
-        f"residual rms: {residuals.before:.1f} nT before, {residuals.after:.1f} nT after "
-        f"(noise floor {residuals.noise_floor:.1f} nT)"
-    )
+    after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"
+    print(f"residual rms: {residuals.before:.1f} nT before{after} (noise floor {residuals.noise_floor:.1f} nT)")
     if result.pipeline.compensation is not None:
         print(*compensation_lines(result.compensated, result.pipeline.compensation.model), sep="\n")
     if residuals.published is not None:

@@ -150,7 +150,7 @@ def _judged(applied: Applied, inspection: Inspection, given: Given, noise_nt: fl
         return applied
     remark = (
         f"{given.name} does not fit this recording: beside {noise_nt:.1f} nT of noise the vectors are {level:.1f} nT "
-        f"off the field where {allowed:.1f} nT are explained"
+        f"off the field where {allowed:.1f} nT are allowed for noise and protection level"
     )
     vectors = tuple(replace(one, verdict=Verdict.DOUBTFUL) for one in applied.vectors)
     return replace(applied, vectors=vectors, remark="; ".join(filter(None, (applied.remark, remark))))

@@ -126,7 +126,7 @@ def _of_session(top: Table) -> dict[str, Any]:
     section = top.table("magnetometer") or Table({}, top.file, "magnetometer", [])
     return {
         "time": TimeSpec("timestamp", TimeFormat.UNIX_S),
-        "magnetometer": read_record(section, MagnetometerSpec, {"columns": (), "unit": FieldUnit.NT}),
+        "magnetometer": read_record(section, MagnetometerSpec, {"columns": (), "unit": FieldUnit.NT, "factor": 1.0}),
         "reference": MagnitudeReference("magnitude_nt", FieldUnit.NT),
         "position": None,
         "channels": (),

@@ -8,7 +8,7 @@ from typing import Final
 
 from magcal_service.base.typed_toml.keys import choice, number, section, text
 from magcal_service.base.typed_toml.record import Reading, read_record
-from magcal_service.base.units import AngleUnit, LengthUnit
+from magcal_service.base.units import FACTORS, LENGTH_KM, AngleUnit, LengthUnit
 from magcal_service.wire.messages import Frame
 
 _GEODETIC = 2  # columns: latitude and longitude
@@ -27,10 +27,16 @@ class PositionFrame(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AltitudeColumn:
-    """The altitude, or the distance from the Earth's centre, per row, and its unit."""
+    """The altitude, or the distance from the Earth's centre, per row: cells times ``factor`` are in ``unit``."""
 
     column: str = text()
     unit: LengthUnit = choice(LengthUnit)
+    factor: float = number(1.0, *FACTORS)
+
+    @property
+    def unit_km(self) -> float:
+        """Kilometres per 1 of a cell."""
+        return self.factor * LENGTH_KM[self.unit]
 
 
 def _check_altitude(reading: Reading, name: str, _: AltitudeColumn | None) -> None:
@@ -64,11 +70,17 @@ class GeodeticPosition:
 
 @dataclass(frozen=True, slots=True)
 class CartesianPosition:
-    """Three columns, their unit and frame."""
+    """Three columns, their unit and frame; cells times ``factor`` are in ``unit``."""
 
     columns: tuple[str, ...]
     unit: LengthUnit = choice(LengthUnit)
     frame: Frame = choice(PositionFrame, convert=lambda frame: Frame(frame.value))
+    factor: float = number(1.0, *FACTORS)
+
+    @property
+    def unit_km(self) -> float:
+        """Kilometres per 1 of a cell."""
+        return self.factor * LENGTH_KM[self.unit]
 
 
 @dataclass(frozen=True, slots=True)

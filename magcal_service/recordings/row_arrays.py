@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.base.units import ANGLE_DEG, FIELD_NT, LENGTH_KM
+from magcal_service.base.units import ANGLE_DEG
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Reference
 from magcal_service.recordings.report import RowCount, RowFault, shown
@@ -142,13 +142,13 @@ class RowArrays:
     def field(self, descriptor: Descriptor) -> FloatArray:
         """The magnetometer vector of every row [nT]; rows without one, or with one beyond 1 mT, are refused."""
         spec = descriptor.magnetometer
-        field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
+        field_nt, codes = self._vectors(spec.columns, spec.unit_nt)
         self._count("magnetometer", _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT), spec.columns, kept=False)
         return field_nt
 
     def further(self, spec: MagnetometerSpec) -> FloatArray:
         """The vector of a further magnetometer (n, 3) [nT], NaN in rows that have none or one beyond 1 mT."""
-        field_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
+        field_nt, codes = self._vectors(spec.columns, spec.unit_nt)
         codes = _or_absurd(codes, _length(field_nt) > MAX_FIELD_NT)
         self._count(spec.source, codes, spec.columns, kept=True)
         field_nt[codes > 0] = np.nan
@@ -174,7 +174,7 @@ class RowArrays:
             km, codes = self._by_elements(spec, descriptor.beside_it(spec.file), time_ns)
             frame = Frame.ECI
         elif isinstance(spec, CartesianPosition):
-            km, codes = self._vectors(spec.columns, LENGTH_KM[spec.unit])
+            km, codes = self._vectors(spec.columns, spec.unit_km)
             frame = spec.frame
         else:
             km, codes = self._geodetic(spec)
@@ -207,7 +207,7 @@ class RowArrays:
         degrees, codes = self._vectors(spec.columns, ANGLE_DEG[spec.unit])
         height_km = np.full(len(codes), spec.altitude_km or 0.0)
         if spec.height is not None:
-            height, altitude_codes = self._vectors((spec.height.column,), LENGTH_KM[spec.height.unit])
+            height, altitude_codes = self._vectors((spec.height.column,), spec.height.unit_km)
             height_km = height[:, 0]
             codes = np.where(codes > 0, codes, altitude_codes)
         latitude, longitude = degrees.T
@@ -220,13 +220,13 @@ class RowArrays:
         vector_nt: FloatArray | None = None
         frame: Frame | None = None
         if isinstance(spec, VectorReference):
-            vector_nt, codes = self._vectors(spec.columns, FIELD_NT[spec.unit])
+            vector_nt, codes = self._vectors(spec.columns, spec.unit_nt)
             frame = spec.frame
         elif isinstance(spec, ModelReference):
             vector_nt, codes = _igrf_eci(time_ns, position, self.kept)
             frame = Frame.ECI
         elif isinstance(spec, MagnitudeReference):
-            values, codes = self._vectors((spec.column,), FIELD_NT[spec.unit])
+            values, codes = self._vectors((spec.column,), spec.unit_nt)
             magnitude_nt = values[:, 0]
         else:
             magnitude_nt = np.full(len(time_ns), spec.magnitude_nt)
@@ -244,7 +244,7 @@ class RowArrays:
         """One telemetry channel; a faulty cell is NaN and its neighbours stay."""
         parsed = [self._table.numbers(column) for column in spec.columns]
         codes = np.stack([code for _, code in parsed])
-        values = np.stack([value for value, _ in parsed], axis=-1)
+        values = np.stack([value for value, _ in parsed], axis=-1) * spec.factor
         absurd: npt.NDArray[np.bool_] = np.abs(values) > _MAX_CHANNEL
         values[absurd] = np.nan
         first = codes[np.argmax(codes > 0, axis=0), np.arange(codes.shape[1])]

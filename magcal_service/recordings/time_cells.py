@@ -26,6 +26,7 @@ _EPOCH_DAY: Final = {
     TimeFormat.EXCEL_DAYS: Decimal(25569),  # 1970-01-01 in days since 1899-12-30
     TimeFormat.MJD_DAYS: Decimal(40587),
     TimeFormat.MATLAB_DAYS: Decimal(719529),  # datenum: 1 is the first of January of the year 0
+    TimeFormat.MJD1950_DAYS: Decimal(7305),  # days since 1950-01-01, of CNES and SPENVIS
     TimeFormat.JULIAN_DAYS: Decimal("2440587.5"),
 }
 

@@ -32,10 +32,11 @@ class TimeFormat(StrEnum):
     JULIAN_DAYS = "julian_days"
     MJD_DAYS = "mjd_days"
     MATLAB_DAYS = "matlab_days"
+    MJD1950_DAYS = "mjd1950_days"
 
     @property
     def kind(self) -> str:
-        """``iso8601``, ``unix``, ``elapsed``, ``gps``, ``excel``, ``julian``, ``mjd`` or ``matlab``."""
+        """``iso8601``, ``unix``, ``elapsed``, ``gps``, ``excel``, ``julian``, ``mjd``, ``matlab`` or ``mjd1950``."""
         return self.value.split("_")[0]
 
     @property
@@ -59,6 +60,7 @@ _EXPECTS: Final = {
     "julian": "a number of days",
     "mjd": "a number of days",
     "matlab": "a number of days",
+    "mjd1950": "a number of days",
 }
 
 _GPS_COLUMNS: Final = 2  # week, and time of week

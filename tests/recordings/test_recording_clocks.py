@@ -51,6 +51,7 @@ INSTANTS = {
     "spreadsheet": ("45162.613993055556", "0", 'column = "a"\nformat = "excel_days"', "2023-08-24T14:44:09.000000038Z"),
     "Julian": ("2460181.113993055556", "0", 'column = "a"\nformat = "julian_days"', "2023-08-24T14:44:09.000000038Z"),
     "MATLAB": ("730486.5", "0", 'column = "a"\nformat = "matlab_days"', "2000-01-01T12:00:00.000000000Z"),
+    "since 1950": ("18262.5", "0", 'column = "a"\nformat = "mjd1950_days"', "2000-01-01T12:00:00.000000000Z"),
     "modified Julian": ("51544.5", "0", 'column = "a"\nformat = "mjd_days"', "2000-01-01T12:00:00.000000000Z"),
 }
 

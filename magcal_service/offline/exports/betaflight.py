@@ -24,8 +24,8 @@ _LARGEST: Final = 32_767  # counts: the setting holds 16 bits
 
 def _make(given: Given, wanted: Wanted) -> Exported:
     if wanted.lsb_nt is None:
-        accepted = "Betaflight's offsets are in counts: give the nT of one count, such as --lsb-nt 150 for 0.15 uT"
-        raise InputRefusedError([Fault("--lsb-nt", "missing", accepted)])
+        accepted = "its offsets are in counts: give the nT of one count, such as --lsb-nt 150 for 0.15 uT"
+        raise InputRefusedError([Fault("--format", "betaflight without --lsb-nt", accepted)])
     counts = np.rint(given.offset_nt / wanted.lsb_nt).astype(int).tolist()
     for axis, value in zip("XYZ", counts, strict=True):
         refuse_beyond("Betaflight", f"mag_calibration {axis}", value, -_LARGEST, _LARGEST, "counts")

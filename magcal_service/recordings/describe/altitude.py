@@ -117,7 +117,11 @@ def _unit(heights: Heights) -> tuple[str, str, tuple[str, ...]]:
         return "", f"the name says {column.unit}, but {usual:.5g} {column.unit} cannot be{moves}", found
     strange = unknown_unit(column.name)
     if strange and strange.lower() not in _DATUMS:
-        return "", f"the name says {strange}, which is no unit of a length here", found
+        return (
+            "",
+            f"the name says {strange}, which is no unit of a length here: write factor beside a unit of these",
+            found,
+        )
     if len(found) == 1 and heights.speed_km_s is not None:
         return found[0], f"the name says altitude, and{moves} only {usual:.5g} {found[0]} can be", found
     return "", "neither its name nor its numbers decide", found

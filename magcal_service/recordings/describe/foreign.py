@@ -20,6 +20,12 @@ _BINARY: Final = (
     (b"\xa3\x95", "an ArduPilot log", "mavlogdump.py --types MAG --format csv {log} > MAG.csv (of pymavlink)"),
     (b"ULog\x01\x12\x35", "a PX4 log", "ulog2csv {log} (of pyulog) makes a file of each topic, sensor_mag among them"),
     (b"H Product:Blackbox", "a Betaflight log", "blackbox_decode {log} (of blackbox-tools) makes a .csv"),
+    (
+        b"\xb5\x62",
+        "a u-blox receiver's log, which has places and no magnetometer",
+        "write its NAV-PVT messages as CSV, with pyubx2 say, and join them to the magnetometer's log",
+    ),
+    (b"SIMPLE  =", "a FITS file", "write its table as CSV: astropy.table.Table.read(...).write('log.csv')"),
     (b"PK\x03\x04", "a packed file", "unpack it (unzip {log}); of a spreadsheet, save the sheet as CSV"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a spreadsheet", "save the sheet as CSV"),
     (b"MATLAB 5.0 MAT-file", "a MATLAB file", "write it with writematrix or writetable in MATLAB, as .csv"),

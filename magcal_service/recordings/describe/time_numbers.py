@@ -17,6 +17,7 @@ TIME_WORDS: Final = {
     "t", "time", "times", "timestamp", "timestamps", "ts", "unix", "unixtime", "utc", "epoch", "date", "datetime",
     "clock", "elapsed", "sec", "secs", "second", "seconds", "ms", "millis", "micros", "us", "met", "tow", "tick",
     "ticks", "posix", "gps", "jd", "mjd", "julian", "excel", "uptime", "sow", "itow", "stamp", "serial", "datenum",
+    "cnes", "spenvis", "cjd",
 }  # fmt: skip
 
 S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -28,9 +29,16 @@ DAYS: Final = {
     "excel_days": (34000.0, 51000.0, 25569.0),
     "mjd_days": (51000.0, 66000.0, 40587.0),
     "matlab_days": (728000.0, 745000.0, 719529.0),
+    "mjd1950_days": (16400.0, 34000.0, 7305.0),
     "julian_days": (2.4495e6, 2.4665e6, 2440587.5),
 }
 """First and last day of about the same years, and the day of 1970-01-01."""
+
+_OF_1950: Final = {"cnes", "spenvis", "cjd", "1950"}
+"""What says that days count from 1950."""
+
+_OF_ANY_DAY: Final = {"mjd", "jd", "julian"} | _OF_1950
+"""What days are called; without such a name numbers like those since 1950 are as well the seconds of some hours."""
 
 _STEP_S: Final = (0.0009, 3700.0)
 """Seconds between rows: a magnetometer is read between 1000 times a second and once an hour."""
@@ -127,14 +135,15 @@ def numbers(column: Column) -> list[Form]:
             sure = fits and not counter and (named or not column.name)
             found.append(Form((column,), f"unix_{unit}", values * factor, True, why, sure, 1 if named else 3))
     for form, (low, high, epoch) in DAYS.items():
+        since_1950 = form == "mjd1950_days"
+        if since_1950 and not set(column.words) & _OF_ANY_DAY:
+            continue
         if within(values, low, high) and step * 86400.0 <= 86400.0 and (not column.whole or "jd" in column.words):
             year = 1970 + int((values[0] - epoch) / 365.2425)
             why = f"it rises from row to row by {step * 86400.0:.3g} s and its days are of the year {year}"
-            found.append(
-                Form(
-                    (column,), form, (values - epoch) * 86400.0, True, why, named or not column.name, 2 if named else 4
-                )
-            )
+            sure = bool(set(column.words) & _OF_1950) if since_1950 else named or not column.name
+            times = (values - epoch) * 86400.0
+            found.append(Form((column,), form, times, True, why, sure, 2 if named else 4))
     if any(form.sure for form in found) or (found and not named):
         return found
     return found + _elapsed(column, step, named)

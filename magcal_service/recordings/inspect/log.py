@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.base.units import FIELD_NT
 from magcal_service.recordings.inspect.finding import Rows
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.specs import ModelReference
@@ -49,7 +48,7 @@ class Log:
     @cached_property
     def field_as_written(self) -> FloatArray:
         """(m, 3) measured vectors in the unit of the file, free of the rounding of the conversion."""
-        return np.asarray(np.round(self.field_nt / FIELD_NT[self.recording.descriptor.magnetometer.unit], 9))
+        return np.asarray(np.round(self.field_nt / self.recording.descriptor.magnetometer.unit_nt, 9))
 
     @cached_property
     def magnitude_nt(self) -> FloatArray:

@@ -32,6 +32,8 @@ def refusal(path: Path) -> str:
         ("x.tlog", b"\0\5\xfe\x1c", "a telemetry log: mavlogdump.py"),
         ("LOG.BFL", b"H Product:Blackbox flight data recorder\n\0", "a Betaflight log: blackbox_decode"),
         ("phyphox.zip", b"PK\x03\x04\x14\0", "a packed file: unpack it (unzip "),
+        ("x.ubx", b"\xb5\x62\x01\x07", "a u-blox receiver's log, which has places and no magnetometer: write"),
+        ("x.fits", b"SIMPLE  =                    T", "a FITS file: write its table as CSV"),
         ("x.mat", b"MATLAB 5.0 MAT-file, Platform\0", "a MATLAB file: write it with writematrix"),
         ("x.h5", b"\x89HDF\r\n\x1a\n\0", "an HDF5 file"),
         ("x.parquet", b"PAR1\0", "a Parquet file"),

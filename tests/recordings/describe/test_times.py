@@ -47,6 +47,7 @@ SURE: dict[str, tuple[str, Callable[[int], str], str]] = {
     "excel": ("Date/Time", lambda i: f"{unix(i) / 86400 + 25569:.9f}", 'format = "excel_days"'),
     "julian": ("JD", lambda i: f"{unix(i) / 86400 + 2440587.5:.9f}", 'format = "julian_days"'),
     "matlab": ("datenum", lambda i: f"{unix(i) / 86400 + 719529:.9f}", 'format = "matlab_days"'),
+    "since 1950": ("time_cnes", lambda i: f"{unix(i) / 86400 + 7305:.9f}", 'format = "mjd1950_days"'),
     "mjd": ("mjd", lambda i: f"{unix(i) / 86400 + 40587:.9f}", 'format = "mjd_days"'),
     "day first": ("when", lambda i: f"{at(i):%d/%m/%Y %H:%M:%S.%f}", 'pattern = "%d/%m/%Y %H:%M:%S.%f"'),
     "apart": ("Date;Time", lambda i: f"{at(i):%Y-%m-%d;%H:%M:%S.%f}", 'pattern = "%Y-%m-%d %H:%M:%S.%f"'),
@@ -79,6 +80,11 @@ def test_an_instant_is_read_in_any_form(form: str, tmp_path: Path) -> None:
     expected = np.array([START.timestamp() + step * row for row in range(ROWS)])
     np.testing.assert_allclose(times.seconds, expected, atol=1e-3)
     assert step == pytest.approx(2 * STEP_S if form in WHOLE_SECONDS else STEP_S, abs=1e-4)
+
+
+def test_days_that_a_bare_name_leaves_open_are_offered_as_days_since_1950_and_asked(tmp_path: Path) -> None:
+    _, draft = times_of("mjd", lambda i: f"{unix(i) / 86400 + 7305:.9f}", tmp_path)
+    assert any("mjd1950_days" in str(question) for question in draft.questions)
 
 
 @pytest.mark.parametrize(
