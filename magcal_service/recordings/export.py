@@ -21,6 +21,9 @@ SAMPLES: Final = "samples"
 KIND_NAMES: Final = tuple(kind.name for kind in KINDS)
 SUFFIXES: Final = (".csv", ".parquet")
 
+_MOST_CELLS: Final = 1 << 25
+"""Of one table, empty ones included: as many as of a log in rows, 60 bytes of memory each at most."""
+
 _CELLS = {kind.record: tuple(field.name for field in kind.fields) for kind in KINDS}
 
 
@@ -70,20 +73,35 @@ def _vector(name: str, parts: list[list[float]]) -> Columns:
 
 
 def _message_columns(path: Path, kind: str, craft: str | None, source: str | None) -> Columns:
-    rows, names = [], []
+    columns: Columns = {}
+    rows, names = 0, set[str]()
     refused: dict[str, Counter[str]] = {}
     try:
         with path.open("rb") as file:
             for name, message in decoded(McapReader(file, str(path)), refused, frozenset({kind})):
-                names.append(name)
-                if craft in (None, name) and source in (None, message.source):
-                    rows.append(dict(_cells(message)))
+                names.add(name)
+                if craft not in (None, name) or source not in (None, message.source):
+                    continue
+                for key, cell in _cells(message):
+                    column = columns.setdefault(key, [])
+                    column += [None] * (rows - len(column))
+                    column.append(cell)
+                rows += 1
+                _check_cells(path, len(columns), rows)
     except OSError as error:
         raise RecordingError([FileFault(str(path), error, "give a readable recording")]) from None
     if craft is not None and craft not in names:
-        raise RecordingError([Fault(f"{path}: craft", craft, nearest(craft, set(names)))])
-    header = dict.fromkeys(key for row in rows for key in row)
-    return {key: [row.get(key) for row in rows] for key in header}
+        raise RecordingError([Fault(f"{path}: craft", craft, nearest(craft, names))])
+    for column in columns.values():
+        column += [None] * (rows - len(column))
+    return columns
+
+
+def _check_cells(path: Path, columns: int, rows: int) -> None:
+    """Refuse a table that would take too much memory."""
+    if columns * rows > _MOST_CELLS:
+        accepted = f"at most {_MOST_CELLS} cells are accepted; take one --craft or --source, or record with a smaller "
+        raise RecordingError([Fault(str(path), f"{rows} rows of {columns} columns", f"{accepted}file_mb")])
 
 
 def _cells(message: Message) -> Iterator[tuple[str, Any]]:

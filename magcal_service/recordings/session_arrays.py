@@ -121,7 +121,8 @@ def session_recording(
 
     Raises ``RecordingError`` as ``read_session``, and where there is no magnetometer sample.
     """
-    session = read_session(path, craft, prefer, None if descriptor is None else RowLimits(descriptor.max_rows))
+    limits = RowLimits() if descriptor is None else RowLimits(descriptor.max_rows)
+    session = read_session(path, craft, prefer, limits)
     measured = [message for message in session.messages if isinstance(message, MagnetometerSample)]
     if not measured:
         raise RecordingError([Fault(str(path), "no magnetometer samples", "a recording with some is accepted")])
@@ -137,6 +138,7 @@ def session_recording(
     clock, time_ns = used[0].clock, np.array([sample.time_ns for sample in used], dtype=np.int64)
     _note_order(rows, time_ns)
     gap_s = (session.configuration.ticks if session.configuration else TickConfig()).reference_max_gap_s
+    _check_channels(path, session.messages, len(time_ns), limits)
     others = _Others([message for message in session.messages if message.clock is clock], time_ns, gap_s, rows)
     reference, position, channels = others.reference(), others.position(), others.channels()
     return Recording(
@@ -156,6 +158,12 @@ def session_recording(
         source=chosen,
         others=further,
     )
+
+
+def _check_channels(path: Path, messages: Sequence[Message], rows: int, limits: RowLimits) -> None:
+    """Refuse more channels, each of which has a value for every row, than rows of a log may have cells."""
+    widths = {one.channel: len(one.values) for one in messages if isinstance(one, TelemetrySample)}
+    limits.check_cells(path, sum(widths.values()), rows)
 
 
 def _chosen(path: Path, session: Session, heard: Sequence[str], source: str | None) -> tuple[str, tuple[str, ...]]:

@@ -19,7 +19,7 @@ import zstandard
 from magcal_service.base.errors import InputRefusedError, RecordingError
 from magcal_service.cli.__main__ import main
 from magcal_service.offline.given import read_given
-from magcal_service.recordings import mcap_limits, mcap_reader, mcap_records, row_limits
+from magcal_service.recordings import export, mcap_limits, mcap_reader, mcap_records, row_limits
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.mcap import MAGIC
 from magcal_service.recordings.mcap_reader import McapReader
@@ -29,6 +29,7 @@ from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.row_limits import RowLimits
 from magcal_service.recordings.session import read_session
 from magcal_service.recordings.session_files import recover_in_place
+from magcal_service.wire.messages import Clock, MagnetometerSample, Message, TelemetrySample
 from tests.recordings.recording_logs import HEADER, descriptor, row, write_log
 from tests.recordings.sessions import record, stream
 
@@ -134,8 +135,10 @@ def test_a_recording_that_unpacks_to_far_more_than_it_is_is_refused(
     assert list(McapReader(io.BytesIO(packed(content, 12)), "file").messages()) == []
     path = tmp_path / "bomb.mcap"
     path.write_bytes(packed(content, 40))
-    for command in ("info", "recover", "check", "describe"):
-        assert main(["record", command, str(path)]) == 2
+    out = tmp_path.parent / f"{tmp_path.name}.csv"
+    exported = (["export", "--out", str(out)], ["export", "--out", str(out), "--kind", "status"])
+    for command, *more in (["info"], ["recover"], ["check"], ["describe"], *exported):
+        assert main(["record", command, str(path), *more]) == 2
         told = capsys.readouterr().err
         assert re.search(
             rf"bomb\.mcap.*{path.stat().st_size} bytes that unpack to more than .* accepted.*take a copy", told
@@ -218,6 +221,42 @@ def test_more_messages_than_are_held_are_refused_and_a_description_raises_that(t
         described.write_text(f'version = 1\n[samples]\nfile = "{path.name}"\nmax_rows = {rows}\n')
         with pytest.raises(RecordingError, match=told) if told else nullcontext():
             assert len(read_recording(described))
+
+
+def many_names(count: int) -> list[Message]:
+    """Telemetry that has another channel, and statuses that have another counter, each time."""
+    stamp = {"craft": "paper", "source": "s", "clock": Clock.UTC}
+    named: list[Message] = []
+    for number in range(count):
+        time_ns = 1_700_000_000_000_000_000 + number * 10**9
+        named.append(
+            MagnetometerSample(**stamp, sequence=number, time_ns=time_ns, field_body_nt=(1.0 + number, 2.0, 3.0))
+        )
+        named.append(
+            TelemetrySample(
+                **stamp, sequence=number, time_ns=time_ns, channel=f"c{number}", unit="A", values=(1.0,) * 16
+            )
+        )
+    return named
+
+
+def test_channels_and_counters_that_are_always_new_do_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each channel has a cell in every row: 300 of sixteen values beside 300 samples would be 1.4 million."""
+    (path,) = record(tmp_path, tuple(many_names(300)))
+    monkeypatch.setattr(row_limits, "_CELLS_PER_ROW", 0)
+    tracemalloc.start()
+    for command in (["calibrate", str(path)], ["record", "export", str(path), "--out", str(tmp_path / "x.csv")]):
+        assert main(command) == 2
+        assert "300 rows of 4800 columns is refused; at most 65536 cells" in capsys.readouterr().err.replace("'", "")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 << 20
+    monkeypatch.setattr(export, "_MOST_CELLS", 1000)
+    assert main(["record", "export", str(path), "--kind", "telemetry", "--out", str(tmp_path / "x.csv")]) == 2
+    assert "columns' is refused; at most 1000 cells" in capsys.readouterr().err
+    assert not (tmp_path / "x.csv").exists()
 
 
 def test_a_chunk_that_says_too_much_or_has_more_than_it_says_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
