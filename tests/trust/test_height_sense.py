@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from magcal_service.earth.free_fall import MU_KM3_S2
 from magcal_service.earth.geomagnetic import EARTH_KM
@@ -121,3 +123,27 @@ def test_a_memory_that_is_restored_goes_on() -> None:
     told(wrong[300:900], sense=second, since_s=300.0)
     assert whole.said
     assert second.export_state() == whole.export_state()
+
+
+RADIUS_KM = st.sampled_from([6300.0, 6378.2, 6878.0, 42_164.0, 60_000.0])
+STEP_S = st.sampled_from([1e-9, 1.0, 14.9, 15.0, 120.0, 400.0, 401.0, 1e9, -1.0, -401.0, -9e9])
+ANGLE = st.floats(0.0, math.tau)
+
+
+@given(st.lists(st.tuples(STEP_S, RADIUS_KM, ANGLE, ANGLE), max_size=60), st.floats(-9.2e9, 9.2e9))
+def test_positions_and_times_at_any_edge_are_taken(steps: list[tuple[float, float, float, float]], at_s: float) -> None:
+    """Places on which the model has a field, at times within the wire's; what is kept can be restored."""
+    sense = HeightSense()
+    for step_s, radius, across, up in steps:
+        at_s += step_s
+        place = (
+            radius * math.cos(across) * math.cos(up),
+            radius * math.sin(across) * math.cos(up),
+            radius * math.sin(up),
+        )
+        if sense.wants(at_s):
+            sense.push(at_s, place)
+    again = HeightSense()
+    again.restore_state(sense.export_state())
+    assert again.export_state() == sense.export_state()
+    assert all(math.isfinite(fall) for fall in sense._falls)
