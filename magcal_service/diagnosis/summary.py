@@ -7,12 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.diagnosis.diagnose import Diagnosis
+from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
+    IN_DOUBT,
     advice,
     belief,
     members,
@@ -29,7 +30,8 @@ _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
 
 _WORSE: Final = 1.02
-"""Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse."""
+"""Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse;
+below the noise by as much, that this is no floor."""
 
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
@@ -41,16 +43,22 @@ def summary(
     """What was found, how much better it fits, what remains, and where the files are."""
     lines = [f"verdict: {diagnosis.verdict}"]
     lines += reason_lines(advice(diagnosis.reasons, diagnosis.concerned))
-    lines += wrapped(verdict_sentence(diagnosis, found, held_out), most=3)
+    sentence = verdict_sentence(diagnosis, found, held_out)
+    lines += wrapped(sentence, most=3)
     for entry in found[:_MOST_EFFECTS]:
         lines += _of(entry)
     if len(found) > _MOST_EFFECTS:
         lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
+    floor_nt = diagnosis.prepared.problem.noise_nt
     lines.append(
         f"rms on rows held out of the fit: {held_out['simulation']:.1f} nT simulation, "
         f"{held_out['recalibrated']:.1f} nT recalibrated, {held_out['with_effects']:.1f} nT with effects; "
-        f"noise floor {diagnosis.prepared.problem.noise_nt:.1f} nT"
+        f"noise floor {floor_nt:.1f} nT"
     )
+    if diagnosis.fit.terms and _WORSE * held_out["with_effects"] < floor_nt and not _states_noise(diagnosis):
+        lines.append(
+            "  the noise floor was taken with nine errors alone: it holds what was found, as far as that is fast"
+        )
     if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
         lines.append("  recalibrated is worse than the simulation on these rows: what is missing moves it")
     lines += _vectors(diagnosis)
@@ -62,7 +70,8 @@ def summary(
         )
     if diagnosis.prepared.sun is not None:
         lines += wrapped(f"Sun: {diagnosis.prepared.sun}", "")
-    lines.append(f"left: {remaining(diagnosis)}")
+    if diagnosis.verdict is not Verdict.UNKNOWN or sentence == IN_DOUBT:  # else the sentence has said it
+        lines.append(f"left: {remaining(diagnosis)}")
     if diagnosis.modelled is not None:
         lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
@@ -78,6 +87,10 @@ def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
         lift = f"; {one['remedy']}" if one["remedy"] else ""
         yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ")
+
+
+def _states_noise(diagnosis: Diagnosis) -> bool:
+    return diagnosis.prepared.recording.descriptor.magnetometer.noise_nt is not None
 
 
 def _of(entry: Entry) -> Iterator[str]:

@@ -257,7 +257,7 @@ def expected(one: Separation) -> str:
 
 def _sized(found: Sequence[Entry]) -> str:
     rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == UNLISTED), None)
-    return "" if rms_nt is None else f", {rms_nt:.1f} nT rms,"
+    return "" if rms_nt is None else f", {rms_nt:.1f} nT rms in the shape that fits best,"
 
 
 def listed(parts: Sequence[str]) -> str:

@@ -284,8 +284,9 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
     tail = "no effect of the catalogue explains it, but where it sits is known."
     alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
     assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
+    makes = f"makes 61 % of the mismatch besides currents: {tail}"
     beside = verdict_sentence(unknown, [entry("unknown", rms=310.44), entry("b")], HELD_OUT)
-    assert beside == f"Something without a name, 310.4 nT rms, makes 61 % of the mismatch besides currents: {tail}"
+    assert beside == f"Something without a name, 310.4 nT rms in the shape that fits best, {makes}"
 
 
 @pytest.mark.parametrize(

@@ -324,7 +324,8 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
     lines += _level_lines(diagnosis)
-    lines.append(f"left: {remaining(diagnosis)}")
+    if diagnosis.verdict is not Verdict.UNKNOWN or sentence(diagnosis) == IN_DOUBT:  # else the sentence has said it
+        lines.append(f"left: {remaining(diagnosis)}")
     lines += ["files: " + ", ".join(str(path) for path in files)] if files else []
     return lines
 
