@@ -87,8 +87,8 @@ def tempered(
                 one, beside = by_fit[0], (by_fit[1], search.white(fit.residual))
             dispersion = gain_over(*beside, blocks, sigma_nt**2).dispersion
             one = replace(one, nats=own.nats + _beyond(one, own, dispersion))
-        if is_recorded(mine) and not is_recorded(one.hypothesis):
-            one = replace(one, nats=one.nats - RECORDED_NATS)
+        if is_recorded(mine) != is_recorded(one.hypothesis):
+            one = replace(one, nats=one.nats + (RECORDED_NATS if is_recorded(one.hypothesis) else -RECORDED_NATS))
         found.append(one)
     return sorted(found, key=lambda candidate: -candidate.nats)
 
