@@ -12,7 +12,7 @@ import pytest
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.prepare import baseline_start
 from magcal_service.diagnosis.problem import Problem, evaluate
-from magcal_service.diagnosis.solution import _Held, _where_it_turns, solve
+from magcal_service.diagnosis.solution import _by_differences, _Held, _score_slopes, _Step, _where_it_turns, solve
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -106,6 +106,21 @@ def test_a_short_arc_does_not_end_in_a_half_collapsed_minimum() -> None:
     assert float(np.linalg.det(np.eye(3) + d_matrix(x))) == pytest.approx(
         float(np.linalg.det(np.eye(3) + d_matrix(large))), rel=0.1
     )
+
+
+def test_the_score_s_own_derivative_leads_to_its_zero() -> None:
+    """From half a sigma off in every unknown; and where the residual is small, it is that of Gauss and Newton."""
+    problem = Problem(scene(NOISE_NT), NOISE_NT)
+    end = solve(problem, X)
+    sigma = np.sqrt(np.diagonal(end.covariance))
+    off = evaluate(problem, end.x + 0.5 * sigma * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1]), [])
+    here = _Step.of(off, off.white_rms_nt**2)
+    assert here.to_go > 0.1 * here.sigma2
+    found = _by_differences(off, here)
+    assert found.converged
+    assert float((np.abs(found.x - end.x) / sigma).max()) < 0.02
+    slopes = _score_slopes(off, here.sigma2) / np.outer(here.scale, here.scale)
+    np.testing.assert_allclose(slopes, here.normal, atol=0.02)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
