@@ -40,6 +40,19 @@ def test_a_free_form_has_to_be_likelier_than_a_family_without_a_name() -> None:
     assert len(stands(("one", along(0, SLOW), 900.0), is_free=False, is_left=False).fit.terms) == 1
 
 
+@pytest.mark.parametrize(("inflated", "left"), [(1.0, 1), (1.9, 1), (2.2, 0), (300.0, 0)])
+def test_a_name_whose_evidence_a_fit_without_it_does_not_bear_out_goes(inflated: float, left: int) -> None:
+    """Its evidence to first order taken so many times: from twice what a refit shows on it is no name."""
+    search, fit = searching(flown(900.0 * along(0, SLOW)), body_form("one", "", along(0, SLOW)))
+    terms = [Term(form, np.zeros(0), np.array([0.0])) for form in search.hypotheses]
+    found = search.compared(solve(search.problem, fit.x, terms), FLOOR_NT)
+    cost = found.gains[0].nats - found.nats[0] * found.gains[0].dispersion
+    nats = inflated * found.nats[0]
+    told = replace(found.gains[0], nats=nats * found.gains[0].dispersion + cost)
+    found = replace(found, nats=(nats,), gains=(told,))
+    assert len(standing(search, fit, found, None, FLOOR_NT, is_left=False).fit.terms) == left
+
+
 def test_nothing_is_outdone_where_nothing_was_found() -> None:
     search, fit = searching(flown(np.zeros((COUNT, 3))))
     found = Explained(fit)
