@@ -42,6 +42,8 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
     found = search.screen(search.workspace(fit, index), fit, fit.white_rms_nt, among=[own])
     if found:
         fit = _better(fit, [_at(fit, index, found[0].theta, found[0].gain.amplitudes)])
+    if any(number.role == "edge" for number in own.nonlinear):
+        return _better(fit, [_at(fit, index, _moved(fit, index), fit.terms[index].amplitudes)])
     if len(own.nonlinear) != 1 or own.nonlinear[0].role != "instant":
         return fit
     span_s = float(np.ptp(fit.problem.scene.time_s))
@@ -56,6 +58,15 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
         step_s *= 0.5 if best is fit else 1.0
         fit = best
     return fit
+
+
+def _moved(fit: Fit, index: int) -> Array:
+    """A term's edges (k,) where a joint solution leaves them that moves them along."""
+    own = fit.terms[index].hypothesis
+    loose = replace(own, nonlinear=tuple(replace(number, role="loose") for number in own.nonlinear))
+    terms: list[Term] = list(fit.terms)
+    terms[index] = replace(terms[index], hypothesis=loose)
+    return solve(fit.problem, fit.x, terms).terms[index].theta
 
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:

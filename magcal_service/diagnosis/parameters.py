@@ -42,7 +42,27 @@ def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
     moving = free_numbers(term)
     if number in moving:
         return float(sigma[moving.index(number)])
-    return _instant_sigma(fit, term, number) if term.hypothesis.nonlinear[number].role == "instant" else math.nan
+    role = term.hypothesis.nonlinear[number].role
+    if role == "edge":
+        return _edge_sigma(fit, term, number)
+    return _instant_sigma(fit, term, number) if role == "instant" else math.nan
+
+
+def _edge_sigma(fit: Fit, term: Term, number: int) -> float:
+    """1 sigma of where a change that takes a while begins or ends [s], beside all that was fitted."""
+    step_s = fit.problem.scene.period_s
+    sides = []
+    for sign in (1.0, -1.0):
+        theta = np.array(term.theta)
+        theta[number] += sign * step_s
+        rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
+        assert rows is not None
+        sides.append(rows @ term.amplitudes)
+    slope = fit.problem.white((sides[0] - sides[1]) / (2.0 * step_s))
+    scale, products, _ = fit.normal_equations
+    columns = fit.white_columns / scale
+    left = slope - columns @ np.linalg.lstsq(products, columns.T @ slope, rcond=1e-13)[0]
+    return fit.white_rms_nt / max(float(np.linalg.norm(left)), 1e-300)
 
 
 def _instant_sigma(fit: Fit, term: Term, number: int) -> float:

@@ -42,6 +42,7 @@ _NEAR: Final = 0.5
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
 OF_LINES: Final = ("frequency", "period")  # roles of numbers that are tried at the lines of a residual
+_CHANGES: Final = ("instant", "edge")  # roles of times of a change, which are sought over all samples
 
 _WORTH_REFINING: Final = 0.3
 """Of the best evidence on the grids: what has less there does not come first by being refined."""
@@ -203,7 +204,7 @@ class Screen:
             trial = self._gain(hypothesis, values, space, fit, sigma_nt)
             if trial is not None and (best is None or trial.nats > best[1].nats):
                 best = values, trial
-        if best is not None and afresh and hypothesis.nonlinear and hypothesis.nonlinear[0].role == "instant":
+        if best is not None and afresh and hypothesis.nonlinear and hypothesis.nonlinear[0].role in _CHANGES:
             self._keep(hypothesis, best[0])
         return None if best is None else Candidate(hypothesis, *best, best[1].nats - cost)
 
@@ -242,7 +243,7 @@ class Screen:
     ) -> Candidate:
         """A candidate with its nonlinear numbers moved to their best."""
         hypothesis = candidate.hypothesis
-        if not hypothesis.nonlinear or hypothesis.nonlinear[0].role == "instant":
+        if not hypothesis.nonlinear or hypothesis.nonlinear[0].role in _CHANGES:
             return candidate
         grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
         theta, gain = refined_numbers(
@@ -325,7 +326,7 @@ def _product(grids: Sequence[Array]) -> Array:
 
 def search_cost(number: Nonlinear, problem: Problem) -> float:
     """ln of the number of independent trials."""
-    if number.role in ("frequency", "period", "instant"):
+    if number.role in (*OF_LINES, *_CHANGES):
         return math.log(max(len(problem.scene), 2))
     return math.log(max(len(number.grid), 1))
 

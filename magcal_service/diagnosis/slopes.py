@@ -10,8 +10,8 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.interface import Nonlinear
 
-HELD: Final = ("instant", "held")
-"""Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump with them."""
+HELD: Final = ("instant", "edge", "held")
+"""Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump or bend with them."""
 
 
 def room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Array:

@@ -72,8 +72,9 @@ class Nonlinear:
     Parameters
     ----------
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
-    role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"held"`` once
-        it has been searched (the columns jump with it), or ``""``.
+    role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"edge"`` of one that
+        takes a while, ``"loose"`` while a refit moves it, ``"held"`` once it has been searched (the columns jump with
+        it), or ``""``.
     """
 
     name: str

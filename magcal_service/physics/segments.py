@@ -66,8 +66,13 @@ class Segments:
 
     def drop(self, chosen: Array) -> Array:
         """Drop in squares (m,) [nT^2] by the columns switched on in the stretches that (m, g) has as 1."""
-        normal, inside, right = (self._sum(chosen, part) for part in (self.normal, self.inside, self.right))
-        return Segments(normal, inside, right).drops
+        return self.weighted(chosen).drops
+
+    def weighted(self, levels: Array) -> Segments:
+        """Sums (m, ...) of the columns times signals (m, g) that are constant in each stretch."""
+        return Segments(
+            self._sum(levels**2, self.normal), self._sum(levels, self.inside), self._sum(levels, self.right)
+        )
 
     @property
     def drops(self) -> Array:

@@ -11,11 +11,13 @@ from magcal_service import read_recording
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
+from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
 from magcal_service.diagnosis.rivals import tempered
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from tests.blind.draw import draw_case as draw_blind
@@ -75,6 +77,20 @@ def test_an_instant_that_a_fit_has_wrong_is_sought_again(off_s: float) -> None:
     assert abs(float(found.terms[0].theta[0]) - at_s) <= 8.0
     assert found.converged
     assert (found.sensor_residual**2).sum() <= (began.sensor_residual**2).sum()
+
+
+@pytest.mark.parametrize("width_s", [240.0, 1200.0])
+def test_the_ends_of_a_change_that_takes_a_while_are_moved_by_joint_solutions(width_s: float) -> None:
+    """From 150 s off at either end, and known to what the diagnosis says they are."""
+    (form,) = [one for one in effect_named("bias_drift").hypotheses(scene()) if one.variant == "over a while"]
+    edges = np.array([4000.0, 4000.0 + width_s])
+    search, fit = searching(flown(along(1, 900.0 * np.interp(TIME_S, edges, [0.0, 1.0]))), form)
+    began = solve(search.problem, fit.x, [Term(form, edges + np.array([-150.0, 150.0]), np.zeros(3))])
+    found = timed(search, began, 0)
+    values = parameters_of(found, 0, effect_named("bias_drift"))
+    for name, edge in zip(("from_s", "to_s"), edges, strict=True):
+        assert 0.0 < float(values[name].sigma) < 60.0
+        assert abs(float(values[name].value) - edge) < 4.0 * float(values[name].sigma)
 
 
 def test_a_form_without_an_instant_stays_as_it_is() -> None:

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.interface import Block, Effect
+from magcal_service.physics.drivers.ramps import ramp
+from magcal_service.physics.interface import Block, Effect, Hypothesis
+from magcal_service.physics.scene.scene import Scene
+
+
+def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield from drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
+    yield ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"))
+
 
 EFFECT = Effect(
     name="bias_drift",
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_COURSE, ""),),
     title="the bias drifts",
-    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample",
-    units={"nt_per_s": "nT/s", "nt_per_s2": "nT/s2", "nt_end": "nT", "time_constant_s": "s"},
+    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample; or of two levels",
+    units={
+        "nt_per_s": "nT/s",
+        "nt_per_s2": "nT/s2",
+        "nt_end": "nT",
+        "time_constant_s": "s",
+        "nt_between": "nT",
+        "from_s": "s",
+        "to_s": "s",
+    },
     prior=(5.0, 5000.0),
     valid="smooth over the recording",
     confused_with=("thermal_bias", "external_field", "bias_step", "scale_drift"),
@@ -23,6 +41,7 @@ EFFECT = Effect(
         "The bias of {nt_per_s.place} drifts by {nt_per_s.signed} at first, bending by up to {nt_per_s2.size}.",
         "The bias of {nt_per_s.place} drifts by {nt_per_s.signed}, the most of the three.",
         "The bias of {nt_end.place} relaxes by {nt_end.signed} with a time constant of {time_constant_s.size}.",
+        "The bias of {nt_between.place} changes by {nt_between.signed} from {from_s.size} to {to_s.size}, evenly.",
     ),
-    hypotheses=lambda scene: tuple(drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))),
+    hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

@@ -8,6 +8,7 @@ from dataclasses import replace
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, gains
 from magcal_service.physics.drivers.change import drifts
+from magcal_service.physics.drivers.ramps import ramp
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -16,6 +17,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield from drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
     for hypothesis in drifts(scene, "scale_drift", lambda s: gains(scene.calibrated_nt, s), Block("per_s", "1/s")):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".strip(", "))
+    yield ramp(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("between", "1"))
 
 
 EFFECT = Effect(
@@ -23,8 +25,16 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.SCALE_COURSE, ""),),
     title="the gain drifts",
-    equation="D + diag(rate) t, so d = -diag(rate) t B; quadratic or relaxing as for a bias, t from the first sample",
-    units={"per_s": "1/s", "per_s2": "1/s2", "end": "1", "time_constant_s": "s"},
+    equation="D + diag(rate) t, so d = -diag(rate) t B; or in the other courses that a bias takes",
+    units={
+        "per_s": "1/s",
+        "per_s2": "1/s2",
+        "end": "1",
+        "time_constant_s": "s",
+        "between": "1",
+        "from_s": "s",
+        "to_s": "s",
+    },
     prior=(5.0, 5000.0),
     valid="smooth over the recording",
     confused_with=("thermal_scale", "bias_drift"),
@@ -34,6 +44,7 @@ EFFECT = Effect(
         "The gain of {per_s.place} {per_s.falls} by {per_s.size} at first, bending by up to {per_s2.size}.",
         "The gain of {per_s.place} {per_s.falls} by {per_s.size}, the most of the three.",
         "The gain of {end.place} {end.falls} by {end.percent} in all, with a time constant of {time_constant_s.size}.",
+        "The gain of {between.place} {between.falls} by {between.percent} from {from_s.size} to {to_s.size}, evenly.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

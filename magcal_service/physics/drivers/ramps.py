@@ -1,0 +1,87 @@
+"""A change from one level to another that takes a while: what is no step, and no drift that lasts.
+
+The search works on sums over stretches of time, from which a ramp from any of them to any other is evaluated at its
+mean level in each: first on a 96th of the recording, then on finer ones around the best, down to the sample.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.columns import Columns
+from magcal_service.physics.drivers.change import instants
+from magcal_service.physics.drivers.instants import Rows
+from magcal_service.physics.drivers.temperature import Act
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments, Sums
+
+_STRETCHES: Final = 96
+"""Stretches of the first look, and of each further one; choice: as for instants.  All pairs are tried, 4600."""
+
+_SHORTEST: Final = 32
+"""Samples of the shortest ramp: what is quicker is called a jump.  Shorter ones hold what a faint jump holds."""
+
+_FEWEST: Final = 8  # samples of a stretch: with fewer, where a ramp begins is as good as nowhere
+
+
+def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
+    """Nothing before one instant, a constant from another one on, and evenly from the one to the other between them."""
+    first, last = np.array_split(instants(scene).grid, 2)
+    numbers = Nonlinear("from_s", "s", first, role="edge"), Nonlinear("to_s", "s", last, role="edge")
+
+    def columns(theta: Array) -> Columns:
+        return act(_level(scene.time_s, float(theta[0]), float(theta[1])))
+
+    def proposals(sums: Sums) -> Array:
+        best = _best(scene, act, sums)
+        return np.zeros((0, 2)) if best is None else best[None]
+
+    return Hypothesis(effect, "none", columns, (block,), "over a while", numbers, is_free=True, proposals=proposals)
+
+
+def _level(time_s: Array, from_s: float, to_s: float) -> Array:
+    """Of the whole change (n,), how much has come about."""
+    return np.asarray(np.clip((time_s - from_s) / max(to_s - from_s, 1e-9), 0.0, 1.0))
+
+
+def _best(scene: Scene, act: Act, sums: Sums) -> Array | None:
+    """First and last time (2,) [s] of the ramp that holds most; None where the recording is too short for any."""
+    count = len(scene)
+    if count < _STRETCHES * _FEWEST:
+        return None
+    columns = act(np.ones(count))
+    low, high = 0, count
+    while True:
+        places = np.unique(np.linspace(low, high, _STRETCHES + 1).astype(np.intp))
+        firsts = np.unique(np.concatenate([[0], places[places < count]]))
+        pairs = _pairs(places)
+        segments = sums(columns, firsts)
+        begins, ends = pairs[int(np.argmax(_drops(scene.time_s, firsts, segments, pairs)))]
+        width = int(places[1] - places[0])
+        if width <= 1:
+            break
+        low, high = max(int(begins) - 2 * width, 0), min(int(ends) + 2 * width, count)
+        if high - low >= places[-1] - places[0]:
+            break  # a ramp over all of it: nothing is finer
+    last = min(int(ends), count - 1)
+    return np.array([scene.time_s[begins], scene.time_s[last]]) if scene.time_s[last] > scene.time_s[begins] else None
+
+
+def _pairs(places: Rows) -> Rows:
+    """Rows (m, 2) that a ramp may begin and end at."""
+    first, last = np.triu_indices(len(places), 1)
+    pairs = np.stack([places[first], places[last]], axis=1)
+    return np.asarray(pairs[pairs[:, 1] - pairs[:, 0] >= _SHORTEST])
+
+
+def _drops(time_s: Array, firsts: Rows, segments: Segments, pairs: Rows) -> Array:
+    """Drop in squares (m,) [nT^2] by ramps between rows (m, 2), each at its mean level in every stretch."""
+    ends = np.append(firsts[1:], len(time_s))
+    middle = 0.5 * (time_s[firsts] + time_s[ends - 1])
+    since = time_s[np.minimum(pairs, len(time_s) - 1)]
+    levels = np.clip((middle - since[:, :1]) / (since[:, 1:] - since[:, :1]), 0.0, 1.0)
+    return segments.weighted(levels).drops
