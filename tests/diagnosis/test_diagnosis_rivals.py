@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
-from magcal_service.diagnosis.rivals import tempered
+from magcal_service.diagnosis.rivals import RECORDED_NATS, tempered
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
@@ -127,6 +128,22 @@ def test_rivals_that_come_near_are_fitted_and_others_are_not() -> None:
     assert own.nats > by_fit["near"].nats > by_fit["far"].nats
 
 
+@pytest.mark.parametrize(("own_driver", "rival_driver", "odds"), [("none", "none", 0), ("none", "channel:a", 1)])
+def test_what_was_recorded_has_its_odds_as_a_rival_and_as_a_name(own_driver: str, rival_driver: str, odds: int) -> None:
+    def nats(*drivers: str) -> float:
+        fields = (SLOW, SLOW + 0.15 * QUICK)
+        forms = [
+            replace(body_form(name, "", along(0, field)), driver=driver)
+            for name, field, driver in zip(("mine", "near"), fields, drivers, strict=True)
+        ]
+        _, by_fit, _ = placed(*forms)
+        return by_fit["near"].nats - by_fit["mine"].nats
+
+    equal = nats("none", "none")
+    assert nats(own_driver, rival_driver) - equal == pytest.approx(odds * RECORDED_NATS, abs=1e-6)
+    assert nats(rival_driver, own_driver) - equal == pytest.approx(-odds * RECORDED_NATS, abs=1e-6)
+
+
 def test_a_term_is_compared_at_the_numbers_of_its_fit() -> None:
     """Not at those that are best to first order: rivals are judged beside what was fitted."""
     form = step_form()
@@ -160,6 +177,18 @@ def names_of(diagnosis: Diagnosis) -> list[str]:
 def test_a_step_on_a_craft_that_looks_down_is_no_drift(tmp_path: Path) -> None:
     """To first order, where the step's nine errors are not, the drift was 39 nats better."""
     assert names_of(of_regime(4201, 50, tmp_path)) == ["bias_step"]
+
+
+def test_sunlight_is_not_said_for_sure_beside_the_panel_currents_that_were_recorded(tmp_path: Path) -> None:
+    """They explain as much, with more numbers: it was 0.97, trusted."""
+    assert "name_uncertain" in of_regime(5201, 94, tmp_path).reasons
+
+
+def test_a_fit_that_stalls_beside_its_end_is_taken_there(tmp_path: Path) -> None:
+    """Axes digitised one after another, at a steady spin nearly a skew: the fit stalled, and nothing was named."""
+    diagnosis = of_blind(510200060, "axis_skew", tmp_path)
+    assert names_of(diagnosis) == ["axis_skew"]
+    assert diagnosis.fit.converged
 
 
 def test_a_name_that_grows_the_field_is_not_refused_for_its_larger_noise(tmp_path: Path) -> None:
