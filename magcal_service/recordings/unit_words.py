@@ -154,9 +154,14 @@ def are_units(cells: Sequence[str]) -> bool:
     return sum(is_unit(cell) for cell in cells) * 2 >= sum(bool(cell) for cell in cells)
 
 
+_LENGTH: Final = re.compile(r"^(.+)[_\s.\-](nmi?|mi|miles?|yd|yards?|kft)$", re.IGNORECASE)
+"""A name that ends in a length for which the house has no unit, and is no more than asked about."""
+
+
 def unknown_unit(name: str) -> str:
-    """What stands in brackets in a name and is no unit that is known here, as ``nmi``; empty where nothing does."""
-    match = _BRACKETED.match(name)
+    """What stands in brackets in a name and is no unit that is known here, or a length that it ends in, as ``nmi``;
+    empty where nothing does."""
+    match = _BRACKETED.match(name) or _LENGTH.match(name)
     text = match.group(2) if match else ""
     return text if re.fullmatch(r"[A-Za-z]{1,6}", text) and not unit_of(text) else ""
 

@@ -59,8 +59,8 @@ REMEDIES: Final = {
     Reason.INCONSISTENT: "the residual is larger than noise and estimate allow: check noise_nt, the reference and its "
     "time tags; diagnose a recording",
     Reason.STRUCTURED_RESIDUAL: "the residual is not white noise, so physics is missing: diagnose a recording",
-    Reason.DRIFTING_RESIDUAL: "the residual wanders over minutes, so the errors change: set process_noise, or diagnose "
-    "a recording",
+    Reason.DRIFTING_RESIDUAL: "the residual wanders over minutes, so the errors change: diagnose a recording; set "
+    "process_noise where no cause is found",
     Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: diagnose a "
     "recording, load its physics.toml",
     Reason.LOCAL_DISTURBANCE: "the craft's other magnetometers do not see this disturbance, so its cause is near this "

@@ -159,7 +159,17 @@ def test_a_height_is_taken_in_the_unit_that_its_name_says_where_it_can_be_that(
         assert "position.altitude.unit" in keys(wrong)
 
 
-@pytest.mark.parametrize(("label", "asks"), [("hgt [nmi]", True), ("alt [MSL]", False), ("alt", False)])
+@pytest.mark.parametrize(
+    ("label", "asks"),
+    [
+        ("hgt [nmi]", True),
+        ("alt [MSL]", False),
+        ("alt", False),
+        ("alt_nmi", True),
+        ("height_mi", True),
+        ("alt_gps", False),
+    ],
+)
 def test_a_height_in_a_unit_that_is_not_known_is_asked(label: str, asks: bool, tmp_path: Path) -> None:
     """Numbers would take 285 nautical miles for kilometres."""
     way = orbit(*ORBITS[1], 10.0)
