@@ -85,6 +85,10 @@ _NOISIER: Final = 1.2
 
 _END: Final = 0.999  # of the largest number that is searched: rounding
 
+_CUT_OFF: Final = 0.05
+"""Share of a recording beside its ends in which a change is not seen to begin or end: four that went on after the last
+sample were said to have ended in the last 3 %."""
+
 FEWEST_SAMPLES: Final = 300
 """Samples below which fifty blocks hold six each, and held-out blocks show nothing."""
 
@@ -337,9 +341,10 @@ def _hardly_more(explained: Explained) -> bool:
 def has_size(fit: Fit, index: int) -> bool:
     """Whether a term's numbers say something: one amplitude at least stands out of its own sigma, none is at an end.
 
-    A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift.
+    A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift; a
+    change that ends beside the last sample may be going on.
     """
-    if _at_an_end(fit.terms[index]):
+    if _at_an_end(fit.terms[index]) or _is_cut_off(fit, index):
         return False
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))
     return bool(np.max(np.abs(fit.terms[index].amplitudes) / sigma) >= STANDS_OUT)
@@ -349,6 +354,13 @@ def _at_an_end(term: Term) -> bool:
     """Whether a number of a term that a fit moves is the largest that was searched; the smallest may be none at all."""
     numbers = zip(term.hypothesis.nonlinear, term.theta, strict=True)
     return any(not n.role and len(n.grid) > 1 and value >= _END * float(n.grid.max()) for n, value in numbers)
+
+
+def _is_cut_off(fit: Fit, index: int) -> bool:
+    """Whether a change that takes a while begins or ends beside an end of the recording."""
+    first_s, last_s = float(fit.problem.scene.time_s[0]), float(fit.problem.scene.time_s[-1])
+    edges = [value for number, value in _numbers(fit, "edge") if number == index]
+    return any(min(edge - first_s, last_s - edge) < _CUT_OFF * (last_s - first_s) for edge in edges)
 
 
 def is_rough(fit: Fit) -> bool:

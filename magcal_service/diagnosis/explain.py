@@ -188,7 +188,7 @@ class Search(Screen):
             if candidate.nats < ACCEPTED_NATS:
                 break
             full = len(tried) >= _MOST_TRIED and not is_recorded(candidate.hypothesis)
-            if candidate.hypothesis.effect in tried or full:
+            if candidate.hypothesis.effect in tried or candidate.hypothesis.in_place or full:
                 continue
             tried.add(candidate.hypothesis.effect)
             term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)

@@ -66,7 +66,9 @@ def _moved(fit: Fit, index: int) -> Array:
     loose = replace(own, nonlinear=tuple(replace(number, role="loose") for number in own.nonlinear))
     terms: list[Term] = list(fit.terms)
     terms[index] = replace(terms[index], hypothesis=loose)
-    return solve(fit.problem, fit.x, terms).terms[index].theta
+    time_s = fit.problem.scene.time_s
+    moved = solve(fit.problem, fit.x, terms).terms[index].theta
+    return np.sort(np.clip(moved, time_s[0], time_s[-1]))
 
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:

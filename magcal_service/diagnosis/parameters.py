@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -48,6 +49,10 @@ def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
     return _instant_sigma(fit, term, number) if role == "instant" else math.nan
 
 
+_OF_A_BEND: Final = 8.0
+"""Samples within which a change's begin and end are not told from one another's: a quarter of the shortest change."""
+
+
 def _edge_sigma(fit: Fit, term: Term, number: int) -> float:
     """1 sigma of where a change that takes a while begins or ends [s], beside all that was fitted."""
     step_s = fit.problem.scene.period_s
@@ -62,7 +67,13 @@ def _edge_sigma(fit: Fit, term: Term, number: int) -> float:
     scale, products, _ = fit.normal_equations
     columns = fit.white_columns / scale
     left = slope - columns @ np.linalg.lstsq(products, columns.T @ slope, rcond=1e-13)[0]
-    return fit.white_rms_nt / max(float(np.linalg.norm(left)), 1e-300)
+    sigma_s = fit.white_rms_nt / max(float(np.linalg.norm(left)), 1e-300)
+    time_s, at_s = fit.problem.scene.time_s, float(term.theta[number])
+    if sigma_s > float(np.ptp(time_s)):
+        return math.nan
+    # a bend is a matter of many samples, and of none while there are none
+    after = int(np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1))
+    return math.hypot(sigma_s, _OF_A_BEND * step_s, 0.5 * float(time_s[after] - time_s[after - 1]))
 
 
 def _instant_sigma(fit: Fit, term: Term, number: int) -> float:

@@ -179,7 +179,7 @@ def _by_differences(fit: Fit, here: _Step) -> Fit:
             step[here.free] = np.linalg.lstsq(slopes[free], score[here.free], rcond=1e-13)[0]
             trial = evaluate(fit.problem, *_moved(fit, step / scale))
             there = _Step.of(trial, here.sigma2)
-            if not there.to_go < here.to_go:
+            if not _is_better(here, there):
                 break
             fit, here = trial, there
             if here.to_go < _CONVERGED * here.sigma2:

@@ -113,6 +113,7 @@ class Hypothesis:
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
         always.
+    in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
     moves_s: from its amplitudes (k,) to how far along the recording's course it moves the reference [s], one number or
         one a sample (n,): ``Scene.moved_s`` of the next expansion.  None: it does not.
     """
@@ -131,6 +132,7 @@ class Hypothesis:
     is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
     refines: str = ""
+    in_place: bool = False
     moves_s: Callable[[Array], Array | float] | None = None
 
     @property

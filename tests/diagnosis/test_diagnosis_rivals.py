@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service import read_recording
+from magcal_service.diagnosis.belief import has_size
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
@@ -92,6 +93,17 @@ def test_the_ends_of_a_change_that_takes_a_while_are_moved_by_joint_solutions(wi
     for name, edge in zip(("from_s", "to_s"), edges, strict=True):
         assert 0.0 < float(values[name].sigma) < 60.0
         assert abs(float(values[name].value) - edge) < 4.0 * float(values[name].sigma)
+
+
+@pytest.mark.parametrize(
+    ("edges", "sized"), [((3000.0, 5000.0), True), ((5000.0, 7900.0), False), ((90.0, 4000.0), False)]
+)
+def test_a_change_that_is_cut_off_by_an_end_of_the_recording_has_no_size(edges: tuple[float, ...], sized: bool) -> None:
+    """It may be going on: where it ends beside the last sample it was said to end there, trusted."""
+    (form,) = [one for one in effect_named("bias_drift").hypotheses(scene()) if one.variant == "over a while"]
+    search, fit = searching(flown(along(1, 900.0 * np.interp(TIME_S, edges, [0.0, 1.0]))), form)
+    fit = solve(search.problem, fit.x, [Term(form, np.array(edges), np.zeros(3))])
+    assert has_size(fit, 0) is sized
 
 
 def test_a_form_without_an_instant_stays_as_it_is() -> None:

@@ -271,6 +271,16 @@ def candidate(effect: str, nats: float) -> Candidate:
     return Candidate(body_form(effect, "", along(0, SLOW)), np.zeros(0), SimpleNamespace(), nats)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("near", "found"), [(True, ["true"]), (False, [])])
+def test_what_only_takes_another_s_place_is_never_one_effect_more(near: bool, found: list[str]) -> None:
+    """Alone it is not named, though nothing else is there; in the place of one that comes near it, it is."""
+    field = SLOW + 0.5 * QUICK
+    forms = [replace(body_form("true", "", along(0, field)), in_place=True)]
+    forms += [body_form("near", "", along(0, SLOW))] if near else []
+    search, fit = searching(flown(150.0 * along(0, field)), *forms)
+    assert [term.hypothesis.effect for term in search.run(fit, FLOOR_NT).fit.terms] == found
+
+
 # What was recorded comes first
 
 

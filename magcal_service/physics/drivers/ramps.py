@@ -25,7 +25,7 @@ _STRETCHES: Final = 96
 _SHORTEST: Final = 32
 """Samples of the shortest ramp: what is quicker is called a jump.  Shorter ones hold what a faint jump holds."""
 
-_FEWEST: Final = 8  # samples of a stretch: with fewer, where a ramp begins is as good as nowhere
+_FEWEST: Final = 4 * _SHORTEST  # samples of a recording: of fewer there is not as much before and after it
 
 
 def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
@@ -40,7 +40,9 @@ def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
         best = _best(scene, act, sums)
         return np.zeros((0, 2)) if best is None else best[None]
 
-    return Hypothesis(effect, "none", columns, (block,), "over a while", numbers, is_free=True, proposals=proposals)
+    return Hypothesis(
+        effect, "none", columns, (block,), "over a while", numbers, is_free=True, proposals=proposals, in_place=True
+    )
 
 
 def _level(time_s: Array, from_s: float, to_s: float) -> Array:
@@ -51,7 +53,7 @@ def _level(time_s: Array, from_s: float, to_s: float) -> Array:
 def _best(scene: Scene, act: Act, sums: Sums) -> Array | None:
     """First and last time (2,) [s] of the ramp that holds most; None where the recording is too short for any."""
     count = len(scene)
-    if count < _STRETCHES * _FEWEST:
+    if count < _FEWEST:
         return None
     columns = act(np.ones(count))
     low, high = 0, count
