@@ -84,7 +84,7 @@ def test_what_is_taken_off_live_is_what_the_recording_would_be_given(hypothesis:
     term, _, _ = drawn(hypothesis)
     early = {
         name: value
-        for name, value in {"at_s": 200.0, "knee": 0.2, "expanded_at_s": 0.0}.items()
+        for name, value in {"at_s": 200.0, "from_s": 200.0, "to_s": 700.0, "knee": 0.2, "expanded_at_s": 0.0}.items()
         if name in term.nonlinear
     }
     if np.ndim(term.nonlinear.get("at_s", 0.0)):
