@@ -12,6 +12,9 @@ from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, free_
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, by_name, value_of
 
+_OF_A_BEND: Final = 8.0
+"""Samples within which a change's begin and end are not told from one another's: a quarter of the shortest change."""
+
 
 def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
     """Amplitudes by block, nonlinear numbers, constants and what is derived, each with 1 sigma."""
@@ -49,26 +52,26 @@ def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
     return _instant_sigma(fit, term, number) if role == "instant" else math.nan
 
 
-_OF_A_BEND: Final = 8.0
-"""Samples within which a change's begin and end are not told from one another's: a quarter of the shortest change."""
+def _added_at(fit: Fit, term: Term, number: int, value: float) -> Array:
+    """(m,) what a term adds to the residual with one of its nonlinear numbers at another value [nT]."""
+    theta = np.array(term.theta)
+    theta[number] = value
+    rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
+    assert rows is not None
+    return np.asarray(rows @ term.amplitudes)
 
 
 def _edge_sigma(fit: Fit, term: Term, number: int) -> float:
     """1 sigma of where a change that takes a while begins or ends [s], beside all that was fitted."""
     step_s = fit.problem.scene.period_s
-    sides = []
-    for sign in (1.0, -1.0):
-        theta = np.array(term.theta)
-        theta[number] += sign * step_s
-        rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
-        assert rows is not None
-        sides.append(rows @ term.amplitudes)
-    slope = fit.problem.white((sides[0] - sides[1]) / (2.0 * step_s))
+    at_s = float(term.theta[number])
+    later, earlier = (_added_at(fit, term, number, at_s + side) for side in (step_s, -step_s))
+    slope = fit.problem.white((later - earlier) / (2.0 * step_s))
     scale, products, _ = fit.normal_equations
     columns = fit.white_columns / scale
     left = slope - columns @ np.linalg.lstsq(products, columns.T @ slope, rcond=1e-13)[0]
     sigma_s = fit.white_rms_nt / max(float(np.linalg.norm(left)), 1e-300)
-    time_s, at_s = fit.problem.scene.time_s, float(term.theta[number])
+    time_s = fit.problem.scene.time_s
     if sigma_s > float(np.ptp(time_s)):
         return math.nan
     # a bend is a matter of many samples, and of none while there are none
@@ -82,16 +85,10 @@ def _instant_sigma(fit: Fit, term: Term, number: int) -> float:
     A change is known to a sample where it stands out of the noise at once, to seconds where it does not, and not at all
     while the field points where it does not show; two such times, far apart, may be as likely.
     """
-    changed = []
-    for instant in (-np.inf, np.inf):
-        theta = np.array(term.theta)
-        theta[number] = instant
-        rows = fit.problem.rows(term.hypothesis.columns(theta), fit.unit)
-        assert rows is not None
-        changed.append(rows @ term.amplitudes)
+    always, never = (_added_at(fit, term, number, instant) for instant in (-np.inf, np.inf))
     each = fit.problem.rows_per_sample
     times, at_s = fit.problem.scene.time_s, float(term.theta[number])
-    jump = (changed[0] - changed[1]).reshape(len(times), each)
+    jump = (always - never).reshape(len(times), each)
     residual, row = fit.residual.reshape(len(times), each), int(np.searchsorted(times, at_s))
     # costs [nats] of taking the jump from the rows after it, one after another, and of giving it to those before
     later = ((residual + 0.5 * jump) * jump).sum(axis=1)[row:] / fit.rms_nt**2

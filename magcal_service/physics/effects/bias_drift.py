@@ -22,7 +22,8 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_COURSE, ""),),
     title="the bias drifts",
-    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample; or of two levels",
+    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample; "
+    "or between (t - from) / (to - from), 0 before and all of it after",
     units={
         "nt_per_s": "nT/s",
         "nt_per_s2": "nT/s2",
