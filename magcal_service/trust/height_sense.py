@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_service.base.snapshot import Stateful
 from magcal_service.earth.free_fall import OFF, falls
-from magcal_service.residuals import MEDIAN_TO_SIGMA
+from magcal_service.residuals import median_and_sigma
 
 _SLOT_S: Final = 15.0
 """Of which one position is kept [s]; choice: an eighth of the step between three."""
@@ -35,7 +35,6 @@ _KEPT: Final = 64  # positions: three of the longest reach are at most 54 slots 
 _FALLS: Final = 20  # newest falls, five minutes of them; choice: after a correction they agree in half of that
 _FEWEST: Final = 10  # choice: one false position is in three; the first answer comes after 375 s
 _SCATTER: Final = 8.0  # the median has to be off by so many of its own sigma, which ten falls give to a third
-_MEDIAN: Final = 1.2533  # sigma of a median over that of a mean: sqrt(pi / 2)
 
 Place = tuple[float, float, float, float]
 """Time [s], and x, y, z [km] in axes that do not turn."""
@@ -100,9 +99,7 @@ class HeightSense(Stateful, HeightSenseMemory):
     def _say(self) -> str:
         if len(self._falls) < _FEWEST:
             return ""
-        fall = np.array(self._falls)
-        middle = float(np.median(fall))
-        sigma = _MEDIAN * MEDIAN_TO_SIGMA * float(np.median(np.abs(fall - middle))) / np.sqrt(len(fall))
+        middle, sigma = median_and_sigma(np.array(self._falls))
         if abs(middle - 1.0) < max(OFF, _SCATTER * sigma):
             return ""
         return f"positions fall {middle:.3g} times as fast as an orbit at their height does"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from magcal_service.residuals import log_tail, noise_floor, rms, white_floor
+from magcal_service.residuals import log_tail, median_and_sigma, noise_floor, rms, white_floor
 
 SECOND_NS = 1_000_000_000
 
@@ -86,3 +86,11 @@ def test_tails_against_scipy(degrees: int) -> None:
         assert log_tail(x, degrees) == pytest.approx(chi2.logsf(x, degrees), rel=1e-6, abs=1e-9)
     assert -log_tail(5000.0, degrees) == pytest.approx(2500.0, rel=0.1)
     assert log_tail(-3.0, degrees) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_median_scatters_by_the_sigma_that_is_given_with_it() -> None:
+    """Of 2000 medians of 101 normal numbers about 3, with a sigma of 2: by sqrt(pi / 2) of a mean, 0.249."""
+    draws = np.random.default_rng(90).normal(3.0, 2.0, (2000, 101))
+    found = np.array([median_and_sigma(row) for row in draws])
+    assert np.std(found[:, 0]) == pytest.approx(np.sqrt(np.pi / 2.0) * 2.0 / np.sqrt(101.0), rel=0.05)
+    assert np.mean(found[:, 1]) == pytest.approx(np.std(found[:, 0]), rel=0.05)

@@ -13,7 +13,7 @@ from magcal_service.recordings.inspect.finding import Code, Seen
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.motion import heights_km, inertial, placed_rows
 from magcal_service.recordings.table import FloatArray
-from magcal_service.residuals import MEDIAN_TO_SIGMA
+from magcal_service.residuals import median_and_sigma
 from magcal_service.wire.messages import Frame
 
 _STEP_S: Final = 300.0
@@ -28,7 +28,6 @@ _PLANAR: Final = 0.01
 and places rounded to a degree keep it."""
 
 _SCATTER: Final = 5.0  # the median has to be off by so many of its own sigma
-_MEDIAN: Final = 1.2533  # sigma of a median over that of a mean: sqrt(pi / 2)
 
 
 def orbit_height(log: Log) -> Iterator[Seen]:
@@ -48,8 +47,7 @@ def orbit_height(log: Log) -> Iterator[Seen]:
     found = falls_of(time_s, place)
     if len(found) < _FEWEST:
         return
-    middle = float(np.median(found))
-    sigma = _MEDIAN * MEDIAN_TO_SIGMA * float(np.median(np.abs(found - middle))) / np.sqrt(len(found))
+    middle, sigma = median_and_sigma(found)
     if abs(middle - 1.0) < max(OFF, _SCATTER * sigma):
         return
     radius = float(np.median(np.linalg.norm(place, axis=1)))
