@@ -14,6 +14,8 @@ from magcal_service.config.settings import (
     CraftConfig,
     FilterConfig,
     PhysicsConfig,
+    ReferenceConfig,
+    ReferenceModel,
     SensorConfig,
     SpinConfig,
     SpinWindow,
@@ -93,6 +95,7 @@ def crafts(method: str) -> tuple[CraftConfig, ...]:
         replace(usual, spin=None),
         CraftConfig(WILD, SensorConfig(), _PAPER, replace(quick, adaptive=True)),
         replace(usual, physics=PhysicsConfig(Path("physics.toml"), physics_text())),
+        replace(usual, reference=ReferenceConfig(ReferenceModel.IGRF)),
         _GREATEST,
         _LEAST,
     )
