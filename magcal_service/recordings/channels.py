@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from magcal_service.base.typed_toml import Table, nearest
-from magcal_service.base.typed_toml.keys import number, optional_choice, special
+from magcal_service.base.typed_toml.keys import optional_choice, special
 from magcal_service.base.typed_toml.record import Reading, read_record
-from magcal_service.base.units import CHANNEL_UNITS, FACTORS
+from magcal_service.base.units import CHANNEL_UNITS
+from magcal_service.recordings.scaled import Scaled
 
 _ATTITUDE = ("order", "from", "to")
 _NOT_ON_THE_WIRE = re.compile(r"[^A-Za-z0-9_-]")
@@ -75,7 +76,7 @@ def _check_attitude(reading: Reading, name: str, to_axes: Axes | None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelSpec:
+class ChannelSpec(Scaled):
     """One telemetry channel.
 
     Parameters
@@ -84,7 +85,6 @@ class ChannelSpec:
     columns: its 1 to 16 columns in the log.
     unit: one of ``units.CHANNEL_UNITS``; empty where it has none.
     frame: axes of a vector, where stated.
-    factor: what the cells are multiplied by to be in ``unit``.
     order, from_axes, to_axes: only for an attitude quaternion, which turns vectors of ``from_axes`` into ``to_axes``.
     """
 
@@ -95,7 +95,6 @@ class ChannelSpec:
     order: QuaternionOrder | None = optional_choice(QuaternionOrder)
     from_axes: Axes | None = optional_choice(Axes, name="from")
     to_axes: Axes | None = optional_choice(Axes, name="to", check=_check_attitude)
-    factor: float = number(1.0, *FACTORS)
 
     @property
     def wire_name(self) -> str:

@@ -127,7 +127,7 @@ def _of_session(top: Table) -> dict[str, Any]:
     return {
         "time": TimeSpec("timestamp", TimeFormat.UNIX_S),
         "magnetometer": read_record(section, MagnetometerSpec, {"columns": (), "unit": FieldUnit.NT, "factor": 1.0}),
-        "reference": MagnitudeReference("magnitude_nt", FieldUnit.NT),
+        "reference": MagnitudeReference("magnitude_nt", unit=FieldUnit.NT),
         "position": None,
         "channels": (),
         "beside": (),

@@ -79,7 +79,7 @@ def from_arrays(
         path=Path(ARRAYS),
         samples=Path(ARRAYS),
         time=TimeSpec("time", TimeFormat.UNIX_S if utc else TimeFormat.ELAPSED_S, None),
-        magnetometer=MagnetometerSpec((), FieldUnit.NT, noise_nt),
+        magnetometer=MagnetometerSpec((), noise_nt, unit=FieldUnit.NT),
         reference=ConstantReference(float(np.nanmean(reference.magnitude_nt))),
         position=None,
         spin=spin,

@@ -8,7 +8,8 @@ from typing import Final
 
 from magcal_service.base.typed_toml.keys import choice, number, section, text
 from magcal_service.base.typed_toml.record import Reading, read_record
-from magcal_service.base.units import FACTORS, LENGTH_KM, AngleUnit, LengthUnit
+from magcal_service.base.units import AngleUnit
+from magcal_service.recordings.scaled import LengthCells
 from magcal_service.wire.messages import Frame
 
 _GEODETIC = 2  # columns: latitude and longitude
@@ -26,17 +27,10 @@ class PositionFrame(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class AltitudeColumn:
-    """The altitude, or the distance from the Earth's centre, per row: cells times ``factor`` are in ``unit``."""
+class AltitudeColumn(LengthCells):
+    """The altitude, or the distance from the Earth's centre, per row."""
 
     column: str = text()
-    unit: LengthUnit = choice(LengthUnit)
-    factor: float = number(1.0, *FACTORS)
-
-    @property
-    def unit_km(self) -> float:
-        """Kilometres per 1 of a cell."""
-        return self.factor * LENGTH_KM[self.unit]
 
 
 def _check_altitude(reading: Reading, name: str, _: AltitudeColumn | None) -> None:
@@ -69,18 +63,11 @@ class GeodeticPosition:
 
 
 @dataclass(frozen=True, slots=True)
-class CartesianPosition:
-    """Three columns, their unit and frame; cells times ``factor`` are in ``unit``."""
+class CartesianPosition(LengthCells):
+    """Three columns, their unit and frame."""
 
     columns: tuple[str, ...]
-    unit: LengthUnit = choice(LengthUnit)
     frame: Frame = choice(PositionFrame, convert=lambda frame: Frame(frame.value))
-    factor: float = number(1.0, *FACTORS)
-
-    @property
-    def unit_km(self) -> float:
-        """Kilometres per 1 of a cell."""
-        return self.factor * LENGTH_KM[self.unit]
 
 
 @dataclass(frozen=True, slots=True)

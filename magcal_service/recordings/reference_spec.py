@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from magcal_service.base.typed_toml import Table
-from magcal_service.base.typed_toml.keys import choice, number, special, text, texts
+from magcal_service.base.typed_toml.keys import choice, special, text, texts
 from magcal_service.base.typed_toml.record import Reading, read_record
-from magcal_service.base.units import FACTORS, FIELD_NT, FieldUnit
+from magcal_service.base.units import FIELD_NT, FieldUnit
+from magcal_service.recordings.scaled import FieldCells
 from magcal_service.wire.messages import Frame
 
 MAX_FIELD_NT = 1e6
@@ -32,32 +33,18 @@ def _constant_nt(reading: Reading, name: str) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class VectorReference:
-    """A reference vector per row; cells times ``factor`` are in ``unit``."""
+class VectorReference(FieldCells):
+    """A reference vector per row."""
 
     columns: tuple[str, ...] = texts(3)
-    unit: FieldUnit = choice(FieldUnit)
     frame: Frame = choice(Frame)
-    factor: float = number(1.0, *FACTORS)
-
-    @property
-    def unit_nt(self) -> float:
-        """Nanotesla per 1 of a cell."""
-        return self.factor * FIELD_NT[self.unit]
 
 
 @dataclass(frozen=True, slots=True)
-class MagnitudeReference:
-    """A reference magnitude per row; cells times ``factor`` are in ``unit``."""
+class MagnitudeReference(FieldCells):
+    """A reference magnitude per row."""
 
     column: str = text(name="magnitude")
-    unit: FieldUnit = choice(FieldUnit)
-    factor: float = number(1.0, *FACTORS)
-
-    @property
-    def unit_nt(self) -> float:
-        """Nanotesla per 1 of a cell."""
-        return self.factor * FIELD_NT[self.unit]
 
 
 @dataclass(frozen=True, slots=True)

@@ -279,18 +279,18 @@ def _descriptor(
     spin = given.spin if given is not None else None
     if spin is None and craft is not None and craft.spin is not None:
         spin = SpinSpec(craft.spin.axis, craft.spin.rate_rpm)
-    spec: ReferenceSpec = MagnitudeReference("magnitude_nt", FieldUnit.NT)
+    spec: ReferenceSpec = MagnitudeReference("magnitude_nt", unit=FieldUnit.NT)
     if reference.frame is not None:
-        spec = VectorReference(_columns("field_nt"), FieldUnit.NT, reference.frame)
+        spec = VectorReference(_columns("field_nt"), reference.frame, unit=FieldUnit.NT)
     return Descriptor(
         path=path if given is None else given.path,
         samples=path,
         time=TimeSpec("timestamp", TimeFormat.UNIX_S if clock is Clock.UTC else TimeFormat.ELAPSED_S),
-        magnetometer=MagnetometerSpec(_columns("field_body_nt"), FieldUnit.NT, noise_nt),
+        magnetometer=MagnetometerSpec(_columns("field_body_nt"), noise_nt, unit=FieldUnit.NT),
         reference=spec,
         position=None
         if position is None
-        else CartesianPosition(_columns("position_km"), LengthUnit.KM, position.frame),
+        else CartesianPosition(_columns("position_km"), position.frame, unit=LengthUnit.KM),
         spin=spin,
         channels=tuple(channel.spec for channel in channels),
     )

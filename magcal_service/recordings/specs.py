@@ -10,7 +10,6 @@ from typing import Final
 
 from magcal_service.base.typed_toml.keys import choice, number, section, sections, special, text, texts
 from magcal_service.base.typed_toml.record import Reading, read_part, read_record
-from magcal_service.base.units import FACTORS, FIELD_NT, FieldUnit
 from magcal_service.config.rules import RESERVED_SOURCE
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
@@ -35,6 +34,7 @@ from magcal_service.recordings.reference_spec import (
 )
 from magcal_service.recordings.row_form import PLAIN_ROWS, RowForm
 from magcal_service.recordings.row_limits import DEFAULT_MAX_ROWS, HIGHEST_MAX_ROWS
+from magcal_service.recordings.scaled import FieldCells
 from magcal_service.recordings.time_spec import TimeFormat, TimeSpec
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Vector
@@ -152,22 +152,12 @@ def _source(reading: Reading, name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class MagnetometerSpec:
-    """The measured vector's three columns, their unit, the noise [nT, 1 sigma per axis] and the source where stated.
-
-    Cells times ``factor`` are in ``unit``.
-    """
+class MagnetometerSpec(FieldCells):
+    """The measured vector's three columns, their unit, the noise [nT, 1 sigma per axis] and the source where stated."""
 
     columns: tuple[str, ...] = texts(3)
-    unit: FieldUnit = choice(FieldUnit)
     noise_nt: float | None = number(None, 1e-3, MAX_FIELD_NT, unit="nT")
     source: str = special(_source, "")
-    factor: float = number(1.0, *FACTORS)
-
-    @property
-    def unit_nt(self) -> float:
-        """Nanotesla per 1 of a cell."""
-        return self.factor * FIELD_NT[self.unit]
 
 
 _SHORTEST_AXIS = 1e-6

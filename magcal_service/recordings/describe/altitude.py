@@ -14,6 +14,7 @@ from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.over_ground import EARTH_KM
 from magcal_service.recordings.describe.times_found import Times
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 from magcal_service.recordings.describe.vocabulary import ALTITUDE
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 from magcal_service.recordings.unit_words import unknown_unit
@@ -78,31 +79,25 @@ def find_altitude(
     heights = Heights(columns[0], draft.log, times, speed_km_s, parts)
     column = columns[0]
     unit, why, possible = _unit(heights)
-    said = draft.answers.get("position.altitude.unit")
-    if said is not None:
-        unit, why = _answered_unit(said), answered("position.altitude.unit")
-    if not unit:
+    told = draft.answers.unit("position.altitude.unit", LengthUnit)
+    if told is not None:
+        why = answered("position.altitude.unit")
+    elif not unit:
         candidates = tuple((one, f"{heights.usual * LENGTH_KM[LengthUnit(one)]:.4g} km") for one in possible)
         asks = f"in which unit is the altitude {column.label} (about {heights.usual:.6g})? {why}"
         form = candidates[0][0] if candidates else "m"
-        draft.ask(Question("position.altitude.unit", asks, candidates, form))
+        draft.ask(Question("position.altitude.unit", asks, candidates, form, scaled="1.852 km"))
         return column.number, None
-    draft.put("position", "altitude", {"column": draft.name(column), "unit": unit})
-    draft.conclude("position.altitude", f"{column.label} in {unit}", why)
-    return column.number, heights.usual * LENGTH_KM[LengthUnit(unit)]
+    size = told or AnsweredUnit(unit)
+    draft.put("position", "altitude", {"column": draft.name(column)} | size.entries)
+    draft.conclude("position.altitude", f"{column.label} in {size}", why)
+    return column.number, heights.usual * size.factor * LENGTH_KM[LengthUnit(size.unit)]
 
 
 def _called_altitude(log: Log) -> list[Column]:
     named = [c for c in log.columns if c.numeric and (set(c.words) & ALTITUDE or c.stem.lower() in ALTITUDE)]
     letter = [c for c in log.columns if c.numeric and (set(c.words) & {"h"} or c.stem.lower() == "h")]
     return named or [c for c in letter if c.unit in list(LengthUnit)]
-
-
-def _answered_unit(answer: str) -> str:
-    if answer not in list(LengthUnit):
-        accepted = f"{' '.join(LengthUnit)} are accepted"
-        raise InputRefusedError([Fault("--answer position.altitude.unit", answer, accepted)])
-    return answer
 
 
 def _unit(heights: Heights) -> tuple[str, str, tuple[str, ...]]:
@@ -117,11 +112,7 @@ def _unit(heights: Heights) -> tuple[str, str, tuple[str, ...]]:
         return "", f"the name says {column.unit}, but {usual:.5g} {column.unit} cannot be{moves}", found
     strange = unknown_unit(column.name)
     if strange and strange.lower() not in _DATUMS:
-        return (
-            "",
-            f"the name says {strange}, which is no unit of a length here: write factor beside a unit of these",
-            found,
-        )
+        return "", f"the name says {strange}, which is no unit of a length here", found
     if len(found) == 1 and heights.speed_km_s is not None:
         return found[0], f"the name says altitude, and{moves} only {usual:.5g} {found[0]} can be", found
     return "", "neither its name nor its numbers decide", found

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.draft import Draft, Question
 from magcal_service.recordings.describe.field import size_of
 from magcal_service.recordings.describe.magnetometer import Magnetometer
@@ -31,9 +30,9 @@ def warn_of_unit(draft: Draft, found: list[Magnetometer], model_nt: FloatArray |
         expected = float(np.nanquantile(model_nt, 0.8))
     for one in found if expected is not None else []:
         size = size_of(one.triple.values)
-        if one.unit != answer or size is None or expected is None:
+        if answer is None or not one.answered or size is None or expected is None:
             continue
-        amount = size.best * FIELD_NT[FieldUnit(answer)]
+        amount = size.best * one.unit_nt
         if not expected / _OFF <= amount <= expected * _OFF:
             shown = "the radius of their sphere" if size.radius is not None else "most"
             text = f"{shown} is {_text(amount)} nT, where the reference has {_text(expected)} nT"

@@ -13,6 +13,7 @@ from typing import Final
 from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.describe.columns import Column, Log
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit, read_unit
 
 KEYS: Final = (
     "samples.delimiter",
@@ -26,19 +27,23 @@ KEYS: Final = (
     "time.gps_rollovers",
     "magnetometer.columns",
     "magnetometer.unit",
+    "magnetometer.factor",
     "reference",
     "reference.columns",
     "reference.magnitude",
     "reference.model",
     "reference.constant",
     "reference.unit",
+    "reference.factor",
     "reference.frame",
     "position.columns",
     "position.unit",
+    "position.factor",
     "position.frame",
     "position.altitude_km",
     "position.altitude",
     "position.altitude.unit",
+    "position.altitude.factor",
     "position.radius",
     "position.tle",
     "platform.kind",
@@ -47,7 +52,7 @@ KEYS: Final = (
 )
 """What can be answered, besides ``channels.NAME.KEY``."""
 
-_CHANNEL_KEYS: Final = ("column", "columns", "unit", "frame", "order", "from", "to")
+_CHANNEL_KEYS: Final = ("column", "columns", "unit", "factor", "frame", "order", "from", "to")
 NO: Final = "none"
 """The answer that leaves a part out."""
 
@@ -62,6 +67,7 @@ class Question:
     asks: the question, with the reason why it is open.
     candidates: values that are possible, each with what speaks for it; the likeliest first.
     form: what an answer looks like.
+    scaled: what an answer looks like where one cell has another size than any unit; empty where that is no answer.
     needed: whether nothing can be read without the answer; the others leave a part out.
     """
 
@@ -70,13 +76,17 @@ class Question:
     candidates: tuple[tuple[str, str], ...]
     form: str
     needed: bool = True
+    scaled: str = ""
 
     def lines(self) -> list[str]:
         """The question as it is printed."""
         kind = "question" if self.needed else "open (left out without an answer)"
         found = [f"{kind} {self.key}: {self.asks}"]
         found += [f"    could be {value}: {why}" if why else f"    could be {value}" for value, why in self.candidates]
-        return [*found, f"    answer with: --answer {quote(f'{self.key}={self.form}')}"]
+        found.append(f"    answer with: --answer {quote(f'{self.key}={self.form}')}")
+        if self.scaled:
+            found.append(f"    in another unit, the size of 1: --answer {quote(f'{self.key}={self.scaled}')}")
+        return found
 
 
 class Answers:
@@ -95,6 +105,20 @@ class Answers:
             return None
         self.used.add(key)
         return self._given[key]
+
+    def unit(self, key: str, known: Iterable[str]) -> AnsweredUnit | None:
+        """The unit that was answered to ``SECTION.unit``, with ``SECTION.factor`` where that was given.
+
+        Raises
+        ------
+        InputRefusedError: it is none of the known ones, or the factor is none, or without a unit.
+        """
+        factor_key = f"{key.removesuffix('unit')}factor"
+        answer, factor = self.get(key), self.get(factor_key)
+        if answer is None and factor is not None:
+            accepted = f"it goes with {key}, the unit that cells times it are in"
+            raise InputRefusedError([Fault(f"--answer {factor_key}", factor, accepted)])
+        return None if answer is None else read_unit(key, answer, known, factor)
 
     def beginning(self, prefix: str) -> dict[str, str]:
         """All answers whose keys begin so, without that beginning."""
@@ -147,6 +171,11 @@ class Draft:
     def put(self, section: str, key: str, value: object) -> None:
         """A line of the descriptor."""
         self.sections.setdefault(section, []).append(f"{key} = {toml(value)}")
+
+    def put_unit(self, section: str, unit: AnsweredUnit) -> None:
+        """A unit, and its factor where there is one."""
+        for key, value in unit.entries.items():
+            self.put(section, key, value)
 
     def beside(self, file: Path) -> str:
         """A file as the descriptor names it."""

@@ -128,12 +128,14 @@ class UnitFound:
     Parameters
     ----------
     possible: units that the numbers allow, the likeliest first.
+    factor: what a number is multiplied by to be in the unit.
     """
 
     unit: str
     sure: bool
     why: str
     possible: tuple[str, ...]
+    factor: float = 1.0
 
 
 def find_unit(size: Size | None, said: str, *, whole: bool, expected_nt: float | None = None) -> UnitFound:

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.columns import Column, Triple, words_of
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.field import (
     EARTH_NT,
+    Size,
     UnitFound,
     differs_from_model,
     find_unit,
@@ -24,6 +24,8 @@ from magcal_service.recordings.describe.field import (
 )
 from magcal_service.recordings.describe.foreign import of_cells
 from magcal_service.recordings.describe.kinds import kind_of_triple, may_be_milli_g
+from magcal_service.recordings.describe.stated_scale import StatedScale, stated_scales
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 from magcal_service.recordings.describe.vocabulary import STRONG_MAGNETOMETER, Kind, kind_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -38,15 +40,22 @@ _NOT_A_SOURCE: Final = re.compile(r"[^A-Za-z0-9_-]+")
 
 @dataclass(frozen=True, slots=True)
 class Magnetometer:
-    """A magnetometer found: its columns, and its unit where that is sure."""
+    """A magnetometer found: its columns, their unit and factor, and whether these were answered."""
 
     triple: Triple
     unit: str
+    factor: float = 1.0
+    answered: bool = False
+
+    @property
+    def unit_nt(self) -> float:
+        """Nanotesla per 1 of a cell."""
+        return self.factor * FIELD_NT[FieldUnit(self.unit)]
 
     @property
     def field_nt(self) -> FloatArray:
         """(n, 3) sampled field [nT]."""
-        return self.triple.values * FIELD_NT[FieldUnit(self.unit)]
+        return self.triple.values * self.unit_nt
 
 
 def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray | None) -> list[Magnetometer]:
@@ -79,7 +88,7 @@ def find_magnetometers(draft: Draft, groups: list[Triple], model_nt: FloatArray 
     found = _as_answered(draft, [_with_unit(draft, group, model_nt) for group in named])
     possible = [(group, unit) for group, unit in found if unit.possible]
     if found and not possible:
-        return _ask_counts(draft, *found[0])
+        return _ask_counts(draft, *found[0], model_nt)
     for group, unit in found:
         if not unit.possible:
             draft.said.append(f"magnetometer: {group.label} left out: in no unit a field near the Earth's ({unit.why})")
@@ -103,15 +112,16 @@ def _by_file(draft: Draft, groups: list[Triple]) -> list[Triple]:
 
 
 def _as_answered(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> list[tuple[Triple, UnitFound]]:
-    """The unit as it was answered; of several groups, for those whose numbers allow it, or for the first."""
-    answer = draft.answers.get("magnetometer.unit")
+    """The unit as it was answered; of several groups, for those whose numbers allow it, or for the first.
+
+    Where a size of a count was answered, that are those in no unit that is sure.
+    """
+    answer = draft.answers.unit("magnetometer.unit", FieldUnit)
     if answer is None or not found:
         return found
-    if answer not in list(FieldUnit):
-        accepted = f"{' '.join(FieldUnit)} are accepted"
-        raise InputRefusedError([Fault("--answer magnetometer.unit", answer, accepted)])
-    told = UnitFound(answer, True, answered("magnetometer.unit"), (answer,))
-    fits = [answer in unit.possible for _, unit in found]
+    told = UnitFound(answer.unit, True, answered("magnetometer.unit"), (answer.unit,), answer.factor)
+    counts = answer.factor != 1.0
+    fits = [not unit.sure if counts else answer.unit in unit.possible for _, unit in found]
     fits[0] = fits[0] or not any(fits)
     return [(triple, told if fit else unit) for (triple, unit), fit in zip(found, fits, strict=True)]
 
@@ -122,11 +132,28 @@ def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tup
     by_model = unit_by_model(triple.unit, scale)
     said = triple.unit or _unit_by_maker(draft, triple)
     found = by_model or find_unit(size, said, whole=triple.whole, expected_nt=_usual(model_nt))
+    stated = stated_scales(draft.log) if by_model is None and triple.whole and said in {"", "counts"} else []
+    if len(stated) == 1:
+        found = _as_stated(size, stated[0], _usual(model_nt)) or found
     if said and not triple.unit and by_model is None:
         found = replace(
             found, why=f"the columns beside it are those of ArduPilot's MAG message, which is in {said}; {found.why}"
         )
     return triple, found
+
+
+def _as_stated(size: Size | None, stated: StatedScale, expected_nt: float | None) -> UnitFound | None:
+    """Whole numbers as counts of the one size that the log states; None where they are no field then."""
+    if size is None:
+        return None
+    one = stated.size
+    scaled = replace(size, usual=size.usual * one.factor, radius=size.radius and size.radius * one.factor)
+    found = find_unit(scaled, "", whole=False, expected_nt=expected_nt)
+    if found.unit != one.unit:
+        return None
+    amount = scaled.best * FIELD_NT[FieldUnit(one.unit)] / 1e3
+    why = f"whole numbers, and the log says {stated.words!r}: one is {one}, and most is {amount:.3g} uT"
+    return replace(found, why=why, factor=one.factor)
 
 
 def _unit_by_maker(draft: Draft, triple: Triple) -> str:
@@ -186,13 +213,14 @@ def _put(draft: Draft, found: list[tuple[Triple, UnitFound]], by: str) -> list[M
         if several:
             draft.put(section, "source", names[number])
         draft.put(section, "columns", draft.names(triple.columns))
-        draft.put(section, "unit", unit.unit)
+        draft.put_unit(section, AnsweredUnit(unit.unit, unit.factor))
         why = by or "the names say a magnetometer's x, y and z"
         draft.conclude("magnetometer.columns", triple.label, why)
-        draft.conclude("magnetometer.unit", unit.unit, unit.why)
+        draft.conclude("magnetometer.unit", str(AnsweredUnit(unit.unit, unit.factor)), unit.why)
     if several:
         draft.said.append(f"magnetometer: several, each with its source; --source chooses: {', '.join(names)}")
-    return [Magnetometer(triple, unit.unit) for triple, unit in sure]
+    by_answer = answered("magnetometer.unit")
+    return [Magnetometer(triple, unit.unit, unit.factor, unit.why == by_answer) for triple, unit in sure]
 
 
 def _sources(found: list[Triple]) -> list[str]:
@@ -212,14 +240,27 @@ def _ask_unit(draft: Draft, found: list[tuple[Triple, UnitFound]]) -> None:
     candidates = tuple((one, _as_field(triple, one)) for one in unit.possible[:3])
     label = triple.label if len(found) == 1 else "the magnetometer"
     asks = f"in which unit is {label}? {unit.why}"
-    draft.ask(Question("magnetometer.unit", asks, candidates, (unit.possible or ("uT",))[0]))
+    draft.ask(
+        Question("magnetometer.unit", asks, candidates, (unit.possible or ("uT",))[0], scaled=_scaled(draft, triple))
+    )
 
 
-def _ask_counts(draft: Draft, triple: Triple, unit: UnitFound) -> list[Magnetometer]:
+def _scaled(draft: Draft, triple: Triple) -> str:
+    """What the size of a count could be answered as, where whole numbers may be counts."""
+    stated = stated_scales(draft.log)
+    return str(stated[0].size) if stated else "0.15 uT" if triple.whole else ""
+
+
+def _ask_counts(draft: Draft, triple: Triple, unit: UnitFound, model_nt: FloatArray | None) -> list[Magnetometer]:
     """Named a magnetometer, and in no unit a field."""
-    asks = f"in no unit are {triple.label} a field near the Earth's ({unit.why}). Raw counts of a sensor have to be "
-    asks += "multiplied with its nT per count in the log first; if it is a unit after all, which?"
-    draft.ask(Question("magnetometer.unit", asks, (), "uT"))
+    asks = f"in no unit are {triple.label} a field near the Earth's ({unit.why}). Raw counts of a sensor? "
+    asks += "How large is one?"
+    candidates = [(str(one.size), f"the log says {one.words!r}") for one in stated_scales(draft.log)]
+    scale = None if model_nt is None else scale_by_model(triple.values, model_nt)
+    if scale is not None:
+        candidates.append((f"{scale:.3g} nT", "with it the length follows IGRF along the way"))
+    form = candidates[0][0] if candidates else "0.15 uT"
+    draft.ask(Question("magnetometer.unit", asks, tuple(candidates), form))
     return []
 
 

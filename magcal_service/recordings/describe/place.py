@@ -29,6 +29,7 @@ from magcal_service.recordings.describe.place_unit import Degrees, in_degrees
 from magcal_service.recordings.describe.radius import CENTRED, RADIUS_KM, find_radius
 from magcal_service.recordings.describe.time_check import doubt_by_way
 from magcal_service.recordings.describe.times_found import Times
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 from magcal_service.recordings.describe.vocabulary import LATITUDE, LONGITUDE, Kind, frame_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -237,12 +238,14 @@ def _cartesian_unit(triple: Triple) -> str:
 
 
 def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Place | None:
-    unit = _answered_length(draft.answers.get("position.unit")) or _cartesian_unit(triple)
+    told = draft.answers.unit("position.unit", LengthUnit)
+    unit = _cartesian_unit(triple) if told is None else told.unit
     radius = float(np.nanmedian(np.sqrt((triple.values**2).sum(axis=1))))
     frame = draft.answers.get("position.frame") or frame_of(triple.words)
     if not unit:
         asks = f"in which unit are {triple.label}? they are {radius:.6g} from the Earth's centre"
-        draft.ask(Question("position.unit", asks, tuple((one.value, "") for one in CENTRED), "km"))
+        candidates = tuple((one.value, "") for one in CENTRED)
+        draft.ask(Question("position.unit", asks, candidates, "km", scaled="1.852 km"))
         return None
     by_way = "" if frame or times is None else frame_of_way(triple.values, times.seconds)
     if by_way:
@@ -255,17 +258,12 @@ def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Pl
         return None
     why = by or f"the names and a distance of {radius:.6g} {unit} from the Earth's centre say so"
     draft.put("position", "columns", draft.names(triple.columns))
-    draft.put("position", "unit", unit)
+    size = told or AnsweredUnit(unit)
+    draft.put_unit("position", size)
     draft.put("position", "frame", frame)
-    draft.conclude("position.columns", f"{triple.label} in {unit}, {frame}", why)
-    km = triple.values * LENGTH_KM[LengthUnit(unit)]
+    draft.conclude("position.columns", f"{triple.label} in {size}, {frame}", why)
+    unit_km = size.factor * LENGTH_KM[LengthUnit(unit)]
+    km = triple.values * unit_km
     numbers = tuple(column.number for column in triple.columns)
-    high = radius * LENGTH_KM[LengthUnit(unit)] > EARTH_KM + _LOW_KM[0]
+    high = radius * unit_km > EARTH_KM + _LOW_KM[0]
     return Place(numbers, high, cartesian_km=km, frame=frame)
-
-
-def _answered_length(answer: str | None) -> str:
-    if answer is not None and answer not in list(LengthUnit):
-        accepted = f"{' '.join(LengthUnit)} are accepted for three coordinates"
-        raise InputRefusedError([Fault("--answer position.unit", answer, accepted)])
-    return answer or ""

@@ -18,6 +18,7 @@ from magcal_service.recordings.describe.magnetometer import Magnetometer
 from magcal_service.recordings.describe.place import Place, likely_height
 from magcal_service.recordings.describe.reference_unit import reference_unit, warn_outside
 from magcal_service.recordings.describe.times_found import Times
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.recordings.reference_spec import MAX_FIELD_NT
 
@@ -159,10 +160,10 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
         return False
     if not unit.sure:
         asks = f"in which unit is the reference {triple.label}? {unit.why}"
-        draft.ask(Question("reference.unit", asks, tuple((one, "") for one in unit.possible), "nT"))
+        draft.ask(_unit_question(asks, unit.possible))
     frame = draft.answers.get("reference.frame") or frame_of(triple.words)
     if not frame and unit.sure:
-        frame = frame_of_field(triple.values * FIELD_NT[FieldUnit(unit.unit)], times, place)
+        frame = frame_of_field(triple.values * unit.factor * FIELD_NT[FieldUnit(unit.unit)], times, place)
         if frame:
             draft.conclude("reference.frame", frame, "in it, and in no other, they are IGRF's")
     if not frame:
@@ -171,7 +172,7 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
         draft.ask(Question("reference.frame", asks, candidates, "eci"))
     draft.reserved |= {column.number for column in triple.columns}
     draft.put("reference", "columns", draft.names(triple.columns))
-    draft.put("reference", "unit", unit.unit)
+    draft.put_unit("reference", AnsweredUnit(unit.unit, unit.factor))
     draft.put("reference", "frame", frame)
     draft.conclude(
         "reference.columns", f"{triple.label} in {unit.unit or '?'}, {frame or '?'}", by or "the names say a reference"
@@ -179,6 +180,10 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     if unit.sure:
         draft.conclude("reference.unit", unit.unit, unit.why)
     return True
+
+
+def _unit_question(asks: str, possible: tuple[str, ...]) -> Question:
+    return Question("reference.unit", asks, tuple((one, "") for one in possible), "nT", scaled="0.1 nT")
 
 
 def _size(column: Column) -> Size | None:
@@ -190,10 +195,10 @@ def _magnitude(draft: Draft, column: Column, size: Size | None, by: str, expecte
     unit = reference_unit(draft, size, column.unit, expected_nt)
     if not unit.sure:
         asks = f"in which unit is the reference {column.label}? {unit.why}"
-        draft.ask(Question("reference.unit", asks, tuple((one, "") for one in unit.possible), "nT"))
+        draft.ask(_unit_question(asks, unit.possible))
     draft.reserved.add(column.number)
     draft.put("reference", "magnitude", draft.name(column))
-    draft.put("reference", "unit", unit.unit)
+    draft.put_unit("reference", AnsweredUnit(unit.unit, unit.factor))
     draft.conclude("reference.magnitude", f"{column.label} in {unit.unit or '?'}", f"{by}; {unit.why}")
     return True
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.draft import Draft, answered
 from magcal_service.recordings.describe.field import EARTH_NT, Size, UnitFound, find_unit, in_earth_field
+from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 
 _EARTH: Final = f"the {EARTH_NT[0] / 1e3:g} to {EARTH_NT[1] / 1e3:g} uT that the Earth's field can be"
 
@@ -28,10 +28,10 @@ def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: floa
     ------
     InputRefusedError: the answer is no unit of a field.
     """
-    answer = draft.answers.get("reference.unit")
+    answer = draft.answers.unit("reference.unit", FieldUnit)
     found = _as_answered(draft, size, answer) if answer is not None else _found(size, said, expected_nt)
     if found.sure and size is not None:
-        draft.reference_nt = size.usual * FIELD_NT[FieldUnit(found.unit)]
+        draft.reference_nt = size.usual * found.factor * FIELD_NT[FieldUnit(found.unit)]
     return found
 
 
@@ -46,12 +46,10 @@ def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound
     return replace(found, unit="", sure=False, why=why, possible=(*inside, found.unit))
 
 
-def _as_answered(draft: Draft, size: Size | None, answer: str) -> UnitFound:
-    if answer not in list(FieldUnit):
-        raise InputRefusedError([Fault("--answer reference.unit", answer, f"{' '.join(FieldUnit)} are accepted")])
+def _as_answered(draft: Draft, size: Size | None, answer: AnsweredUnit) -> UnitFound:
     if size is not None:
-        warn_outside(draft, f"reference.unit={answer}", size.usual * FIELD_NT[FieldUnit(answer)])
-    return UnitFound(answer, True, answered("reference.unit"), (answer,))
+        warn_outside(draft, f"reference.unit={answer}", size.usual * answer.factor * FIELD_NT[FieldUnit(answer.unit)])
+    return UnitFound(answer.unit, True, answered("reference.unit"), (answer.unit,), answer.factor)
 
 
 def warn_outside(draft: Draft, answer: str, amount_nt: float) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.base.errors import Fault, InputRefusedError
-from magcal_service.base.typed_toml import nearest
 from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
@@ -18,7 +17,9 @@ from magcal_service.recordings.describe.fahrenheit import steps_of_degf, swings_
 from magcal_service.recordings.describe.gyro_unit import by_turning
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
+from magcal_service.recordings.describe.unit_answer import read_unit
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
+from magcal_service.recordings.unit_words import unknown_unit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -108,16 +109,15 @@ def _answered_channel(draft: Draft, name: str, parts: dict[str, str]) -> None:
         columns = _by_channel_name(draft, name)
     else:
         columns = draft.named(f"channels.{name}.columns", given, range(1, 17))
-    unit = parts.get("unit") or (columns[0].unit if columns[0].unit in CHANNEL_UNITS else "")
-    if unit not in CHANNEL_UNITS:
-        raise InputRefusedError([Fault(f"--answer channels.{name}.unit", unit, nearest(unit, CHANNEL_UNITS))])
+    said = parts.get("unit") or (columns[0].unit if columns[0].unit in CHANNEL_UNITS else "")
+    unit = read_unit(f"channels.{name}.unit", said, CHANNEL_UNITS, parts.get("factor"))
     value: dict[str, object] = _columns(draft, columns)
-    value |= {"unit": unit} if unit else {}
+    value |= unit.entries if unit.unit else {}
     value |= {key: parts[key] for key in ("frame", "order", "from", "to") if key in parts}
     draft.put("channels", name, value)
     draft.reserved |= {column.number for column in columns}
     label = ", ".join(column.label for column in columns)
-    draft.conclude(f"channels.{name}", f"{label} in {unit or 'no unit'}", answered(f"channels.{name}"))
+    draft.conclude(f"channels.{name}", f"{label} in {str(unit) or 'no unit'}", answered(f"channels.{name}"))
 
 
 def _by_channel_name(draft: Draft, name: str) -> list[Column]:
@@ -165,7 +165,7 @@ def _vector(
     if kind is Kind.SUN:
         return _sun(draft, name, group)
     quantity = _QUANTITY[kind]
-    possible = tuple(unit for unit, known in CHANNEL_UNITS.items() if known.quantity == quantity)
+    possible = _possible(quantity)
     found = _said(group.columns, group.unit, quantity)
     if kind is Kind.GYRO and field_nt is not None and times is not None:
         found = _by_turning(group, found, field_nt, times, draft.log.neighbours())
@@ -178,14 +178,19 @@ def _vector(
     if not found.unit:
         if kind is Kind.TORQUER or (kind is Kind.GYRO and (found.possible or not group.unit)):
             asks = f"in which unit is {group.label}, by name {name}? {found.why}"
-            draft.ask(
-                Question(f"channels.{name}.unit", asks, tuple((one, "") for one in possible), possible[0], needed=False)
-            )
+            draft.ask(_unit_question(name, asks, possible))
         return False
     draft.put("channels", name, _columns(draft, group.columns) | {"unit": found.unit})
     draft.reserved |= {column.number for column in group.columns}
     draft.conclude(f"channels.{name}", f"{group.label} in {found.unit}", found.why)
     return True
+
+
+def _unit_question(name: str, asks: str, possible: tuple[str, ...]) -> Question:
+    """Which unit a channel has."""
+    candidates = tuple((one, "") for one in possible)
+    scaled = f"0.1 {possible[0]}"
+    return Question(f"channels.{name}.unit", asks, candidates, possible[0], needed=False, scaled=scaled)
 
 
 def _sun(draft: Draft, name: str, group: Triple) -> bool:
@@ -268,6 +273,8 @@ def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
     found = _said((column,), column.unit, quantity)
     if not column.unit:
         found = _by_range(quantity, column.values)
+        if strange := unknown_unit(column.name):
+            found = _Unit("", f"the name says {strange}, which is no unit of {quantity} here", _possible(quantity))
     if quantity == "temperature" and (found.unit == "degC" or "degF" in found.possible):
         found = _not_degf(draft, column, found)
     base = quantity if quantity in {"temperature", "current"} else _clean(column.stem)
@@ -275,8 +282,7 @@ def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
     if not found.unit:
         if found.possible:
             asks = f"in which unit is {column.label}, by name {quantity}? {found.why}"
-            candidates = tuple((one, "") for one in found.possible)
-            draft.ask(Question(f"channels.{name}.unit", asks, candidates, found.possible[0], needed=False))
+            draft.ask(_unit_question(name, asks, found.possible))
         else:
             draft.said.append(f"channels: {column.label} left out: {found.why}")
         return
@@ -284,6 +290,11 @@ def _scalar(draft: Draft, column: Column, names: set[str]) -> None:
     draft.reserved.add(column.number)
     names.add(name)
     draft.conclude(f"channels.{name}", f"{column.label} in {found.unit}", found.why)
+
+
+def _possible(quantity: str) -> tuple[str, ...]:
+    """Units of a quantity."""
+    return tuple(unit for unit, known in CHANNEL_UNITS.items() if known.quantity == quantity)
 
 
 def _not_degf(draft: Draft, column: Column, found: _Unit) -> _Unit:

@@ -128,7 +128,7 @@ def test_what_is_no_log_is_refused_in_a_line(content: bytes, value: str, tmp_pat
     [
         ({"magnetometer.uni": "uT"}, "did you mean 'magnetometer.unit'"),
         ({"magnetometer.columns": "a,b,c"}, "'a'"),
-        ({"magnetometer.unit": "Tesla"}, "nT uT mT T mG G"),
+        ({"magnetometer.unit": "Tesla"}, "known: G, T, mG, mT, nT, uT"),
         ({"reference": "strong"}, "'strong'"),
         ({"time.format": "stardate"}, "elapsed_s"),
         ({"position.altitude_km": "415"}, "nothing of this log asks for it"),
