@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,6 +13,11 @@ from magcal_service.diagnosis.separation import Separation
 from magcal_service.model import Array
 from magcal_service.physics.interface import Value, Values
 from magcal_service.physics.saying import labels_of
+
+MISMATCH: Final = "the mismatch"
+
+OF_ITS_OWN: Final = "the mismatch would be back without it"
+"""Shares of several effects in one residual: they need not add up to what all of them explain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +40,7 @@ class Entry:
     drivers: (driver, probability) of the channels that drive it as well as this recording can tell, most probable
         first; empty for what has no driver.
     unlisted: what the recorded channel's signal is that does as well and is no effect, in words; empty where none does.
+    share_of: what ``share_of_mismatch`` is a share of, in words.
     """
 
     effect: str
@@ -53,6 +59,7 @@ class Entry:
     measure: tuple[Separation, ...] = ()
     drivers: tuple[tuple[str, float], ...] = ()
     unlisted: str = ""
+    share_of: str = MISMATCH
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""

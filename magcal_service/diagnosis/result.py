@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.entry import Entry, plain
+from magcal_service.diagnosis.entry import MISMATCH, OF_ITS_OWN, Entry, plain
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import parameters_of
@@ -27,6 +27,13 @@ _LEAST_PROBABILITY: Final = 1e-4
 
 _MOST_RIVALS: Final = 4
 """Rivals listed for an effect; choice: beyond the class itself they are for orientation."""
+
+
+_SHARE_OF: Final = {
+    ActsOn.ATTITUDE: "what the turn differs by",
+    ActsOn.SAMPLES: "the mismatch in the rows it spoils",
+}
+"""What a finding's share is of, where that is no residual of all rows: two findings may each have 100 %."""
 
 
 def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
@@ -78,6 +85,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         measure=separations(diagnosis, index, believed.members),
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
         unlisted=unlisted(diagnosis.explained, index),
+        share_of=OF_ITS_OWN,
     )
 
 
@@ -106,6 +114,7 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         },
         nats=finding.nats,
         constants={},
+        share_of=_SHARE_OF.get(effect.acts_on, MISMATCH),
     )
 
 

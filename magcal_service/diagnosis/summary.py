@@ -19,8 +19,8 @@ from magcal_service.diagnosis.words import (
     members,
     modelled_sentence,
     next_step,
-    percent,
     remaining,
+    share,
     verdict_sentence,
 )
 from magcal_service.model import BIAS, Array
@@ -94,8 +94,7 @@ def _states_noise(diagnosis: Diagnosis) -> bool:
 
 
 def _of(entry: Entry) -> Iterator[str]:
-    share = f"{percent(float(entry.where['share_of_mismatch']))} of the mismatch"
-    yield from wrapped(f"{entry.effect}: {share}; {belief(entry)}")
+    yield from wrapped(f"{entry.effect}: {share(entry)}; {belief(entry)}")
     yield from wrapped(entry.says, "    ")
     yield from wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:

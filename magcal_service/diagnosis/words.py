@@ -225,6 +225,11 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
     return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}. If the first: {says}"
 
 
+def share(entry: Entry) -> str:
+    """An effect's share, and what it is a share of."""
+    return f"{percent(float(entry.where['share_of_mismatch']))} of {entry.share_of}"
+
+
 def belief(entry: Entry) -> str:
     """How sure a name is among its rivals, and how sure it is that there is anything: two questions, two numbers."""
     something = f"{odds(entry.nats)} that something is there"

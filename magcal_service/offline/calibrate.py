@@ -41,7 +41,7 @@ _HELD_OUT_BLOCKS: Final = 10  # contiguous, every second one held out: ten minut
 _LONGER: Final = "record for longer, or go on from an earlier result by --prior"
 
 _OF_A_RECORDING: Final = {
-    Reason.NOT_SETTLED: _LONGER,
+    Reason.NOT_SETTLED: f"it ended before enough samples could be held against the estimate: {_LONGER}",
     Reason.UNPROTECTED: "a disturbance too small to be seen yet may put vectors off by more than protection_nt: "
     f"{_LONGER}",
     Reason.POOR_COVERAGE: "more directions of the field in the body are needed: record for more of the orbit, or turn "
@@ -49,6 +49,12 @@ _OF_A_RECORDING: Final = {
     Reason.COLLAPSED: "the solution shrinks an axis: check units and axes of sensor and reference",
 }
 """Remedies where nobody can wait, for the recording is over."""
+
+_OF_ONE_PLACE: Final = (
+    "it ended before enough samples could be held against the estimate, and at one place a longer one is not trusted "
+    "either (constant_reference): take the numbers with their 3 sigma, or go on from an earlier result by --prior"
+)
+"""In place of those that say to record for longer, where the reference is one magnitude for all rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +95,7 @@ class Calibration(NineErrors):
     craft: whose it is, where the recording says.
     protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
+    of_one_place: whether one magnitude stands for the reference of all rows.
     """
 
     method: str
@@ -108,6 +115,7 @@ class Calibration(NineErrors):
     source: str = ""
     craft: str = ""
     whole_log: str = ""
+    of_one_place: bool = False
 
     @property
     def trusted(self) -> bool:
@@ -119,6 +127,8 @@ class Calibration(NineErrors):
         """What to do about the first reason, empty where there is none."""
         if self.whole_log or not self.reasons:
             return self.whole_log
+        if self.of_one_place and self.reasons[0] is Reason.NOT_SETTLED:
+            return _OF_ONE_PLACE
         return _OF_A_RECORDING.get(self.reasons[0], REMEDIES[self.reasons[0]])
 
     def to_dict(self) -> dict[str, Any]:
@@ -254,6 +264,7 @@ def _judged(usable: Recording, result: Replay, *, as_one_batch: bool) -> _Judgem
 def _calibration(recording: Recording, inspection: Inspection, result: Replay, judgement: _Judgement) -> Calibration:
     pipeline, whole = result.pipeline, judgement.whole
     state = pipeline.estimator.estimate()
+    magnitude_nt = recording.reference.magnitude_nt
     return Calibration(
         method=pipeline.estimator.name,
         x=state.x,
@@ -272,6 +283,7 @@ def _calibration(recording: Recording, inspection: Inspection, result: Replay, j
         source=recording.source,
         craft=recording.of_craft or "",
         whole_log=judgement.whole_log,
+        of_one_place=bool(np.nanmin(magnitude_nt) == np.nanmax(magnitude_nt)),
     )
 
 

@@ -39,6 +39,12 @@ _BANDS: Final = (6, 12, 24)
 """Lowest frequencies over which power is averaged [bins]: of a minute those below 0.1, 0.2 and 0.4 Hz, hand turns."""
 
 
+_TOGETHER: Final = (
+    "neighbours in it agree, so it is no noise: the sensor was carried about, or something magnetic is near; turn it "
+    "on one spot, far from iron and cables, in all directions"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Whole:
     """What is said of a log that was taken as one batch.
@@ -93,8 +99,11 @@ def judged(recording: Recording, craft: CraftConfig, estimate: StateEstimate, *,
     level, share = rms(residual), rms(residual) / float(magnitude.mean())
     factor, independent = spread(residual, craft.sensor.noise_nt)
     if share > _NOISE_SHARE:
-        accepted = f"at most {100 * _NOISE_SHARE:g} % is accepted: {REMEDIES[Reason.STRUCTURED_RESIDUAL]}"
-        remedy = f"the residual is {level:.0f} nT, {100 * share:.1f} % of the field; {accepted}"
+        is_white = len(residual) <= _AGREE * independent
+        remedy = (
+            f"the residual is {level:.0f} nT, {100 * share:.1f} % of the field; at most {100 * _NOISE_SHARE:g} % is "
+            f"accepted: {REMEDIES[Reason.NOISE_TOO_HIGH] if is_white else _TOGETHER}"
+        )
         return Whole(factor, (Reason.NOISE_TOO_HIGH,), remedy)
     if independent < _FEWEST_INDEPENDENT:
         remedy = (

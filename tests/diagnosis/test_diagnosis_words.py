@@ -91,6 +91,7 @@ def entry(
         separated_by="a heater test",
         measure=(),
         drivers=(),
+        share_of="the mismatch",
     )
 
 

@@ -124,3 +124,19 @@ def test_a_prior_that_does_not_fit_is_refused(
     refused = run("calibrate", tmp_path / "log.toml", "--method", method, "--prior", tmp_path / "prior.json")
     assert refused.code == 2
     assert said in refused.err
+
+
+@pytest.mark.parametrize(
+    ("noise_nt", "iron_nt", "says"), [(3500.0, 0.0, "average the sensor"), (100.0, 4000.0, "agree")]
+)
+def test_a_large_residual_is_called_noise_only_where_it_is_white(noise_nt: float, iron_nt: float, says: str) -> None:
+    time_s, field_nt, magnitude_nt = hand_turned(3, noise_nt=noise_nt, iron_nt=iron_nt)
+    result = calibrate(magcal.Recording.from_arrays(time_s, field_nt, magnitude_nt))
+    assert result.reasons[0] is Reason.NOISE_TOO_HIGH
+    assert says in result.remedy
+
+
+def test_a_log_of_one_place_that_is_too_short_is_not_told_to_be_longer() -> None:
+    result = answered(seconds=140.0)
+    assert result.reasons[0] is Reason.NOT_SETTLED
+    assert "at one place a longer one is not trusted either" in result.remedy

@@ -23,7 +23,7 @@ _LONGEST_NAME: Final = 60
 
 def nearest(value: str, known: Iterable[str]) -> str:
     """Name the known name that is probably meant: ``"did you mean 'unit'? known: ..."``."""
-    names = sorted(known)
+    names = sorted(filter(None, known))
     by_lower = {name.lower(): name for name in names}
     close = difflib.get_close_matches(value.lower(), by_lower, n=1)
     listing = _listed(names)

@@ -29,6 +29,7 @@ from magcal_service.diagnosis.words import (
     odds,
     percent,
     remaining,
+    share,
     strength,
     titles,
     verdict_sentence,
@@ -101,8 +102,8 @@ def _places(located: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         else:
             says = says.replace(" (channel ", " (").removesuffix(")") + ")"
         if all(row["says"] != says for row in rows):
-            share, nats = float(place["share"]), float(place["significance_nats"])
-            rows.append({"says": says, "kind": place["kind"], "share": share, "nats": nats})
+            part, nats = float(place["share"]), float(place["significance_nats"])
+            rows.append({"says": says, "kind": place["kind"], "share": part, "nats": nats})
     return rows[:_MOST_PLACES]
 
 
@@ -117,7 +118,7 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "source": effect.source,
         "absorbed": effect.absorbed,
         "driver": driver_in_words(entry.driver),
-        "share": float(entry.where["share_of_mismatch"]),
+        "share": share(entry),
         "members": members(entry),
         "rivals": [
             {
