@@ -40,6 +40,14 @@ class Mode(StrEnum):
     FROZEN = "frozen"
     STALE = "stale"
     MODEL_DOUBTFUL = "model_doubtful"
+    AXES_CHANGED = "axes_changed"
+    SPIN_CHANGED = "spin_changed"
+    GYRO_DISAGREES = "gyro_disagrees"
+    POSITIONS_WRONG = "positions_wrong"
+    REFERENCE_HELD = "reference_held"
+    HELD_READINGS = "held_readings"
+    DRIVER_MISSING = "driver_missing"
+    COMPENSATION_STOPPED = "compensation_stopped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +265,78 @@ MODES: Final = {
         Reason.MODEL_DOUBTFUL,
         "",
         "a whole window of the watch in which nothing is found, or a physics.toml that holds it",
+    ),
+    Mode.AXES_CHANGED: Row(
+        "the vector jumps as no turn explains and the jump stays: axes were swapped or flipped",
+        "each sample's, by the last estimate: they are in other axes than before",
+        "the estimate's: |B| does not show the change",
+        Verdict.DOUBTFUL,
+        Reason.AXES_CHANGED,
+        "",
+        "axes that change back, or are corrected and command reset",
+    ),
+    Mode.SPIN_CHANGED: Row(
+        "the field turns about another axis than craft.spin says, in the other sense or at another rate",
+        "each sample's, by the last estimate",
+        "the estimate's: wrong windows are not in it; once they contradict it they are left out (spin_contradicted)",
+        Verdict.DOUBTFUL,
+        Reason.SPIN_DISAGREES,
+        "",
+        "the turn of before, or a new craft.spin",
+    ),
+    Mode.GYRO_DISAGREES: Row(
+        "a gyro's rates do not explain the vector's turn; with axes swapped or flipped they would",
+        "each sample's, by the last estimate",
+        "the estimate's: |B| does not show it",
+        Verdict.DOUBTFUL,
+        Reason.RATE_DISAGREES,
+        "",
+        "rates that agree",
+    ),
+    Mode.POSITIONS_WRONG: Row(
+        "the reference is IGRF's by reference.model, and positions do not fall as an orbit at their height does",
+        "each sample's, by the last estimate",
+        "the estimate's: a wrong reference is not in it",
+        Verdict.DOUBTFUL,
+        Reason.HEIGHT_DISAGREES,
+        "",
+        "three minutes of right positions; the estimate still holds the wrong ones, until command reset",
+    ),
+    Mode.REFERENCE_HELD: Row(
+        "the reference repeats one value though at its usual pace it would have changed by 1 %",
+        "each sample's, by the last estimate",
+        "the estimate's: a wrong reference is not in it",
+        Verdict.DOUBTFUL,
+        Reason.REFERENCE_HELD,
+        "",
+        "the next other value",
+    ),
+    Mode.HELD_READINGS: Row(
+        "the sensor repeats each reading several times",
+        "each sample's; those of repeats, which are old, as doubtful",
+        "the estimate's: repeats are not learned from",
+        Verdict.TRUSTED,
+        Reason.HELD_READINGS,
+        "held",
+        "readings that are new each time; the status says the factor until then",
+    ),
+    Mode.DRIVER_MISSING: Row(
+        "what drives an effect of physics.toml does not come, is stale, or is beyond the range of its curve",
+        "each sample's, without that compensation",
+        "the estimate's: what is not compensated is not in it",
+        Verdict.DOUBTFUL,
+        Reason.DRIVER_MISSING,
+        "uncompensated.*",
+        "the driver's next value",
+    ),
+    Mode.COMPENSATION_STOPPED: Row(
+        "physics.toml has made the residual worse than without",
+        "each sample's, as of a craft without the file",
+        "that of a craft without the file",
+        Verdict.TRUSTED,
+        Reason.COMPENSATION_STOPPED,
+        "compensation_stopped",
+        "command load_physics",
     ),
 }
 

@@ -21,6 +21,7 @@ from magcal_service.trust.modes import MODES, Mode
 from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import (
     Clock,
+    Command,
     Estimate,
     Frame,
     MagnetometerSample,
@@ -32,6 +33,7 @@ from magcal_service.wire.messages import (
 )
 from sim_sensor.scenario_reader import load_scenario
 from sim_sensor.simulation import Simulation
+from tests.daemon.pipeline_streams import EARLY
 from tests.main_field import igrf_ned_nt
 
 CRAFT = CraftConfig(
@@ -130,6 +132,34 @@ def test_heights_in_miles_are_doubted_before_they_can_be_trusted() -> None:
                 replace(AT, craft="paper", time_ns=time_ns, position_km=tuple(place[0].tolist()), frame=frame)
             )
         assert bool(pipeline.monitor.senses.height.said) is doubted
+
+
+def test_a_trusted_craft_whose_positions_go_wrong_is_doubted_until_they_are_right_and_it_is_reset() -> None:
+    """Heights in miles for 500 s, then right ones: as the table of degraded modes says."""
+    simulation = Simulation(load_scenario("paper"), 12, 3000.0)
+    samples = [message for message in simulation.messages() if isinstance(message, MagnetometerSample)]
+    pipeline = Pipeline(replace(CRAFT, trust=EARLY))
+
+    def fly(first_s: int, end_s: int, factor: float = 1.0) -> None:
+        for number in range(first_s, end_s):
+            time_ns = samples[number].time_ns
+            if number % 5 == 0:
+                place = simulation.truth.orbit.position_eci_km(np.array([time_ns]))[0]
+                radius = float(np.linalg.norm(place))
+                place *= 1.0 + (factor - 1.0) * (radius - 6371.0) / radius
+                pipeline.handle(replace(AT, craft="paper", time_ns=time_ns, position_km=tuple(place.tolist())))
+            pipeline.handle(samples[number])
+
+    row = MODES[Mode.POSITIONS_WRONG]
+    fly(0, 1000)
+    assert pipeline.trust.verdict is Verdict.TRUSTED
+    fly(1000, 1500, 1.609344)
+    assert (pipeline.trust.verdict, pipeline.trust.reasons[0]) == (row.verdict, row.reason)
+    fly(1500, 1680)
+    assert row.reason not in pipeline.trust.reasons
+    pipeline.handle(Command(craft="paper", source="ops", sequence=0, time_ns=0, name="reset"))
+    fly(1680, 3000)
+    assert (pipeline.trust.verdict, pipeline.trust.reasons) == (Verdict.TRUSTED, ())
 
 
 def test_a_daemon_without_positions_recovers_when_they_come(tmp_path: Path) -> None:

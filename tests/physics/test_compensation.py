@@ -17,6 +17,7 @@ from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.trust.modes import MODES, Mode
 from magcal_service.wire.messages import (
     Command,
     Frame,
@@ -203,7 +204,7 @@ def test_a_missing_channel_is_said_and_counted_and_the_sample_left_alone() -> No
     silent_from_ns = scenario.start_ns + 200 * 10**9
     kept = [m for m in messages if not (isinstance(m, TelemetrySample) and m.time_ns >= silent_from_ns)]
     estimate = last_estimate(pipeline, tuple(kept))
-    assert "driver_missing" in estimate.reasons
+    assert MODES[Mode.DRIVER_MISSING].reason in estimate.reasons
     assert 179 <= pipeline.counters["uncompensated.thermal_bias"] <= 180  # from 30 s after the last value, at 190 s
     assert "thermal_bias, thermal_scale" in pipeline.summary()
 
