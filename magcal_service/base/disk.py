@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,7 +27,8 @@ def beside(path: Path, *, mode: int = 0o666, mark: str = "") -> Iterator[Path]:
     """
     part = path.with_name(path.name + mark) if mark else path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode))
+        part.unlink(missing_ok=True)  # whatever it is: a link would be followed, and a pipe waited for
+        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
         yield part
         _sync(part, os.O_RDONLY)
         os.replace(part, path)
@@ -46,6 +48,23 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, mark: str = ""
 def sync_folder(path: Path) -> None:
     """Make the names in a folder survive a power cut; ``OSError`` where the disk does not take them."""
     _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there itself: no link, no pipe, no device, no folder."""
+    with suppress(OSError):
+        return stat.S_ISREG(path.lstat().st_mode)
+    return False
+
+
+def opened_at_once(path: str, flags: int) -> int:
+    """For ``open``: without waiting for a pipe's other end."""
+    return os.open(path, flags | os.O_NONBLOCK, 0o666)
+
+
+def opened_itself(path: str, flags: int) -> int:
+    """For ``open``: at once, and what is there itself, not what a link leads to."""
+    return opened_at_once(path, flags | os.O_NOFOLLOW)
 
 
 def _sync(path: Path, flags: int) -> None:

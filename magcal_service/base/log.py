@@ -7,6 +7,7 @@ import fcntl
 import json
 import logging
 import os
+import select
 import sys
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -57,6 +58,63 @@ class PlainLines(logging.Formatter):
         return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
 
 
+_WAIT_MS: Final = 100  # choice: a reader that is only slow comes in time, and a tick is a second
+
+
+class UnheldLines(logging.Handler):
+    """Writes log lines to a file and is not held up by whoever reads them: a pipe that nobody reads is full at once.
+
+    What finds no room within ``_WAIT_MS`` is lost, and all after it until there is room again; then it is said how many
+    lines that were.
+
+    Parameters
+    ----------
+    file: descriptor; whether it waits is left as it is.
+    """
+
+    def __init__(self, file: int) -> None:
+        super().__init__()
+        self._file = file
+        self._room = select.poll()
+        self._room.register(file, select.POLLOUT)
+        self._lost = 0
+        self._torn = False  # a line that had begun found no more room
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line, or count it as lost."""
+        try:
+            line = self.format(record)
+            if self._lost and self._written(self.format(self._told(record))):
+                self._lost = 0
+            if self._lost or not self._written(line):
+                self._lost += 1
+        except Exception:
+            self.handleError(record)
+
+    def _told(self, record: logging.LogRecord) -> logging.LogRecord:
+        told = {"name": "magcal.log", "levelno": logging.WARNING, "levelname": "WARNING", "created": record.created}
+        return logging.makeLogRecord({**told, "msg": f"{self._lost} log lines are lost: nobody read them"})
+
+    def _written(self, line: str) -> bool:
+        """Whether all of a line found room; so much as fits for certain is written at once."""
+        left = memoryview(f"{chr(10) if self._torn else ''}{line}\n".encode(errors="backslashreplace"))
+        size = len(left)
+        while left:
+            try:
+                written = os.write(self._file, left[: select.PIPE_BUF]) if self._has_room() else 0
+            except OSError:  # nobody is at its other end any more, or its disk is full
+                written = 0
+            if not written:
+                self._torn |= len(left) < size
+                return False
+            left = left[written:]
+        self._torn = False
+        return True
+
+    def _has_room(self) -> bool:
+        return bool(self._room.poll(0 if self._lost else _WAIT_MS))
+
+
 _stdout_free = False
 _PIPE_BYTES = 1 << 20  # the most that Linux gives a process without privileges (fs.pipe-max-size, its default)
 
@@ -68,12 +126,19 @@ def to_stderr(level: int = logging.INFO) -> None:
     """
     global _stdout_free
     _stdout_free = True
-    handler = logging.StreamHandler(sys.stderr)
+    handler = _stderr_handler()
     at_terminal = sys.stderr.isatty()
     handler.setFormatter(PlainLines(colour=not os.environ.get("NO_COLOR")) if at_terminal else JsonLines())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level)
+
+
+def _stderr_handler() -> logging.Handler:
+    try:
+        return UnheldLines(sys.stderr.fileno())
+    except (OSError, ValueError):  # an object that only looks like a file
+        return logging.StreamHandler(sys.stderr)
 
 
 def stdout_as_pipe() -> int | None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
 import sys
+import threading
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
@@ -79,6 +81,15 @@ def beside_json(path: Path | None) -> Iterator[None]:
     """Within, what is said for people goes to stderr where the JSON goes to stdout (``--json -``)."""
     with redirect_stdout(sys.stderr) if path == STDOUT else nullcontext():
         yield
+
+
+def end_by_signal(stop: threading.Event) -> None:
+    """Set ``stop`` where the process is told to end, or its terminal is closed and no ``nohup`` has it go on."""
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
+        signal.signal(number, lambda *_: stop.set())
 
 
 def write_json(path: Path | None, text: str) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import threading
 import time
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, within
+from magcal_service.cli.common import DONE, NOT_TRUSTED, Parser, end_by_signal, within
 
 _MORE = """
 Without --tle it hears the craft's position messages on a zenoh link and sends the field at each.  A daemon can do the
@@ -56,8 +55,7 @@ def _reference(options: argparse.Namespace) -> int:
         accepted = "positions of others are heard on zenoh links alone; give --tle, or [craft.reference] in the daemon"
         raise ConfigError([Fault("--link", address, accepted)])
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    end_by_signal(stop)
     if options.duration_s is not None:
         threading.Timer(options.duration_s, stop.set).start()
     log.to_stderr()

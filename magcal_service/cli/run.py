@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import threading
 from pathlib import Path
 
-from magcal_service.cli.common import DONE, Parser, check_method
+from magcal_service.cli.common import DONE, Parser, check_method, end_by_signal
 
 
 def add_run(parser: Parser) -> None:
@@ -37,8 +36,7 @@ def _run(options: argparse.Namespace) -> int:
         print("\n".join(check_daemon(config)))
         return DONE
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    end_by_signal(stop)
     log.to_stderr()
     run_daemon(config, stop)
     return DONE

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from magcal_service.base.disk import opened_at_once
 from magcal_service.base.errors import ConfigError, Fault, FileFault
 
 __all__ = [
@@ -119,7 +120,7 @@ def check_state_directory(path: Path) -> None:
 def read_key(path: Path) -> bytes:
     """The key in a file that nobody else can read: ``MIN_KEY_BYTES`` to ``MAX_KEY_BYTES`` bytes in hexadecimal."""
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=opened_at_once) as file:
             _refuse_open_secret(path, os.fstat(file.fileno()))
             text = file.read(4 * MAX_KEY_BYTES)
     except OSError as error:

@@ -14,6 +14,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.base.disk import opened_at_once
 from magcal_service.base.errors import Fault, InputRefusedError, unwritable
 from magcal_service.config.magnetometers import label_of
 from magcal_service.model import STATE_NAMES, STATE_SIZE
@@ -66,7 +67,7 @@ class EstimateCsv:
     path: the file.
     append: continue after the rows that a file already holds, as a restarted daemon does; a last row that a crash
         cut short is removed.  No other process continues the same file, and one that is renamed, deleted or emptied
-        meanwhile is begun anew at the next ``flush``.
+        meanwhile is begun anew at the next ``flush``.  A pipe that is not read as fast is an error then, no wait.
 
     Every method raises ``InputRefusedError`` where the file cannot be written, holds something else, or is written by
     another process.
@@ -76,14 +77,21 @@ class EstimateCsv:
         self.path = path
         if "\0" in str(path):
             raise InputRefusedError([Fault("output file", str(path), "give a file that can be written")])
-        self._append = append
+        self.append = append
+        self._open()
+
+    def open_again(self) -> None:
+        """Go on at the end of the file after an error; only where it is continued."""
         self._open()
 
     def _open(self) -> None:
         with self._refusing():
-            self._file = self.path.open("a" if self._append else "w", newline="", encoding="utf-8")
+            mode, opener = ("a", opened_at_once) if self.append else ("w", None)
+            self._file = open(  # noqa: SIM115 -- closed by ``close``
+                self.path, mode, newline="", encoding="utf-8", opener=opener
+            )
             try:
-                if self._append:
+                if self.append:
                     self._lock()
                     if self.path.is_file():
                         _cut_torn_row(self.path)
@@ -107,7 +115,7 @@ class EstimateCsv:
     def _follow(self) -> None:
         """Begin anew where the path leads to another file by now or to none, or the file was made shorter."""
         held = os.fstat(self._file.fileno())
-        if not (self._append and stat.S_ISREG(held.st_mode)):
+        if not (self.append and stat.S_ISREG(held.st_mode)):
             return
         try:
             there = self.path.stat()

@@ -107,7 +107,7 @@ class Service:
         self._fed = (0, 0)  # samples accepted and ticks closed at the last watchdog notification
         self.health = Health(link)
         parts = (recorder, checkpoints, outputs)
-        self.statuses = Statuses(link, self.health, self.counters, self.magnetometers, *parts)
+        self.statuses = Statuses(link, self.health, self.counters, self.magnetometers, self.rows, *parts)
         self._round = StatusRound()
         self._schedule = Schedule(math.inf if config.state is None else config.state.period_s)
 

@@ -14,6 +14,7 @@ from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.magnetometers import Magnetometers
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.rows import Rows
 from magcal_service.links import Link
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Status
@@ -29,6 +30,7 @@ class Statuses:
     ----------
     link, health, counters: the daemon's.
     magnetometers: by craft.
+    rows: the daemon's.
     recorder, checkpoints, outputs: those that there are.
     """
 
@@ -38,12 +40,13 @@ class Statuses:
         health: Health,
         counters: Counter[str],
         magnetometers: Mapping[str, Magnetometers],
+        rows: Rows,
         recorder: Recorder | None,
         checkpoints: Checkpoints | None,
         outputs: Outputs | None,
     ) -> None:
         self._link, self._health, self._counters, self._magnetometers = link, health, counters, magnetometers
-        self._recorder, self._checkpoints, self._outputs = recorder, checkpoints, outputs
+        self._rows, self._recorder, self._checkpoints, self._outputs = rows, recorder, checkpoints, outputs
         self._last_events: dict[str, Event] = {}
 
     def note(self, event: Event) -> None:
@@ -79,6 +82,8 @@ class Statuses:
             troubles.append(f"not recording: {self._recorder.trouble}")
         if self._checkpoints is not None and self._checkpoints.trouble:
             troubles.append(f"no checkpoints: {self._checkpoints.trouble}")
+        if self._rows.trouble:
+            troubles.append(f"no rows: {self._rows.trouble}")
         if self._outputs is not None and self._outputs.trouble:
             troubles.append(self._outputs.trouble)
         if self._link.alone:

@@ -6,7 +6,7 @@ import re
 import zlib
 from pathlib import Path
 
-from magcal_service.base.disk import write_whole
+from magcal_service.base.disk import opened_at_once, write_whole
 from magcal_service.wire.seal import MAX_COUNTER
 
 _CONTENT = re.compile(rb"magcal counter ([0-9]{1,20}) ([0-9a-f]{8})\n")
@@ -35,8 +35,8 @@ class CounterFile:
     def read(self) -> int | None:
         """The stored value as it is on disk now, as ``last``."""
         try:
-            with self.path.open("rb") as file:
-                match = _CONTENT.fullmatch(file.read(256))
+            with open(self.path, "rb", opener=opened_at_once) as file:
+                match = _CONTENT.fullmatch(file.read(256) or b"")  # a pipe that is empty gives None
         except FileNotFoundError:
             return 0
         except OSError:

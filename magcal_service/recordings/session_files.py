@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.base.disk import beside, sync_folder
+from magcal_service.base.disk import beside, is_file, sync_folder
 from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.base.version import __version__
 from magcal_service.recordings.mcap import DROPPED, MAGIC, RawMessage
@@ -37,12 +37,16 @@ class SessionFolder:
 
     def files(self) -> list[Path]:
         """Everything recorded here, oldest first by its running number: a clock that was set does not disturb it."""
+        return [path for path in self._named() if is_file(path)]
+
+    def _named(self) -> list[Path]:
+        """What has the name of a recording, whatever it is."""
         return sorted(path for path in self.path.iterdir() if _NAME.fullmatch(path.name))
 
     def create(self, now_ns: int) -> tuple[Path, BinaryIO]:
         """The next file, locked against another daemon's recovery for as long as it is open; ``now_ns`` labels it."""
         self.path.mkdir(parents=True, exist_ok=True)
-        number = max((int(path.name[:8]) for path in self.files()), default=0) + 1
+        number = max((int(path.name[:8]) for path in self._named()), default=0) + 1
         stamp = datetime.fromtimestamp(now_ns / 1e9, UTC).strftime("%Y%m%dT%H%M%SZ")
         path = self.path / f"{number:08d}-{stamp}.mcap"
         file = path.open("xb", buffering=0)
@@ -71,7 +75,7 @@ class SessionFolder:
 
     def unfinished(self) -> Iterator[Path]:
         """Files without their closing mark that no running recorder holds; leftovers of a recovery are deleted."""
-        for leftover in self.path.glob(f"*{_UNFINISHED}"):
+        for leftover in filter(is_file, self.path.glob(f"*{_UNFINISHED}")):
             leftover.unlink()
         for path in self.files():
             if path.suffix == ".mcap" and not _is_closed(path) and not _is_held(path):

@@ -76,3 +76,15 @@ def test_what_a_crash_has_left_is_written_over(tmp_path: Path, mark: str, name: 
     (tmp_path / name()).write_bytes(b"half of something long")
     write_whole(tmp_path / "file", b"whole", mark=mark)
     assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("file", b"whole")]
+
+
+@pytest.mark.parametrize("mark", [".new", ""])
+@pytest.mark.parametrize("plant", [os.mkfifo, lambda part: part.symlink_to(part.with_name("other"))])
+def test_a_pipe_or_a_link_where_the_file_is_written_is_neither_waited_for_nor_followed(
+    tmp_path: Path, mark: str, plant: Callable[[Path], None]
+) -> None:
+    other = tmp_path / "other"
+    other.write_bytes(b"kept")
+    plant(tmp_path / (f"file{mark}" if mark else f".file.{os.getpid()}.part"))
+    write_whole(tmp_path / "file", b"whole", mark=mark)
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == {"file": b"whole", "other": b"kept"}

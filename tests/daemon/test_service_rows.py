@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import errno
+import os
 import threading
 from pathlib import Path
 
 import pytest
 
-from magcal_service.base.errors import InputRefusedError
+from magcal_service.base.errors import InputRefusedError, unwritable
 from magcal_service.config.settings import Config, CraftConfig
 from magcal_service.daemon.estimate_csv import COLUMNS, EstimateCsv
 from magcal_service.daemon.pipeline import Pipeline
+from magcal_service.daemon.rows import Rows
 from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
@@ -181,3 +184,57 @@ def test_a_craft_that_no_pipeline_serves_is_counted() -> None:
         service = Service(Config(link.address, (CraftConfig("other"),)), link)
         service.handle(stream()[0])
         assert service.counters == {"unknown_craft": 1}
+
+
+def test_rows_go_on_when_the_disk_takes_them_again(
+    tmp_path: Path, estimates: list[Estimate], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is full twice is told once; the file has whole rows, of before and after."""
+    caplog.set_level("INFO", "magcal")
+    path, full = tmp_path / "rows.csv", [True]
+    write = EstimateCsv.flush
+    with EstimateCsv(path, append=True) as out:
+        rows_of = Rows(out, retry_s=0.0)
+        assert rows_of.add(estimates[0])
+        rows_of.flush()
+
+        def flush(csv: EstimateCsv) -> None:
+            if full[0]:
+                csv._file.buffer.raw.write(b"torn,")  # type: ignore[attr-defined]
+                raise unwritable(path, OSError(errno.ENOSPC, ""))
+            write(csv)
+
+        monkeypatch.setattr(EstimateCsv, "flush", flush)
+        for _ in range(2):
+            rows_of.flush()
+            assert (rows_of.add(estimates[1]), "no space is left" in rows_of.trouble) == (False, True)
+        full[0] = False
+        rows_of.flush()
+        assert (rows_of.add(estimates[2]), bool(rows_of.trouble)) == (True, True)
+        rows_of.flush()
+        assert rows_of.trouble == ""
+    assert [row[2] for row in rows(path)] == ["tick", "1", "3"]
+    assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
+
+
+def test_a_pipe_that_nobody_reads_stops_the_rows_and_holds_nothing_up(
+    tmp_path: Path, estimates: list[Estimate]
+) -> None:
+    """Put in place of the file, opened by nobody; then with a reader that does not read."""
+    path = tmp_path / "rows.csv"
+    with EstimateCsv(path, append=True) as out:
+        rows_of = Rows(out, retry_s=0.0)
+        path.unlink()
+        os.mkfifo(path)
+        rows_of.flush()
+        assert rows_of.error is not None
+        reading = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        rows_of.flush()
+        assert rows_of.error is None
+        for estimate in estimates * 100:
+            rows_of.add(estimate)
+            rows_of.flush()
+            if rows_of.error is not None:
+                break
+        assert rows_of.error is not None
+        os.close(reading)

@@ -62,3 +62,11 @@ def test_a_counter_that_no_line_can_carry_is_not_believed(tmp_path: Path, value:
 def test_a_counter_that_cannot_be_read_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
     (tmp_path / "counter").mkdir()
     assert CounterFile(tmp_path / "counter").last is None
+
+
+def test_a_pipe_is_no_counter_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "counter")
+    kept = CounterFile(tmp_path / "counter")
+    assert kept.last is None
+    kept.keep(7)
+    assert CounterFile(tmp_path / "counter").last == 7

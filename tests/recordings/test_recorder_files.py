@@ -117,3 +117,16 @@ def test_a_folder_that_cannot_be_written_to_is_refused_at_the_start(tmp_path: Pa
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
     with pytest.raises(InputRefusedError, match="written to"):
         open_recorder(settings(tmp_path), [craft()])
+
+
+def test_a_pipe_a_folder_and_a_link_with_the_name_of_a_recording_are_left_alone(tmp_path: Path) -> None:
+    """A pipe without a writer would hold the recorder for good, and nobody would say so."""
+    os.mkfifo(tmp_path / "00000001-20260101T000000Z.mcap")
+    os.mkfifo(tmp_path / "00000001-20260101T000000Z.recovered.mcap.partial")
+    (tmp_path / "00000002-20260101T000000Z.mcap").mkdir()
+    (tmp_path / "00000003-20260101T000000Z.mcap").symlink_to("/dev/zero")
+    planted = set(tmp_path.iterdir())
+    parts = [path for path in record(tmp_path, SAMPLES) if path not in planted]
+    assert [path.name[:9] for path in parts] == ["00000004-"]
+    assert (session_info(parts[0]).sound, inputs(parts)) == (True, list(SAMPLES))
+    assert planted < set(tmp_path.iterdir())

@@ -30,7 +30,7 @@ from typing import Any, Final
 
 import msgpack
 
-from magcal_service.base.disk import write_whole
+from magcal_service.base.disk import is_file, opened_itself, write_whole
 from magcal_service.base.errors import Fault, FileFault, InputRefusedError, MagcalError, why_not
 from magcal_service.base.version import __version__
 from magcal_service.config.daemon_settings import StateConfig
@@ -220,7 +220,7 @@ class StateStore:
 
     def named(self) -> list[str]:
         """Names of the named checkpoints."""
-        return sorted(path.stem for path in self.folder.glob("*.named") if _is_file(path))
+        return sorted(path.stem for path in self.folder.glob("*.named") if is_file(path))
 
     def beside(self) -> list[str]:
         """Sources of the magnetometers that have a folder with checkpoints within this one."""
@@ -251,7 +251,7 @@ class StateStore:
         Raises StateError for a name that is not accepted or one too many; OSError is the disk's.
         """
         path = self._path_of(name)
-        if not _is_file(path) and len(self.named()) >= _MOST_NAMED:
+        if not is_file(path) and len(self.named()) >= _MOST_NAMED:
             raise StateError(
                 f"{_MOST_NAMED} named checkpoints are there already: {', '.join(self.named())}; use one of them"
             )
@@ -260,7 +260,7 @@ class StateStore:
     def read_named(self, name: str) -> Checkpoint:
         """The checkpoint of a name; ``StateError`` where there is none that can be used."""
         path = self._path_of(name)
-        if not _is_file(path):
+        if not is_file(path):
             raise StateError(f"no checkpoint {name!r}; there are: {', '.join(self.named()) or 'none'}")
         return self._read(path)
 
@@ -284,7 +284,7 @@ class StateStore:
 
     def _read(self, path: Path) -> Checkpoint:
         try:
-            with open(path, "rb", opener=_opened_itself) as file:
+            with open(path, "rb", opener=opened_itself) as file:
                 _refuse_anybodys(os.fstat(file.fileno()))
                 raw = file.read(_LARGEST_BYTES + 1)
         except OSError as error:
@@ -302,18 +302,6 @@ class StateStore:
 
 class _HeldError(Exception):
     """Another daemon holds the folder."""
-
-
-def _opened_itself(path: str, flags: int) -> int:
-    """Open what is there itself, not what a link leads to, and without waiting for a pipe's other end."""
-    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
-
-
-def _is_file(path: Path) -> bool:
-    """Whether a file is there itself: no link, no pipe, no device."""
-    with suppress(OSError):
-        return stat.S_ISREG(path.lstat().st_mode)
-    return False
 
 
 def _remove(path: Path) -> None:
