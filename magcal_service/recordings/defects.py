@@ -25,6 +25,7 @@ class Code(StrEnum):
     LONGITUDE_SIGN = "longitude_sign"
     SHIFTED_COLUMNS = "shifted_columns"
     AXES = "axes"
+    GYRO_UNIT = "gyro_unit"
     FIELD_SCALE = "field_scale"
     START_TRANSIENT = "start_transient"
     REFERENCE_REPEATS = "reference_repeats"

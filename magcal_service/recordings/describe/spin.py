@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ _FAR_RAD: Final = 0.5  # turn between rows at which nothing is gained by rows th
 _FAST_RAD: Final = np.pi / 2.0  # turn between rows from which a faster one that looks the same is worth a word
 _NEAR_DEG: Final = 10.0  # an axis this near to one of the sensor's is called by its letter
 _OTHER_DEG: Final = 20.0  # an answered axis further off is another one, and the rate about it was not measured
+_PARTS: Final = 8  # of a stretch, whose axes and rates show how well the whole has them
 _LETTERS: Final = ("x", "y", "z")
 
 
@@ -38,28 +39,34 @@ class SteadySpin:
     rate_rpm: about +axis.
     turns: in the longest stretch that was looked at.
     step_rad: turn from row to row.
+    axis_sigma_deg, rate_sigma_rpm: 1 sigma, by how parts of the stretch differ.  The field's own turning (up to
+        0.02 rpm along an orbit) and the sensor's scale errors (some degrees at 0.1) come on top.
     """
 
     axis: FloatArray
     rate_rpm: float
     turns: float
     step_rad: float
+    axis_sigma_deg: float
+    rate_sigma_rpm: float
+
+    @property
+    def letter(self) -> str:
+        """The axis of the sensor that is near; empty where none is."""
+        nearest = int(np.argmax(np.abs(self.axis)))
+        return _LETTERS[nearest] if _off_deg(self.axis, np.eye(3)[nearest]) <= _NEAR_DEG else ""
+
+    @property
+    def vector_text(self) -> str:
+        """The axis as a vector that can be answered."""
+        return ",".join(f"{part:.4f}" for part in self.axis)
 
     @property
     def named(self) -> SteadySpin:
         """The same about that axis of the sensor which is near, or else with a positive rate."""
         nearest = int(np.argmax(np.abs(self.axis)))
-        near = _off_deg(self.axis, np.eye(3)[nearest]) <= _NEAR_DEG
-        sign = np.sign(self.axis[nearest]) if near else np.sign(self.rate_rpm)
-        return SteadySpin(self.axis * sign, float(self.rate_rpm * sign), self.turns, self.step_rad)
-
-    @property
-    def axis_text(self) -> str:
-        """The axis as it is answered: a letter where one is near."""
-        nearest = int(np.argmax(np.abs(self.axis)))
-        if _off_deg(self.axis, np.eye(3)[nearest]) <= _NEAR_DEG:
-            return _LETTERS[nearest]
-        return ",".join(f"{part:.3f}" for part in self.axis)
+        sign = np.sign(self.axis[nearest]) if self.letter else np.sign(self.rate_rpm)
+        return replace(self, axis=self.axis * sign, rate_rpm=float(self.rate_rpm * sign))
 
 
 def find_spin(draft: Draft, field_nt: FloatArray | None, times: Times | None) -> None:
@@ -76,21 +83,26 @@ def find_spin(draft: Draft, field_nt: FloatArray | None, times: Times | None) ->
     draft.put("spin", "axis", given if given in _LETTERS else [float(part) for part in axis])
     value = None if rate is None else _rate(rate)
     if seen is not None and value is None and _off_deg(seen.axis, axis) <= _OTHER_DEG:
-        value = float(f"{seen.rate_rpm * np.sign(seen.axis @ axis):.3g}")
-        draft.conclude("spin.rate_rpm", f"{value:g}", "so the measured field turns")
+        value = float(f"{seen.rate_rpm * np.sign(seen.axis @ axis):.5g}")
+        draft.conclude("spin.rate_rpm", f"{value:g}", f"so the measured field turns, 1 sigma {seen.rate_sigma_rpm:.1g}")
     if value is not None:
         draft.put("spin", "rate_rpm", value)
     draft.conclude("spin.axis", given, answered("spin.axis"))
 
 
 def _question(seen: SteadySpin) -> Question:
-    letter = seen.axis_text if seen.axis_text in _LETTERS else ""
+    letter = seen.letter
     about = f"about the sensor's {letter}" if letter else "about an axis of its own"
-    asks = f"the field turns steadily, at {seen.rate_rpm:.3g} rpm {about} ({seen.turns:.0f} turns looked at)"
+    sigmas = f"1 sigma {seen.rate_sigma_rpm:.1g} rpm and {seen.axis_sigma_deg:.1g} deg"
+    asks = f"the field turns steadily, at {seen.rate_rpm:.3g} rpm {about} ({seen.turns:.0f} turns looked at; {sigmas}, "
+    asks += "beside up to 0.02 rpm that the field itself turns along an orbit)"
     if abs(seen.step_rad) > _FAST_RAD:
         asks += "; or faster: between two rows it may have gone round more often"
     asks += ". A craft that spins so is calibrated better where [spin] says it. Does it?"
-    return Question("spin.axis", asks, ((seen.axis_text, "as measured"),), seen.axis_text, needed=False)
+    measured = (seen.vector_text, "as measured; scale errors of the sensor turn it by some degrees")
+    off = _off_deg(seen.axis, np.eye(3)[_LETTERS.index(letter)]) if letter else 0.0
+    candidates = ((letter, f"{off:.1f} deg from the measured one"), measured) if letter else (measured,)
+    return Question("spin.axis", asks, candidates, candidates[0][0], needed=False)
 
 
 def steady_spin(field_nt: FloatArray, seconds: FloatArray, block: npt.NDArray[np.int64]) -> SteadySpin | None:
@@ -141,9 +153,40 @@ def _at(field: FloatArray, seconds: FloatArray, apart: int) -> SteadySpin | None
     step = float(np.angle(mean))
     if abs(mean) < _STEADY or abs(early - late) > _SAME * abs(step):
         return None
-    rate_rpm = -step / period * 30.0 / np.pi  # the field goes round against the body
+    rates = _rates(across[even], seconds[1:][even], step / period)
     turns = abs(step) * len(field) / (2.0 * np.pi)
-    return SteadySpin(axis, rate_rpm, turns, step / apart)
+    spread = _off_deg_all([np.linalg.eigh(part.T @ part)[1][:, 0] for part in np.array_split(used, _PARTS)], axis)
+    return SteadySpin(
+        axis,
+        -rates.whole * 30.0 / np.pi,  # the field goes round against the body
+        turns,
+        step / apart,
+        axis_sigma_deg=spread / np.sqrt(_PARTS),
+        rate_sigma_rpm=rates.sigma * 30.0 / np.pi,
+    )
+
+
+class _Rates(NamedTuple):
+    whole: float
+    sigma: float
+
+
+def _rates(across: npt.NDArray[np.complex128], seconds: FloatArray, about_rad_s: float) -> _Rates:
+    """The rate [rad/s] at which a vector turns in its plane (n,), near a known one, and its 1 sigma by parts."""
+    seconds = seconds - seconds[0]
+    left = np.unwrap(np.angle(across * np.exp(-1j * about_rad_s * seconds)))
+    slopes = [
+        float(np.polyfit(at - at.mean(), part, 1)[0])
+        for at, part in zip(np.array_split(seconds, _PARTS), np.array_split(left, _PARTS), strict=True)
+        if len(at) > 2
+    ]
+    whole = float(np.polyfit(seconds - seconds.mean(), left, 1)[0])
+    return _Rates(about_rad_s + whole, float(np.std(slopes)) / np.sqrt(len(slopes)) if len(slopes) > 1 else np.inf)
+
+
+def _off_deg_all(axes: list[FloatArray], axis: FloatArray) -> float:
+    """Rms angle of axes from one [deg]."""
+    return float(np.sqrt(np.mean([_off_deg(one, axis) ** 2 for one in axes])))
 
 
 def _off_deg(one: FloatArray, other: FloatArray) -> float:

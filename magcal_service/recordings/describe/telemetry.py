@@ -14,11 +14,11 @@ from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.fahrenheit import steps_of_degf, swings_as_degf
-from magcal_service.recordings.describe.gyro_unit import by_turning
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.unit_answer import read_unit
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
+from magcal_service.recordings.inspect.gyro_unit import by_turning
 from magcal_service.recordings.unit_words import unknown_unit
 
 FloatArray = npt.NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -39,6 +39,21 @@ _OF_1950: Final = {"cnes", "spenvis", "cjd", "1950"}
 
 _OF_ANY_DAY: Final = {"mjd", "jd", "julian"} | _OF_1950
 """What days are called; without such a name numbers like those since 1950 are as well the seconds of some hours."""
+
+_OF_DAYS: Final = {"excel", "serial", "datenum", "matlab", "day", "days", "date", "datetime"} | _OF_ANY_DAY
+"""What says that a number counts days; 34000 to 51000 may be Excel's, or the seconds of a day from 9 to 14 h."""
+
+_OF_1970: Final = {"unix", "unixtime", "posix", "epoch"}
+"""What says that seconds count from 1970."""
+
+_EARLY_UNIX_S: Final = 1.1e9
+"""Unix seconds of 2004, before the first CubeSats but one: numbers below it are seconds since 2000 more often."""
+
+_GPS_BEHIND_S: Final = 315964782.0
+"""GPS seconds are so far behind Unix seconds: 1980-01-06 less the 18 leap seconds since 2017."""
+
+_GPS_LATEST: Final = 1.48e9
+"""GPS seconds of 2026-12; above it a number is Unix time, whatever receiver its name says."""
 
 _STEP_S: Final = (0.0009, 3700.0)
 """Seconds between rows: a magnetometer is read between 1000 times a second and once an hour."""
@@ -123,7 +138,7 @@ def numbers(column: Column) -> list[Form]:
         if within(values * factor, *UNIX) and step * factor <= 86400.0:
             fits = column.unit in {"", unit}
             counter = bool(set(column.words) & {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"})
-            years = f"{1970 + int(values[0] * factor / 31556952)}"
+            years = f"{_year(values[0] * factor)}"
             runs = (
                 "rises from row to row"
                 if repeated(values) <= MANY_REPEATED * len(values)
@@ -132,8 +147,12 @@ def numbers(column: Column) -> list[Form]:
             why = f"it {runs} and as Unix time in {unit} it is of the year {years}" + (
                 ", as the name says" if named else ""
             )
-            sure = fits and not counter and (named or not column.name)
-            found.append(Form((column,), f"unix_{unit}", values * factor, True, why, sure, 1 if named else 3))
+            other = _other_epoch(column, float(values[0]) * factor)
+            spaced = named or _only_as(step, factor)
+            sure = fits and not counter and not other and (named or not column.name) and spaced
+            found.append(Form((column,), f"unix_{unit}", values * factor, True, why + other, sure, 1 if named else 3))
+            if other or not spaced:
+                return [*found, *_in_rank(_elapsed(column, step, named), found[-1].rank)]
     for form, (low, high, epoch) in DAYS.items():
         since_1950 = form == "mjd1950_days"
         if since_1950 and not set(column.words) & _OF_ANY_DAY:
@@ -141,12 +160,46 @@ def numbers(column: Column) -> list[Form]:
         if within(values, low, high) and step * 86400.0 <= 86400.0 and (not column.whole or "jd" in column.words):
             year = 1970 + int((values[0] - epoch) / 365.2425)
             why = f"it rises from row to row by {step * 86400.0:.3g} s and its days are of the year {year}"
-            sure = bool(set(column.words) & _OF_1950) if since_1950 else named or not column.name
+            called = bool(set(column.words) & _OF_DAYS)
+            sure = bool(set(column.words) & _OF_1950) if since_1950 else called or named or not column.name
             times = (values - epoch) * 86400.0
+            if not called and not _only_as(step, 86400.0):  # as likely seconds
+                elapsed = _elapsed(column, step, named)
+                if step * 86400.0 > _STEP_S[1]:
+                    return [*found, *elapsed]
+                return [*found, Form((column,), form, times, True, why, False, 6), *_in_rank(elapsed, 6)]
             found.append(Form((column,), form, times, True, why, sure, 2 if named else 4))
     if any(form.sure for form in found) or (found and not named):
         return found
     return found + _elapsed(column, step, named)
+
+
+def _year(unix_s: float) -> int:
+    return 1970 + int(unix_s / 31556952)
+
+
+def _only_as(step: float, factor: float) -> bool:
+    """Whether rows are spaced as a log's by a unit of so many seconds, and as no log's by any usual unit of a clock."""
+    usual = _STEP_S[0] <= step * factor <= _SLOW_S
+    return usual and not any(_CLEAR_STEP_S[0] <= step * one <= _SLOW_S for one in S.values() if one < factor)
+
+
+def _in_rank(forms: list[Form], rank: int) -> list[Form]:
+    """Forms beside others that are as likely."""
+    return [replace(form, sure=False, rank=rank) for form in forms]
+
+
+def _other_epoch(column: Column, unix_s: float) -> str:
+    """What speaks for another epoch than 1970; empty where nothing does."""
+    words = set(column.words)
+    if words & _OF_1970:
+        return ""
+    if words & {"gps", "gpst"} and unix_s < _GPS_LATEST:
+        year = _year(unix_s + _GPS_BEHIND_S)
+        return f"; as GPS seconds it is of {year}: elapsed_s with --answer time.start=1980-01-05T23:59:42Z"
+    if unix_s < _EARLY_UNIX_S:
+        return "; as seconds since 2000 it is later: elapsed_s with --answer time.start=2000-01-01T12:00:00Z"
+    return ""
 
 
 def _usual_step(values: FloatArray) -> float:

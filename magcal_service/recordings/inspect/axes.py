@@ -10,8 +10,8 @@ import numpy as np
 
 from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.inspect.finding import Code, Seen
+from magcal_service.recordings.inspect.gyro_unit import is_gyro
 from magcal_service.recordings.inspect.log import Log
-from magcal_service.recordings.recording import Channel
 from magcal_service.recordings.scene_of import recorded_attitude
 from magcal_service.recordings.table import FloatArray
 
@@ -26,7 +26,7 @@ _MOST: Final = 3000  # rows: more only take time
 
 def axes_by_gyro(log: Log) -> Iterator[Seen]:
     """In the body the field turns against the craft: dB/dt = -w x (B - b), in the axes that both really have."""
-    gyro = next((c for c in log.recording.channels.values() if _is_gyro(c)), None)
+    gyro = next((c for c in log.recording.channels.values() if is_gyro(c)), None)
     if gyro is None or len(log) < _FEWEST:
         return
     rate = CHANNEL_UNITS[gyro.spec.unit].to_base(gyro.values[log.rows])
@@ -50,10 +50,6 @@ def axes_by_gyro(log: Log) -> Iterator[Seen]:
     )
     remedy = f"check the axes: order and signs of magnetometer.columns and of channels.{gyro.spec.name}"
     yield Seen(Code.AXES, False, log.rows, says, remedy)
-
-
-def _is_gyro(channel: Channel) -> bool:
-    return channel.spec.quantity == "angular rate" and len(channel.spec.columns) == 3
 
 
 _Signs = tuple[tuple[int, int], ...]

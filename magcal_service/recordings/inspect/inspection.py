@@ -16,6 +16,7 @@ from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
 from magcal_service.recordings.inspect.bursts import bursts
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
+from magcal_service.recordings.inspect.gyro_unit import gyro_unit
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.inspect.orbits import heights_and_times, longitude_sign
 from magcal_service.recordings.inspect.places import position_jump, position_still, position_zero
@@ -50,6 +51,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     saturated,
     stuck_axis,
     start_transient,
+    gyro_unit,
     axes_by_gyro,
     axes_by_attitude,
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from magcal_service.recordings.describe.columns import read_log
+from magcal_service.recordings.describe.describe import describe
 from magcal_service.recordings.describe.draft import Answers, Draft
 from magcal_service.recordings.describe.layout import find_layout
 from magcal_service.recordings.describe.sample import read_sample
@@ -142,3 +143,41 @@ def test_an_answer_decides(answers: dict[str, str], seconds: float, tmp_path: Pa
     assert times is not None
     assert not draft.questions
     np.testing.assert_allclose(np.diff(times.seconds), seconds)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "step_s", "form", "asks"),
+    [
+        ("", 45000.0, 1.0 / 86400.0, "excel_days", False),  # a row a second
+        ("", 45000.0, 300.0 / 86400.0, "excel_days elapsed_s", True),
+        ("", 36000.0, 0.1, "elapsed_s", True),  # seconds of a day, from 10 h on
+        ("time", 36000.0, 0.1, "elapsed_s", False),
+        ("t", 55000.0, 0.25, "elapsed_s", False),
+        ("mjd", 60000.0, 300.0 / 86400.0, "mjd_days", False),
+        ("time", 60000.0, 1.0 / 86400.0, "mjd_days", False),
+        ("", 1.75e9, 1.0, "unix_s", False),
+        ("", 1.75e9, 20.0, "unix_s elapsed_ms", True),  # 20 days of uptime in ms are as likely
+        ("gps_time", 1.43e9, 1.0, "unix_s", True),  # of 2025 as GPS seconds
+        ("time", 8.02e8, 1.0, "unix_s", True),  # of 2025 as seconds since 2000
+        ("unix", 8.02e8, 1.0, "unix_s", False),
+        ("gps_time", 1.75e9, 1.0, "unix_s", False),
+    ],
+)
+def test_a_time_by_its_numbers_alone_is_sure_only_where_no_other_is_as_likely(
+    name: str, first: float, step_s: float, form: str, asks: bool, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.csv"
+    rng = np.random.default_rng(2)
+    rows = [
+        f"{first + i * step_s:.10f},{x:.1f},{y:.1f},{z:.1f}"
+        for i, (x, y, z) in enumerate(rng.normal(size=(200, 3)) * 28e3)
+    ]
+    log.write_text("\n".join([f"{name},mx_nT,my_nT,mz_nT"] * bool(name) + rows))
+    answers = {"reference": "48 uT", "magnetometer.unit": "nT"} | ({} if name else {"magnetometer.columns": "2,3,4"})
+    described = describe(log, answers)
+    if asks:
+        (question,) = (one for one in described.questions if one.key == "time.format")
+        assert " ".join(value for value, _ in question.candidates if value in form.split()) == form
+    else:
+        assert described.text is not None
+        assert f'format = "{form}"' in described.text

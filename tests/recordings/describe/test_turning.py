@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from magcal_service.base.errors import InputRefusedError
 from magcal_service.recordings.describe.describe import Described, describe
+from magcal_service.recordings.describe.spin import steady_spin
 from tests.recordings.describe import maker_logs
 
 FloatArray = npt.NDArray[np.float64]
@@ -52,7 +54,9 @@ def test_a_steady_spin_is_offered_with_its_rate_and_taken_by_an_answer(
     assert f"at {rate_rpm:.3g} rpm about the sensor's {letter} (" in question
     assert question.startswith("open")
     told = describe(log, REFERENCE | {"spin.axis": letter}).text or ""
-    assert f'[spin]\naxis = "{letter}"\nrate_rpm = {rate_rpm:.3g}' in told
+    spin = tomllib.loads(told)["spin"]
+    assert spin["axis"] == letter
+    assert spin["rate_rpm"] == pytest.approx(rate_rpm, rel=1e-3)
     other = describe(log, REFERENCE | {"spin.axis": "1,1,1", "spin.rate_rpm": "-3"}).text or ""
     assert "axis = [0.57735" in other
     assert "rate_rpm = -3.0" in other
@@ -117,3 +121,19 @@ def test_a_gyro_whose_name_has_another_unit_than_the_field_turns_by_is_asked_abo
     assert "the name says deg/s, but as the measured field turns rad/s, in which it turns" in question
     assert question.index("could be rad/s") < question.index("could be deg/s")
     assert not asked(gyro_of(tmp_path, 1.0, False, head), "channels.gyro.unit")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_spin_that_is_offered_is_as_good_as_it_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rate_rpm = float(rng.uniform(0.5, 5.0))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    field = (spinning(rate_rpm, 2) - maker_logs.BIAS_NT) @ turn.T + maker_logs.BIAS_NT
+    found = steady_spin(field, np.arange(ROWS, dtype=np.float64), np.zeros(ROWS, dtype=np.int64))
+    assert found is not None
+    same = np.sign(found.axis @ turn[:, 2])
+    assert abs(found.rate_rpm * same - rate_rpm) < 5.0 * found.rate_sigma_rpm + 1e-4
+    assert np.degrees(np.arccos(min(abs(found.axis @ turn[:, 2]), 1.0))) < 5.0 * found.axis_sigma_deg
+    assert found.rate_sigma_rpm < 2e-3 * rate_rpm
+    assert found.axis_sigma_deg < 1.0

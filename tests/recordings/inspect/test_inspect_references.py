@@ -84,3 +84,20 @@ def test_an_attitude_that_is_the_other_way_round_is_asked_about(tmp_path: Path) 
     (finding,) = log.inspected(tmp_path).findings
     assert finding.code is Code.AXES
     assert "exchange from and to" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_rad_s"), [("rad/s", np.degrees(1.0)), ("deg/s", 1.0), ("mrad/s", 1.0), ("rpm", 1.0)]
+)
+def test_a_gyro_in_another_unit_is_asked_about(unit: str, per_rad_s: float, tmp_path: Path) -> None:
+    log = clean_log(TURNING).spoiled("wx wy wz", lambda column: column * per_rad_s)
+    finding = log.described(channels=GYRO.replace("rad/s", unit)).found(tmp_path)[Code.GYRO_UNIT]
+    assert not finding.certain
+    right = "deg/s" if per_rad_s != 1.0 else "rad/s"
+    assert f'unit = "{right}"' in finding.remedy
+
+
+@pytest.mark.parametrize("rates_deg_s", [(6.0, 2.0), (1.0, 0.3), (0.06, 0.0), (0.0, 0.0)])
+def test_a_gyro_in_its_unit_is_not_asked_about(rates_deg_s: tuple[float, float], tmp_path: Path) -> None:
+    log = clean_log(Kind(step_s=0.5, rates_deg_s=rates_deg_s, reference="vector", place="none"))
+    assert Code.GYRO_UNIT not in log.described(channels=GYRO).found(tmp_path)
