@@ -357,10 +357,13 @@ def _at_an_end(term: Term) -> bool:
 
 
 def _is_cut_off(fit: Fit, index: int) -> bool:
-    """Whether a change that takes a while begins or ends beside an end of the recording."""
-    first_s, last_s = float(fit.problem.scene.time_s[0]), float(fit.problem.scene.time_s[-1])
+    """Whether a change that takes a while begins or ends beside an end of its recording."""
     edges = [value for number, value in _numbers(fit, "edge") if number == index]
-    return any(min(edge - first_s, last_s - edge) < _CUT_OFF * (last_s - first_s) for edge in edges)
+    courses = [fit.problem.scene.course_at(edge) for edge in edges]
+    return any(
+        min(edge - time_s[0], time_s[-1] - edge) < _CUT_OFF * (time_s[-1] - time_s[0])
+        for edge, time_s in zip(edges, courses, strict=True)
+    )
 
 
 def is_rough(fit: Fit) -> bool:

@@ -45,7 +45,7 @@ a choice."""
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
 _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change no column that matters
-_RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
+RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
 _MOST_EXCHANGES: Final = 3  # names that give their place to a rival at the end; one was the rule where it was tried
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
 _NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
@@ -208,7 +208,7 @@ class Search(Screen):
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_MOST_RESCORED]]
         close.sort(key=lambda candidate: -candidate.nats)
-        least = _RIVAL_SHARE * close[0].nats
+        least = RIVAL_SHARE * close[0].nats
         self.close |= {
             candidate.hypothesis.label
             for number, candidate in enumerate(close)

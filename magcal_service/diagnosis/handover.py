@@ -15,6 +15,8 @@ from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis, by_name
+from magcal_service.physics.scene.steady_spin import SpinSolution
+from magcal_service.residuals import noise_floor
 from magcal_service.wire.messages import Clock
 
 
@@ -44,14 +46,26 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
         clock=Clock.UTC if scene.utc else Clock.ELAPSED,
         x=fit.x[:STATE_SIZE],
         sigma=sigma[:STATE_SIZE],
-        noise_nt=fit.problem.noise_nt,
+        noise_nt=noise_of(fit, diagnosis.prepared.view.stated_noise_nt),
         terms=tuple(term for term in terms_of(fit) if term.effect != NAME),
         notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),
-        spin=None if spin is None else _spin(spin.axis_body, spin.axis_eci, spin.rate_rad_s),
+        spin=spin_of(spin),
         doubts=", ".join(diagnosis.reasons),
         empirical=() if usable is None else usable.curves,
         craft=craft,
     )
+
+
+def noise_of(fit: Fit, stated_nt: float | None) -> float:
+    """White noise of the sensor per axis [nT] as whoever compensates has it: as stated, else what the effects leave.
+
+    Taken with the nine errors alone it would hold what is fast of the effects.
+    """
+    if stated_nt is not None:
+        return stated_nt
+    time_ns, each = fit.problem.scene.time_ns, fit.problem.rows_per_sample
+    floors = [noise_floor(time_ns, column) for column in fit.residual.reshape(len(time_ns), each).T]
+    return float(np.sqrt(np.mean(np.square(floors)))) / fit.noise_gain
 
 
 def terms_of(fit: Fit) -> tuple[ModelTerm, ...]:
@@ -82,6 +96,9 @@ def _finite(entry: Entry) -> dict[str, Array]:
     return {name: value.value for name, value in entry.parameters.items() if np.isfinite(value.value).all()}
 
 
-def _spin(axis_body: Array, axis_eci: Array, rate_rad_s: float) -> ModelSpin:
-    (bx, by, bz), (ix, iy, iz) = axis_body.tolist(), axis_eci.tolist()
-    return ModelSpin((bx, by, bz), (ix, iy, iz), rate_rad_s)
+def spin_of(spin: SpinSolution | None) -> ModelSpin | None:
+    """A recording's steady spin as the model has it."""
+    if spin is None:
+        return None
+    (bx, by, bz), (ix, iy, iz) = spin.axis_body.tolist(), spin.axis_eci.tolist()
+    return ModelSpin((bx, by, bz), (ix, iy, iz), spin.rate_rad_s)

@@ -62,11 +62,10 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
 
 def _moved(fit: Fit, index: int) -> Array:
     """A term's edges (k,) where a joint solution leaves them that moves them along."""
-    own = fit.terms[index].hypothesis
-    loose = replace(own, nonlinear=tuple(replace(number, role="loose") for number in own.nonlinear))
+    term = fit.terms[index]
     terms: list[Term] = list(fit.terms)
-    terms[index] = replace(terms[index], hypothesis=loose)
-    time_s = fit.problem.scene.time_s
+    terms[index] = replace(term, hypothesis=term.hypothesis.loosened())
+    time_s = fit.problem.scene.course_at(float(term.theta[0]))
     moved = solve(fit.problem, fit.x, terms).terms[index].theta
     return np.sort(np.clip(moved, time_s[0], time_s[-1]))
 

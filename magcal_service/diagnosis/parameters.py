@@ -63,15 +63,15 @@ def _added_at(fit: Fit, term: Term, number: int, value: float) -> Array:
 
 def _edge_sigma(fit: Fit, term: Term, number: int) -> float:
     """1 sigma of where a change that takes a while begins or ends [s], beside all that was fitted."""
-    step_s = fit.problem.scene.period_s
     at_s = float(term.theta[number])
+    time_s = fit.problem.scene.course_at(at_s)
+    step_s = float(np.median(np.diff(time_s)))
     later, earlier = (_added_at(fit, term, number, at_s + side) for side in (step_s, -step_s))
     slope = fit.problem.white((later - earlier) / (2.0 * step_s))
     scale, products, _ = fit.normal_equations
     columns = fit.white_columns / scale
     left = slope - columns @ np.linalg.lstsq(products, columns.T @ slope, rcond=1e-13)[0]
     sigma_s = fit.white_rms_nt / max(float(np.linalg.norm(left)), 1e-300)
-    time_s = fit.problem.scene.time_s
     if sigma_s > float(np.ptp(time_s)):
         return math.nan
     # a bend is a matter of many samples, and of none while there are none

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import string
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -145,6 +145,15 @@ class Hypothesis:
     def size(self) -> int:
         """Number of amplitudes."""
         return sum(block.size for block in self.blocks)
+
+    def loosened(self) -> Hypothesis:
+        """The same with nonlinear numbers that a refit moves, whatever their role."""
+        return replace(self, nonlinear=loose(self.nonlinear))
+
+
+def loose(numbers: Sequence[Nonlinear]) -> tuple[Nonlinear, ...]:
+    """Nonlinear numbers that a refit moves, whatever their role."""
+    return tuple(replace(number, role="loose") for number in numbers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

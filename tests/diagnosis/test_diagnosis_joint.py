@@ -18,13 +18,14 @@ from magcal_service.diagnosis.joint.compare import chi_square_tail
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
+from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.result import as_json, model_of, sentence, summary
 from magcal_service.diagnosis.report.frame import Origin
 from magcal_service.diagnosis.words import REASONS
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.recording import Recording
-from tests.diagnosis.joint_days import NOISE_NT, Day, day
+from tests.diagnosis.joint_days import COUNT, NOISE_NT, Day, day
 
 PER_K = np.array([12.0, -8.0, 15.0])
 PER_A = np.array([[300.0, -200.0, 100.0], [-250.0, 150.0, 200.0], [50.0, 300.0, -220.0]])
@@ -79,6 +80,37 @@ def test_the_model_has_what_is_common_alone(found: JointDiagnosis) -> None:
     assert [term.effect for term in model.terms] == ["thermal_bias"]
     assert model.terms[0].amplitudes["nt_per_k"] == pytest.approx(PER_K, abs=1.5)
     assert model.x[:3].tolist() == found.recordings[-1].fit.x[:3].tolist()
+
+
+def test_the_model_has_the_spin_that_live_drivers_need(found: JointDiagnosis) -> None:
+    model, latest = model_of(found), found.recordings[-1].prepared.spin
+    assert latest is not None
+    assert model.spin is not None
+    assert model.spin.axis_body == pytest.approx(latest.axis_body.tolist())
+    assert model.spin.rate_rad_s == latest.rate_rad_s
+
+
+def test_the_model_has_the_noise_that_the_effects_leave() -> None:
+    """A current that is another one at every sample looks like noise to nine errors alone."""
+    fast = np.random.default_rng(1).normal(0.0, 1.0, COUNT)
+    per_a = np.array([300.0, -200.0, 100.0])
+    days = [day(number, NONE, per_a, stated_nt=None, current=fast) for number in range(2)]
+    found = _together(days)
+    assert [term.hypothesis.effect for term in found.fit.terms] == ["current_loop"]
+    assert found.recordings[-1].prepared.problem.noise_nt > 2.0 * NOISE_NT
+    assert model_of(found).noise_nt == pytest.approx(NOISE_NT, rel=0.1)
+
+
+def test_recordings_count_by_the_noise_that_is_left_in_each() -> None:
+    """What nobody stated is taken before the effects, which hide how quiet a recording is."""
+    noises = (20.0, 400.0)
+    fast = np.random.default_rng(1).normal(0.0, 1.0, COUNT)
+    per_a = np.array([300.0, -200.0, 100.0])
+    days = [day(k, NONE, per_a, noise_nt=one, stated_nt=None, current=fast) for k, one in enumerate(noises)]
+    problem = _together(days).fit.problem
+    assert isinstance(problem, JointProblem)
+    counted = [one.noise_nt * relative for one, relative in zip(problem.singles, problem.relative, strict=True)]
+    assert counted[1] / counted[0] == pytest.approx(20.0, rel=0.15)
 
 
 def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnosis) -> None:

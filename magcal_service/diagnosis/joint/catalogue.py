@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joined, like
+from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, OF_CHANGES, JointHypothesis, joined, like
 from magcal_service.diagnosis.joint.scene import offsets_s, under
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
@@ -29,7 +29,7 @@ class Forms:
 
     A form is left out where a recording lacks what it needs (a channel, a place): what is common to all is asked.
     Left to each recording alone are tones and duties, whose phases are its own, and drivers whose pattern is guessed.
-    Changes at an instant are forms of one recording each.
+    Changes, at an instant or over a while, are forms of one recording each.
 
     Parameters
     ----------
@@ -91,9 +91,10 @@ def _forms(
     """What the recordings' own hypotheses of one label become together; nothing where one of them lacks it."""
     first = next(part for part in parts if part is not None)
     roles = {number.role for number in first.nonlinear}
-    if roles & {"frequency", "period"} or first.proposals is not None:
+    changes = bool(roles) and roles <= OF_CHANGES
+    if roles & {"frequency", "period"} or (first.proposals is not None and not changes):
         return []
-    if "instant" in roles:
+    if changes:
         alone = [[part if k == number else None for k in range(len(parts))] for number, part in enumerate(parts)]
         return [
             joined(part, one, names, counts, offsets, f"in {name}", solo=name)

@@ -222,6 +222,7 @@ class Apart:
             self.fit.terms if terms is None else terms,
             held,
             self.fit.problem.dispersion,
+            [self.fit.problem.relative[number] for number in numbers if self.fit.problem.relative],
         )
 
     def _predicted(self, number: int, own: Fit, others: Fit) -> Predicted:

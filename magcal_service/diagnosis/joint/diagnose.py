@@ -25,6 +25,7 @@ from magcal_service.diagnosis.field_level import at_scale, needed_scale
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.compare import Apart, Compared
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, joint, transferred
+from magcal_service.diagnosis.joint.light import LightSeen, light_seen
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures
@@ -53,6 +54,7 @@ class Alone:
     fit: its nine errors with the effects, as the joint fit has them.
     covariance: (9, 9) of those errors.
     left: structures that are left, best first.
+    light: channels that show the computed light.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Alone:
     fit: Fit
     covariance: Array
     left: tuple[Structure, ...]
+    light: tuple[LightSeen, ...] = ()
 
     @property
     def has_coverage(self) -> bool:
@@ -187,6 +190,7 @@ class _Run:
         self._usual = [one.problem.field_error for one in self.prepared]
         self._scales = [min(SCALES)] * len(self.prepared)
         self._dispersion = 1.0
+        self._relative: tuple[float, ...] = ()
         self.singles = self._scaled()
         self.catalogue = Forms.of(self.effects, self.singles)
 
@@ -230,9 +234,12 @@ class _Run:
         return any(grown), hold
 
     def common(self, explained: Explained) -> tuple[Explained, Compared]:
-        """Under the scatter that the blocks have, with amplitudes of each recording's own where they differ in them."""
+        """Under the scatter that the blocks have and the noise that is left, with amplitudes of each recording's own
+        where they differ in them."""
         if explained.fit.terms:
             self._dispersion = max(gain.dispersion for gain in explained.gains)
+            assert isinstance(explained.fit.problem, JointProblem)
+            self._relative = explained.fit.problem.relative_to(explained.fit.residual)
             explained = self._with_own(explained.fit, [])
         for _ in range(len(explained.fit.terms) + 1):
             compared = self._apart(explained.fit).compared()
@@ -249,7 +256,7 @@ class _Run:
 
     def _with_own(self, fit: Fit, numbers: Sequence[int]) -> Explained:
         """The fit with every amplitude of some terms each recording's own."""
-        problem = JointProblem.of(self.singles, self._dispersion)
+        problem = JointProblem.of(self.singles, self._dispersion, self._relative)
         forms = self.catalogue.on(problem.parts, self.names)
         by_label = {form.label: form for form in forms}
         terms = []
@@ -286,6 +293,7 @@ class _Run:
                     part,
                     fit.covariance[own, own],
                     tuple(left),
+                    light_seen(prepared.problem.scene, None if spin is None else spin.rate_rad_s),
                 )
             )
         return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Block, Hypothesis
+from magcal_service.physics.interface import Block, Hypothesis, loose
 from magcal_service.physics.saying import labels_of
+from magcal_service.physics.segments import Segments, Sums
+
+OF_CHANGES: Final = frozenset({"instant", "edge"})
+"""Roles of times of a change, which happens in one recording: it has them on its own clock, the problem on the
+common one."""
+
+_OF_TIME: Final = OF_CHANGES | {"loose"}
 
 EACH_ITS_OWN: Final = "each its own"
 """Added to the variant of a form whose amplitudes differ from recording to recording."""
@@ -102,9 +109,14 @@ class JointHypothesis(Hypothesis):
         """The nonlinear numbers (m,) on the clock of one recording."""
         found = np.array(theta)
         for index, nonlinear in enumerate(self.nonlinear):
-            if nonlinear.role == "instant":
+            if nonlinear.role in _OF_TIME:
                 found[index] -= self.offsets[number]
         return found
+
+    def loosened(self) -> JointHypothesis:
+        """As ``Hypothesis.loosened``, in every recording."""
+        parts = tuple(None if part is None else part.loosened() for part in self.parts)
+        return replace(self, nonlinear=loose(self.nonlinear), parts=parts)
 
     def term_of(self, number: int, term: Term) -> Term | None:
         """A term of this hypothesis as one recording has it."""
@@ -138,7 +150,7 @@ def joined(
     blocks, index = _laid_out(label.blocks, own if len(parts) > 1 else frozenset(), acting, names)
     shift = offsets[acting[0]]
     nonlinear = tuple(
-        replace(number, grid=number.grid + shift) if number.role == "instant" else number for number in label.nonlinear
+        replace(number, grid=number.grid + shift) if number.role in _OF_TIME else number for number in label.nonlinear
     )
     size, given, samples = sum(block.size for block in blocks), tuple(parts), tuple(counts)
 
@@ -158,6 +170,8 @@ def joined(
         largest_nt=max(part.largest_nt for part in parts if part is not None),
         is_free=label.is_free,
         is_whole=label.is_whole,
+        proposals=_proposals(label, acting, samples, shift),
+        in_place=label.in_place,
         base=label.label,
         parts=given,
         index=index,
@@ -168,6 +182,32 @@ def joined(
         offsets=tuple(offsets),
     )
     return found
+
+
+def _proposals(
+    label: Hypothesis, acting: Sequence[int], counts: Sequence[int], shift: float
+) -> Callable[[Sums], Array] | None:
+    """What the one recording on which a hypothesis acts proposes, on the common clock; None where it proposes nothing.
+
+    ``shift`` is added to its time there [s].
+    """
+    propose = label.proposals
+    if propose is None:
+        return None
+    (number,) = acting
+    on_clock = np.array([shift * (one.role in _OF_TIME) for one in label.nonlinear])
+
+    def proposals(sums: Sums) -> Array:
+        def own_sums(made: Columns, rows: NDArray[np.intp]) -> Segments:
+            width = len(made.sizes())
+            every = tuple(made if k == number else None for k in range(len(counts)))
+            places = tuple(np.arange(width if k == number else 0) for k in range(len(counts)))
+            columns = JointColumns(parts=every, index=places, counts=tuple(counts), size=width)
+            return sums(columns, rows + sum(counts[:number]))
+
+        return np.asarray(propose(own_sums) + on_clock)
+
+    return proposals
 
 
 def _laid_out(

@@ -11,6 +11,7 @@ from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
+from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
 from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
@@ -31,6 +32,7 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         advice=advice(diagnosis.reasons, diagnosis.concerned),
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
+        light=light_lines(diagnosis.recordings, diagnosis.explained),
         predicted=[_predicted(one) for one in diagnosis.compared.predicted if diagnosis.compared.shared],
         recordings=[
             _recording(one, levels) for one, levels in zip(diagnosis.recordings, levels_of_each(diagnosis), strict=True)

@@ -27,6 +27,8 @@ class JointProblem(Problem):
     scene: a ``JointScene``.
     noise_nt: noise in which white rows are given, 1 sigma per axis [nT].
     singles: each recording's own problem, whose scene is replaced by that in ``scene``.
+    relative: of each recording, noise that is left in it over ``noise_nt`` of its own, up to a common factor: what it
+        was before the effects may hold them, and nine errors multiply it.  Empty: the same in all.
     dispersion: how many times less evidence counts than independent samples would have it (``blocks``), and so how
         many times more the prior of the amplitudes does: what the samples hardly tell is not made certain by their
         number, and the next recording would have it wrong.
@@ -34,9 +36,10 @@ class JointProblem(Problem):
 
     singles: tuple[Problem, ...] = ()
     dispersion: float = 1.0
+    relative: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, singles: Sequence[Problem], dispersion: float = 1.0) -> JointProblem:
+    def of(cls, singles: Sequence[Problem], dispersion: float = 1.0, relative: Sequence[float] = ()) -> JointProblem:
         """The problems of the recordings together, white rows in the noise of the quietest."""
         return cls(
             scene=JointScene.of([single.scene for single in singles]),
@@ -44,6 +47,7 @@ class JointProblem(Problem):
             largest_nt=singles[0].largest_nt,
             singles=tuple(singles),
             dispersion=dispersion,
+            relative=tuple(relative) if len(singles) > 1 else (),
         )
 
     @cached_property
@@ -92,8 +96,16 @@ class JointProblem(Problem):
 
     def white(self, rows: Array) -> Array:
         """Rows (m,) or (m, k) in which the noise is white and of one size."""
-        pairs = zip(self.parts, self.slices, strict=True)
-        return np.concatenate([part.white(rows[at]) * (self.noise_nt / part.noise_nt) for part, at in pairs])
+        triples = zip(self.parts, self.slices, self.relative or (1.0,) * len(self.parts), strict=True)
+        found = [part.white(rows[at]) * (self.noise_nt / (part.noise_nt * one)) for part, at, one in triples]
+        return np.concatenate(found)
+
+    def relative_to(self, residual: Array) -> tuple[float, ...]:
+        """Noise that a residual (m,) has in each recording over that recording's own, by the mean of all rows."""
+        pairs = list(zip(self.parts, self.slices, strict=True))
+        each = np.array([float(np.sqrt(np.mean(part.white(residual[at]) ** 2))) / part.noise_nt for part, at in pairs])
+        rows = [at.stop - at.start for _, at in pairs]
+        return tuple((each / np.sqrt(np.average(each**2, weights=rows))).tolist())
 
     def is_collapsed(self, x: Array) -> bool:
         """Whether the nine errors of any recording are no sensor's."""

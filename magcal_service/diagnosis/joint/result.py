@@ -13,12 +13,13 @@ import numpy as np
 from magcal_service.diagnosis.belief import SURE, Posterior, posterior
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
-from magcal_service.diagnosis.handover import model_term
+from magcal_service.diagnosis.handover import model_term, noise_of, spin_of
 from magcal_service.diagnosis.joint.catalogue import started
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
-from magcal_service.diagnosis.joint.forms import JointHypothesis, joint
+from magcal_service.diagnosis.joint.forms import OF_CHANGES, JointHypothesis, joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
+from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.rows import account_of
@@ -87,6 +88,7 @@ def _recording(one: Alone, levels: Levels, moved_nt: float) -> dict[str, Any]:
         "bias_before_nt": one.baseline.x[BIAS].tolist(),
         "bias_moved_nt": moved_nt,
         "has_coverage": one.has_coverage,
+        "light_seen": [seen.to_dict() for seen in one.light],
         "left": None if left is None else {"shape": left.shape.says, "share": round(left_share(one), 4)},
         "seen_in_samples": sorted(one.prepared.findings),
         "findings": [finding.to_dict() for finding in one.inspection.findings],
@@ -143,7 +145,7 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
     form = joint(term)
     found = dict(parameters_of(diagnosis.fit, index, effect_of(diagnosis, index)))
     for number, nonlinear in enumerate(form.nonlinear):
-        if nonlinear.role == "instant":
+        if nonlinear.role in OF_CHANGES:
             acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
             own = form.theta_of(acting, term.theta)[number]
             found[nonlinear.name] = replace(found[nonlinear.name], value=np.asarray(own))
@@ -232,7 +234,7 @@ def _kept(part: Kept) -> float | None:
 
 
 def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
-    """The common physics, with nine errors and start states of the latest recording, to begin from.
+    """The common physics, with nine errors, spin and start states of the latest recording, to begin from.
 
     What each recording has its own, and what acts in one of them alone, is no model of the next and is left out.
     """
@@ -246,10 +248,10 @@ def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
         clock=Clock.UTC if scene.utc else Clock.ELAPSED,
         x=latest.fit.x[:STATE_SIZE],
         sigma=sigma[:STATE_SIZE],
-        noise_nt=latest.prepared.problem.noise_nt,
+        noise_nt=noise_of(latest.fit, latest.prepared.view.stated_noise_nt),
         terms=tuple(_model_term(diagnosis, k, term, latest) for k, term in terms),
         notes=(),
-        spin=None,
+        spin=spin_of(latest.prepared.spin),
         doubts=", ".join(diagnosis.reasons),
         craft=latest.prepared.recording.of_craft or "",
     )
@@ -323,6 +325,7 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
         lines.append(f"    {says(diagnosis, index)}")
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
+    lines += [f"  {line}" for line in light_lines(diagnosis.recordings, diagnosis.explained)]
     lines += _level_lines(diagnosis)
     if diagnosis.verdict is not Verdict.UNKNOWN or sentence(diagnosis) == IN_DOUBT:  # else the sentence has said it
         lines.append(f"left: {remaining(diagnosis)}")

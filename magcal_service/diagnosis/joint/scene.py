@@ -46,6 +46,12 @@ class JointScene(Scene):
             parts=tuple(parts),
         )
 
+    def course_at(self, at_s: float) -> Array:
+        """Times (k,) [s], on the common clock, of the recording that a time belongs to."""
+        shifts = offsets_s(self.parts)
+        number = max(int(np.searchsorted(shifts, at_s, side="right")) - 1, 0)
+        return self.parts[number].time_s + shifts[number]
+
     def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array, moved_s: Array | None = None) -> JointScene:
         """The same recordings with other calibrated vectors (n, 3) and ``moved_s`` (n,), of all one after another."""
         ends = np.cumsum([len(part) for part in self.parts])[:-1]

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.expansion import clean_vectors
 from magcal_service.diagnosis.explain import Search
+from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, like, transferred
 from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
@@ -76,6 +77,17 @@ class JointSearch(Search):
             one for one in found if not (_is_own(one) and common.get(_base(one), 0.0) > COMMON_SHARE * one.gain.squares)
         ]
 
+    def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
+        """As ``Search._exchanged``, with changes that take a while timed by joint solutions.
+
+        Else the next effect takes what an edge at the wrong time leaves: a step was named at the end of a ramp.
+        """
+        fit = super()._exchanged(fit, floor_nt)
+        for index, term in enumerate(fit.terms):
+            if any(number.role == "edge" for number in term.hypothesis.nonlinear):
+                fit = timed(self, fit, index)
+        return fit
+
     def arrived(self, fit: Fit) -> Fit:
         """A fit from other nonlinear numbers where it has stalled, the best that arrives; else as it is.
 
@@ -100,14 +112,18 @@ class JointSearch(Search):
 
 
 def _other_starts(term: Term) -> Iterator[Array]:
-    """Nonlinear numbers of a term one for the other, and each half and twice as large."""
+    """Nonlinear numbers of a term one for the other, and each half and twice as large, as far as they are in range."""
     if len(free_numbers(term)) != len(term.theta) or not len(term.theta):
         return
-    if len(term.theta) > 1:
-        yield term.theta[::-1]
+    starts = [term.theta[::-1]] if len(term.theta) > 1 else []
     for index in range(len(term.theta)):
-        for factor in (0.5, 2.0):
-            yield np.where(np.arange(len(term.theta)) == index, factor * term.theta, term.theta)
+        starts += [
+            np.where(np.arange(len(term.theta)) == index, factor * term.theta, term.theta) for factor in (0.5, 2.0)
+        ]
+    grids = [number.grid for number in term.hypothesis.nonlinear]
+    for theta in starts:
+        if all(grid.min() <= one <= grid.max() for one, grid in zip(theta.tolist(), grids, strict=True)):
+            yield theta
 
 
 def _base(candidate: Candidate) -> str:
@@ -127,6 +143,7 @@ def refitted(
     terms: Sequence[Term] = (),
     held: Sequence[Term] = (),
     dispersion: float = 1.0,
+    relative: Sequence[float] = (),
 ) -> Fit:
     """A fit of some of the recordings, with columns of the vectors that it calibrates itself.
 
@@ -135,10 +152,10 @@ def refitted(
     catalogue, singles, names: the forms; the recordings' problems and names.
     x: start of their unknowns, one after another.
     terms: fitted on recordings among which these are; what does not act on these is left out.
-    dispersion: as of ``JointProblem``.
+    dispersion, relative: as of ``JointProblem``.
     held: terms of other recordings, whose common numbers are taken for those of ``terms`` with the same form.
     """
-    problem = JointProblem.of(singles, dispersion)
+    problem = JointProblem.of(singles, dispersion, relative)
     known = {joint(term).base: term for term in held}
     forms = catalogue.on(problem.parts, names, [joint(term) for term in terms])
     started = []

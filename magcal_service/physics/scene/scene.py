@@ -189,6 +189,10 @@ class Scene:
         """Channels of these kinds, in the descriptor's order."""
         return [channel for channel in self.channels.values() if channel.quantity in quantities]
 
+    def course_at(self, at_s: float) -> Array:
+        """Times (k,) [s] of the recording that a time belongs to: all of them."""
+        return self.time_s
+
     @cached_property
     def period_s(self) -> float:
         """Usual time between samples [s]."""
