@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import resource
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
+
+_OTHER_FILES: Final = 256  # choice: a daemon has 30 open, and up to 64 readers of its metrics
 
 
 @contextmanager
@@ -65,6 +69,16 @@ def opened_at_once(path: str, flags: int) -> int:
 def opened_itself(path: str, flags: int) -> int:
     """For ``open``: at once, and what is there itself, not what a link leads to."""
     return opened_at_once(path, flags | os.O_NOFOLLOW)
+
+
+def allow_open_files(more: int) -> None:
+    """Let this process open so many files more, as far as its limit may be raised; else opening them says so."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = _OTHER_FILES + more
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        with suppress(OSError, ValueError):  # a service manager may forbid it
+            most = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 def _sync(path: Path, flags: int) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any, NoReturn
 
-from magcal_service.base.errors import DecodeError
+from magcal_service.base.errors import DecodeError, printable
 
 Check = Callable[[Any, str], Any]
 
@@ -155,8 +155,8 @@ def text(longest: int = TEXT_BYTES) -> Check:
 
 
 def fitting(line: str) -> str:
-    """As much of a line as ``text`` accepts."""
-    return line.encode()[:TEXT_BYTES].decode(errors="ignore")
+    """As much of a text as ``text`` accepts: its lines as one, and what is not printable as an escape."""
+    return printable("; ".join(line.splitlines())).encode()[:TEXT_BYTES].decode(errors="ignore")
 
 
 def flag(value: Any, name: str) -> bool:

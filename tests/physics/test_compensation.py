@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, tex
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.trust.modes import MODES, Mode
+from magcal_service.wire.codec import decode, encode
 from magcal_service.wire.messages import (
     Command,
     Frame,
@@ -264,12 +266,15 @@ def test_a_command_loads_another_model_from_beside_the_configured_one(tmp_path: 
         )
         reply = commander.carry_out(command, pipeline)
         assert reply is not None
+        assert decode(encode(reply)) == reply
         return "" if reply.accepted else reply.text
 
     assert "beside" in ask(name="../second.toml")
     assert "there is no such file" in ask(name="third.toml")
     os.mkfifo(tmp_path / "pipe.toml")
     assert "not a file" in ask(name="pipe.toml")
+    (tmp_path / "faults.toml").write_text(re.sub(r"[0-9]+\.[0-9]+", "nan", other), encoding="utf-8")
+    assert ask(name="faults.toml").count("is refused") > 1
     (tmp_path / "second.toml").chmod(0o666)
     assert "mode 0666" in ask(name="second.toml")
     (tmp_path / "second.toml").chmod(0o644)

@@ -7,6 +7,8 @@ import struct
 
 import pytest
 import wire_cases as cases
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from magcal_service.base.errors import DecodeError
 from magcal_service.wire import fields
@@ -56,3 +58,14 @@ def test_the_largest_counter_is_the_largest_that_the_seal_carries():
     assert split(seal(b"key", MAX_COUNTER, b"x")).counter == MAX_COUNTER
     with pytest.raises(struct.error):
         seal(b"key", MAX_COUNTER + 1, b"x")
+
+
+@given(st.text(alphabet=st.characters()))
+@example("two lines\nof faults\r\n")
+@example("a path that is no UTF-8: \udcff, and \x1b[2J")
+@example(600 * "ü")
+def test_whatever_is_made_fitting_is_accepted_as_a_text(words):
+    check, fit = fields.text(), fields.fitting(words)
+    assert check(fit, "text") == fit
+    if words.isprintable() and len(words.encode()) <= fields.TEXT_BYTES:
+        assert fit == words

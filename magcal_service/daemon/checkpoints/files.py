@@ -193,6 +193,9 @@ class StateStore:
                     "a folder in which no other daemon keeps this craft is accepted; stop that one, or give another"
                 )
                 raise InputRefusedError([Fault("state.directory", str(self.folder), accepted)]) from None
+            except OSError as error:
+                accepted = "a folder that can be opened is accepted; each craft takes one open file (ulimit -n)"
+                raise InputRefusedError([FileFault(str(self.folder), error, accepted)]) from None
             yield
 
     @contextmanager

@@ -11,6 +11,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from magcal_service.base.disk import allow_open_files
 from magcal_service.base.errors import InputRefusedError, why_not
 from magcal_service.base.snapshot import SnapshotError
 from magcal_service.base.version import __version__
@@ -54,6 +55,7 @@ class Checkpoints:
         self.trouble = ""
 
     def __enter__(self) -> Self:
+        allow_open_files(len(self._stores))
         with ExitStack() as held:
             for store in self._stores.values():
                 held.enter_context(store.held())

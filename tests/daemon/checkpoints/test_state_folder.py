@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -122,3 +124,30 @@ def test_a_map_whose_key_is_a_list_is_no_state(store: StateStore) -> None:
     (store.folder / "0000000001.state").write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
     assert newest(store) == [("0000000001.state", "not msgpack: unhashable type: 'list'")]
     assert state_from_text(base64.b64encode(zlib.compress(body)).decode()) is None
+
+
+def test_as_many_craft_as_the_process_may_have_files_open_are_kept_or_refused_in_words(tmp_path: Path) -> None:
+    """In a process of its own; the soft limit is raised where the hard one allows it."""
+    code = """
+import resource, sys
+from pathlib import Path
+from magcal_service.base.errors import InputRefusedError
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import CraftConfig
+from magcal_service.daemon.checkpoints.store import Checkpoints
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, int(sys.argv[1])))
+try:
+    with Checkpoints(StateConfig(Path(sys.argv[2])), [CraftConfig(f"c{number}") for number in range(100)]):
+        print("kept")
+except InputRefusedError as error:
+    print(error)
+"""
+
+    def told(hard: int) -> str:
+        run = [sys.executable, "-c", code, str(hard), str(tmp_path)]
+        return subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert told(400) == "kept"
+    assert told(64).endswith(
+        "too many open files; a folder that can be opened is accepted; each craft takes one open file (ulimit -n)"
+    )
