@@ -11,11 +11,11 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Final, TextIO, TypeVar
+from typing import Final, Protocol, TextIO, TypeVar
 
 Item = TypeVar("Item")
 
@@ -24,6 +24,16 @@ AFTER_S: Final = 2.0
 
 _AGAIN_S: Final = 0.5  # between two lines on a terminal: a choice, so that seconds are seen to pass
 _ERASED: Final = "\r\x1b[K"
+
+
+class Forecast(Protocol):
+    """When a work ends whose steps may be passed over, and made again."""
+
+    def begin(self, step: str, now_s: float) -> None:
+        """A step begins [s, of a clock that never steps]."""
+
+    def left_s(self, now_s: float) -> float | None:
+        """Seconds until the end; None as long as nothing is known."""
 
 
 @dataclass(slots=True)
@@ -36,8 +46,8 @@ class Work:
     total: how much there is, in ``unit``; 0 where nobody knows.
     done, failed: what has ended; ``failed`` of it with no result.
     kept: of ``done``, what was there before and says nothing about how long the rest will take.
-    place: which step it is of how many at most; the end of such a work is not known.
-    step_began_s: when that step began; ``longest_s``: what the longest step before it took [s], None for the first.
+    place: which step it is of how many at most.
+    forecast: what says when a work of such steps ends; None where nobody knows.
     """
 
     what: str
@@ -48,11 +58,12 @@ class Work:
     kept: float = 0.0
     place: tuple[int, int] | None = None
     began_s: float = field(default_factory=time.monotonic)
-    step_began_s: float | None = None
-    longest_s: float | None = None
+    forecast: Forecast | None = None
 
     def left_s(self, elapsed_s: float) -> float | None:
-        """Seconds until the end, at the pace so far; None before anything has ended, and where the end is unknown."""
+        """Seconds until the end, at the pace so far or by a forecast; None as long as nobody knows."""
+        if self.forecast is not None:
+            return self.forecast.left_s(self.began_s + elapsed_s)
         worked = self.done - self.kept
         return elapsed_s * max(self.total - self.done, 0.0) / worked if worked > 0.0 and self.total else None
 
@@ -64,11 +75,10 @@ class Work:
         if self.failed:
             parts.append(f"{self.failed} failed")
         parts.append(duration(elapsed_s))
-        if self.step_began_s is not None and self.longest_s is not None:
-            step_s = self.began_s + elapsed_s - self.step_began_s
-            parts[-1] += f" (step {duration(step_s)}, longest {duration(self.longest_s)})"
         left = self.left_s(elapsed_s)
-        if left is not None:
+        if left is not None and self.forecast is not None:
+            parts.append(f"about {duration(left)} left")
+        elif left is not None:
             parts.append(f"{duration(left)} left, until {time.strftime('%H:%M', time.localtime(now + left))}")
         return ", ".join(parts)
 
@@ -172,28 +182,32 @@ def counted(work: Work) -> Iterator[Work]:
 
 def each(items: Sequence[Item], what: str, unit: str) -> Iterator[Item]:
     """The items in their order, shown as a work of as many."""
-    with counted(Work(what, len(items), unit)) as work:
+    yield from each_of(items, len(items), what, unit)
+
+
+def each_of(items: Iterable[Item], total: int, what: str, unit: str) -> Iterator[Item]:
+    """Items that come one by one, shown as a work of about ``total``."""
+    with counted(Work(what, total, unit)) as work:
         for item in items:
             yield item
             work.done += 1
 
 
 @contextmanager
-def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
-    """Show a work of these steps, of which some may be passed over and some made again: nobody knows when it ends.
+def steps(names: Sequence[str], forecast: Forecast | None = None) -> Iterator[Callable[[str], None]]:
+    """Show a work of these steps, of which some may be passed over and some made again.
 
-    The function that is given says which of them begins.
+    The function that is given says which of them begins; ``forecast`` is told so, and says when the last one ends.
     """
-    with counted(Work(names[0], place=(1, len(names)))) as work:
+    with counted(Work(names[0], place=(1, len(names)), forecast=forecast)) as work:
         furthest = 0
 
         def begin(step: str) -> None:
             nonlocal furthest
             number = names.index(step)
+            if forecast is not None:
+                forecast.begin(step, time.monotonic())
             work.what, work.place = step if number > furthest else f"{step} once more", (number + 1, len(names))
             furthest = max(furthest, number)
-            now_s = time.monotonic()
-            took_s = now_s - (work.began_s if work.step_began_s is None else work.step_began_s)
-            work.step_began_s, work.longest_s = now_s, max(work.longest_s or 0.0, took_s)
 
         yield begin

@@ -61,11 +61,12 @@ def _diagnose(options: argparse.Namespace) -> int:
     refuse_executor(options, "it is for many recordings at once: add --separately")
     from magcal_service.base.progress import steps
     from magcal_service.diagnosis.command import Request, run
+    from magcal_service.diagnosis.forecast import Course
     from magcal_service.diagnosis.stages import STEPS
 
     if len(options.recordings) > 1:
         return _diagnose_together(options)
-    with _kept_if_refused(options.out), steps(STEPS) as step:
+    with _kept_if_refused(options.out), steps(STEPS, Course()) as step:
         outcome = run(
             Request(options.recordings[0], options.out, options.simulation, options.craft, options.source), step
         )
@@ -89,13 +90,14 @@ def _kept_if_refused(folder: Path) -> Iterator[None]:
 def _diagnose_together(options: argparse.Namespace) -> int:
     """Recordings of one craft: what physics they have in common."""
     from magcal_service.base.progress import steps
+    from magcal_service.diagnosis.forecast import Course
     from magcal_service.diagnosis.joint.command import JointRequest, run_together
     from magcal_service.diagnosis.stages import JOINT_STEPS
 
     if options.simulation is not None:
         accepted = "one recording is compared with a scenario; leave it out, or add --separately"
         raise ConfigError([Fault("--simulation", options.simulation, accepted)])
-    with _kept_if_refused(options.out), steps(JOINT_STEPS) as step:
+    with _kept_if_refused(options.out), steps(JOINT_STEPS, Course()) as step:
         outcome = run_together(JointRequest(tuple(options.recordings), options.out, options.craft), step)
     if outcome.diagnosis.assumed:
         print(f"warning: {outcome.diagnosis.assumed}", file=sys.stderr)

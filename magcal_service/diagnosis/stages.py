@@ -1,7 +1,7 @@
 """The steps of a diagnosis in their order, for whoever shows how far it has come.
 
 How long a step takes is not known before: the search ends where no further effect is found, and is made again where the
-noise, the field model or pulses of torquers ask for it.  So what is told is a place among all steps, and no time.
+noise, the field model or pulses of torquers ask for it.  ``forecast`` says what is usual.
 """
 
 from __future__ import annotations

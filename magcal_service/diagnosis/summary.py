@@ -41,7 +41,7 @@ def summary(
     diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float], files: Sequence[Path]
 ) -> list[str]:
     """What was found, how much better it fits, what remains, and where the files are."""
-    lines = [f"verdict: {diagnosis.verdict}"]
+    lines = [verdict_line(diagnosis.verdict, diagnosis.reasons)]
     lines += reason_lines(advice(diagnosis.reasons, diagnosis.concerned))
     sentence = verdict_sentence(diagnosis, found, held_out)
     lines += wrapped(sentence, most=3)
@@ -77,6 +77,11 @@ def summary(
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines
+
+
+def verdict_line(verdict: Verdict, reasons: Sequence[str]) -> str:
+    """The verdict, and that it is no answer where something speaks against it."""
+    return f"verdict: {verdict}{', not trusted' if reasons else ''}"
 
 
 def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.base.progress import each_of
 from magcal_service.config.settings import PhysicsConfig
 from magcal_service.daemon.outbox import calibrated_vector
 from magcal_service.estimators.interface import Phase, StateEstimate
@@ -192,7 +193,7 @@ def _applied(
     newest: tuple[int, float, Clock] | None = None
     references: list[tuple[int, float]] = []
     trust = Trust(given.verdict, (), "", given.protection_nt, given.protection_by)
-    for sample, reference in _samples(recording, compensation):
+    for sample, reference in each_of(_samples(recording, compensation), len(recording), "applying", "rows"):
         newest = reference or newest
         if reference is not None:
             references.append(reference[:2])

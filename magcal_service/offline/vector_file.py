@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from magcal_service.base.disk import beside
 from magcal_service.base.errors import Fault, InputRefusedError, unwritable
+from magcal_service.base.progress import each
 from magcal_service.base.version import __version__
 from magcal_service.recordings.table_file import write_table
 from magcal_service.recordings.timestamps import ns_to_iso8601, ns_to_seconds
@@ -57,7 +58,7 @@ def write_vectors(out: Path, vectors: Sequence[CalibratedVector], about: dict[st
         with beside(out) as part, part.open("wb") as file:
             header = {"session": about["recording"], "magcal": __version__, "wire_schema": str(SCHEMA_VERSION)}
             session = SessionFile(part, file, {**header, **about}, {})
-            for vector in vectors:
+            for vector in each(vectors, "writing", "rows"):
                 session.add(max(0, vector.time_ns), vector)
             session.close()
     except OSError as error:
@@ -75,7 +76,7 @@ def _columns(vectors: Sequence[CalibratedVector]) -> dict[str, list[Any]]:
             one.protection_by,
             one.time_ns,
         )
-        for one in vectors
+        for one in each(vectors, "writing", "rows")
     ]
     columns = [list(column) for column in zip(*cells, strict=True)] or [[] for _ in COLUMNS]
     return dict(zip(COLUMNS, columns, strict=True))

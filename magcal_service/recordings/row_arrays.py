@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from magcal_service.base.progress import each
 from magcal_service.base.units import ANGLE_DEG
 from magcal_service.recordings.channels import ChannelSpec
 from magcal_service.recordings.recording import Channel, Position, Reference
@@ -116,7 +117,7 @@ class RowArrays:
         start_ns = spec.start_ns or 0
         codes = np.zeros(len(cells), dtype=np.uint8)
         time_ns = np.zeros(len(cells), dtype=np.int64)
-        for row, cell in enumerate(cells):
+        for row, cell in enumerate(each(cells, "reading times", "rows")):
             value = parse(cell)
             if value is None:
                 codes[row] = CODE[why(cell)]

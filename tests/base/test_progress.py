@@ -50,9 +50,32 @@ def test_what_was_kept_says_nothing_of_the_pace() -> None:
 
 def test_where_nobody_knows_the_end_none_is_claimed() -> None:
     assert Work("reading", done=5.0).line(3.0, 0.0) == "reading, 3 s"
-    search = Work("searching", place=(3, 10), began_s=100.0, step_began_s=110.0, longest_s=7.0)
-    said = "step 3 of at most 10: searching, 15 s (step 5 s, longest 7 s)"
-    assert search.line(15.0, 0.0) == said
+    assert Work("searching", place=(3, 10)).line(15.0, 0.0) == "step 3 of at most 10: searching, 15 s"
+
+
+class Told:
+    """A forecast that knows the end at once."""
+
+    def __init__(self) -> None:
+        self.steps: list[str] = []
+
+    def begin(self, step: str, now_s: float) -> None:
+        """Keep it."""
+        assert now_s > 0.0
+        self.steps.append(step)
+
+    def left_s(self, now_s: float) -> float | None:
+        """All at 130 s."""
+        return 130.0 - now_s
+
+
+def test_a_forecast_is_told_what_begins_and_says_about_when_it_ends() -> None:
+    told = Told()
+    search = Work("searching", place=(3, 10), began_s=100.0, forecast=told)
+    assert search.line(15.0, 0.0) == "step 3 of at most 10: searching, 15 s, about 15 s left"
+    with steps(("first", "second"), told) as begin:
+        begin("second")
+    assert told.steps == ["second"]
 
 
 @pytest.mark.parametrize(
@@ -72,9 +95,9 @@ def test_a_terminal_sees_the_outermost_end_and_an_empty_line_after_it(terminal: 
         with steps(("first", "second", "third")) as begin:
             terminal.wait_for("step 1 of at most 3: first, 0 s")
             begin("third")
-            terminal.wait_for("step 3 of at most 3: third, 0 s (step 0 s, longest 0 s)")
+            terminal.wait_for("step 3 of at most 3: third, 0 s")
             begin("second")
-            terminal.wait_for("step 2 of at most 3: second once more, 0 s (step 0 s, longest 0 s)")
+            terminal.wait_for("step 2 of at most 3: second once more, 0 s")
 
 
 def test_what_ends_within_two_seconds_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,8 @@ def done(hot: Path, folder: Path, told: list[str]) -> Done:
     """The command over ``hot``, against the scenario that it was made with."""
 
     @contextmanager
-    def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+    def steps(names: Sequence[str], forecast: progress.Forecast) -> Iterator[Callable[[str], None]]:
+        assert forecast.left_s(0.0) is None
         told.append(names[0])
         yield told.append
 

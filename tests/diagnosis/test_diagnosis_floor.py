@@ -33,5 +33,5 @@ def switching(noise_nt: float | None) -> Recording:
 def test_less_than_the_noise_floor_is_left_only_where_it_held_the_cause(noise_nt: float | None) -> None:
     diagnosis = diagnose(switching(noise_nt))
     lines = summary(diagnosis, entries(diagnosis), held_out_rms(diagnosis), ())
-    assert lines[0] == "verdict: named"
+    assert lines[0].startswith("verdict: named")
     assert any("the noise floor was taken with nine errors alone" in line for line in lines) is (noise_nt is None)

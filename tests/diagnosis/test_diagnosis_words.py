@@ -333,7 +333,7 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
     files = [Path("out/diagnosis.json"), Path("out/report.html")]
     lines = summary(diagnosis(Verdict.NAMED, terms=2, reasons=("name_uncertain", "brand_new")), found, HELD_OUT, files)
     assert lines == [
-        "verdict: named",
+        "verdict: named, not trusted",
         "  do not act on this:",
         "    name_uncertain (heat): another name, or a cause in no catalogue, does nearly as well; make one of the "
         "measurements",

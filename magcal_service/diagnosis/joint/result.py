@@ -23,7 +23,7 @@ from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.summary import reason_lines
+from magcal_service.diagnosis.summary import reason_lines, verdict_line
 from magcal_service.diagnosis.words import (
     IN_DOUBT,
     advice,
@@ -318,7 +318,7 @@ def _field_model_nt(diagnosis: JointDiagnosis) -> float | None:
 def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     """What was found, what is common, how well each recording is predicted, and where the files are."""
     against = advice(diagnosis.reasons, diagnosis.concerned)
-    lines = [f"verdict: {diagnosis.verdict}", *reason_lines(against), f"  {sentence(diagnosis)}"]
+    lines = [verdict_line(diagnosis.verdict, diagnosis.reasons), *reason_lines(against), f"  {sentence(diagnosis)}"]
     for index, term in enumerate(diagnosis.fit.terms):
         believed = posterior(diagnosis.explained, index)
         lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
