@@ -54,7 +54,7 @@ class LightSeen:
 
     def __str__(self) -> str:
         return (
-            f"the recorded {self.channel} agrees with the computed shadow: dark in it and lit outside of it "
+            f"channel {self.channel} agrees with the computed shadow: dark in it and lit outside of it "
             f"in {100.0 * self.share:.1f} % of {self.rows} rows"
         )
 
