@@ -28,9 +28,9 @@ from magcal_service.daemon.magnetometers import Build, Magnetometers
 from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.rows import Rows
-from magcal_service.daemon.status_round import StatusRound
 from magcal_service.daemon.statuses import Statuses
 from magcal_service.daemon.timer import Timer
+from magcal_service.daemon.turns import Turns
 from magcal_service.links import Link
 from magcal_service.wire.kinds import KINDS, kind_of
 from magcal_service.wire.messages import Command, CommandReply, Estimate, Message, Verdict
@@ -50,6 +50,12 @@ _TAKING: Final = {kind.record: f"taking a {kind.name} message" for kind in KINDS
 
 _WORTH_KEEPING: Final = ("restored", "started")
 """Events after which a checkpoint does not wait for its period; so it is where a craft has become trusted."""
+
+_STATUSES: Final = 8
+"""Statuses that are sent between two looks for messages: 2 ms of work."""
+
+_CHECKPOINTS: Final = 2
+"""Checkpoints that are written between two: 6 to 30 ms, of which a few at once would be a vector's wait."""
 
 WATCHDOG_S: Final = 10.0
 """How often ``systemctl status`` gets a new line where no watchdog requires more."""
@@ -108,7 +114,8 @@ class Service:
         self.health = Health(link)
         parts = (recorder, checkpoints, outputs)
         self.statuses = Statuses(link, self.health, self.counters, self.magnetometers, self.rows, *parts)
-        self._round = StatusRound()
+        self._telling, self._saving = Turns(_STATUSES), Turns(_CHECKPOINTS)
+        self._saved = False  # whether a checkpoint was written in this round
         self._schedule = Schedule(math.inf if config.state is None else config.state.period_s)
 
     def shut_down(self) -> None:
@@ -138,7 +145,7 @@ class Service:
     def _received(self) -> list[Message]:
         """The messages received; the waiting time is recorded."""
         began_s = time.monotonic()
-        messages = self.link.receive(0.0 if self._round.pending else WAIT_S)
+        messages = self.link.receive(0.0 if self._telling.pending or self._saving.pending else WAIT_S)
         self.health.lateness.polled(began_s)
         return messages
 
@@ -170,8 +177,8 @@ class Service:
                 break
             if status.due():
                 self._publish_daemon()
-                self._round.begin(self.pipelines)
-            for name in self._round.turn():
+                self._telling.begin(self.pipelines)
+            for name in self._telling.take():
                 self._publish_status(self.pipelines[name])
             if overload.due():
                 self.report_overload()
@@ -179,8 +186,7 @@ class Service:
                 self.log_health()
             if watchdog.due():
                 self.feed_watchdog()
-            if self._schedule.due():
-                self._schedule.done(self.save())
+            self._save_in_turns()
         self.save()
         for pipeline in self.pipelines.values():
             with contained(pipeline, "closing its ticks"):
@@ -207,6 +213,19 @@ class Service:
         except Exception:
             self.counters["untold"] += 1
             log.exception("%s could not be reported; the calibration goes on", what)
+
+    def _save_in_turns(self) -> None:
+        """Begin a round of checkpoints where one is due, and write those of the next few craft."""
+        if not self._saving.pending:
+            if not self._schedule.due():
+                return
+            self._schedule.begin()
+            self._saving.begin(self.pipelines)
+        if self.checkpoints is not None:
+            self._saved |= self.checkpoints.save(self.pipelines[name] for name in self._saving.take())
+        if not self._saving.pending:
+            self._schedule.done(self._saved)
+            self._saved = False
 
     def save(self) -> bool:
         """Write a checkpoint of every craft that has taken samples since its last one; whether any was written."""

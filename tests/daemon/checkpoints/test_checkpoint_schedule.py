@@ -70,3 +70,17 @@ def test_without_a_period_there_is_none(clock: Clock) -> None:
     kept = Schedule(math.inf)
     kept.ask()
     assert times(clock, kept, 1000) == []
+
+
+def test_one_that_is_asked_for_while_another_is_being_written_comes_after_it(clock: Clock) -> None:
+    kept = Schedule(3600.0)
+    times(clock, kept, 1000)
+    kept.ask()
+    kept.begin()
+    kept.done(True)
+    assert times(clock, kept, 20) == []
+    kept.ask()
+    kept.begin()
+    kept.ask()
+    kept.done(True)
+    assert times(clock, kept, 20) == [1030.0]
