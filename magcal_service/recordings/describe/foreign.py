@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -54,6 +55,8 @@ _THOUSANDS: Final = re.compile(r"-?\d{1,3}([.,]\d{3})+[.,]\d+")
 _APART: Final = "have signs between thousands: export them without"
 _KIND: Final = re.compile(r"\s*(?P<kind>[A-Za-z$][\w$]*)\s*,")
 _VECTOR: Final = re.compile(r"[\[(]\s*-?[\d.]")
+_HEX: Final = re.compile(r"\b0x[0-9A-Fa-f]+\b")
+_PLAIN: Final = re.compile(r"(\.[A-Za-z_][A-Za-z0-9_]*|\.?\[\d+\])+", re.ASCII)
 _MAVLINK: Final = re.compile(r"\w+ \{\w+ : ")
 
 
@@ -118,6 +121,12 @@ def _stamped(lines: Sequence[str], log: str) -> str:
 
 def of_unequal(path: Path, lines: Sequence[str]) -> str:
     """Why no delimiter cuts lines into equally many values; empty where nothing is known."""
+    if _share(lines, lambda line: len(_HEX.findall(line)) >= _FEWEST_VALUES):
+        step = "s/0x([0-9A-Fa-f]+)/$n=hex $1; $m=16**length $1; $n<$m\\/2?$n:$n-$m/ge"
+        return (
+            f"numbers are hexadecimal: perl -pe '{step}' {_named(path)} > log.csv makes decimals of them, the upper "
+            "half of what the digits can be below 0"
+        )
     kinds = [match["kind"] for line in lines if (match := _KIND.match(line))]
     names = [name for name, _ in Counter(kinds).most_common()]
     if lines and len(kinds) >= _MOSTLY * len(lines) and _KINDS[0] <= len(names) <= _KINDS[1]:
@@ -127,6 +136,30 @@ def of_unequal(path: Path, lines: Sequence[str]) -> str:
             "ArduPilot log, mavlogdump.py --types MAG --format csv does it with the names"
         )
     return ""
+
+
+def of_marked_up(path: Path, line: str) -> str:
+    """What makes rows of a log in JSON or XML."""
+    try:
+        leaves = [leaf for leaf in _leaves(json.loads(line), "") if _PLAIN.fullmatch(leaf)]
+    except ValueError:
+        leaves = []
+    if not leaves:
+        return "a text file of rows is accepted; write the values as CSV, a row a line"
+    names = ",".join(leaf.lstrip(".") for leaf in leaves)
+    program = f"[{', '.join(leaves)}] | @csv"
+    return (
+        f"an object a line: (echo {quote(names)}; jq -r {quote(program)} {_named(path)}) > log.csv makes rows of them"
+    )
+
+
+def _leaves(value: object, path: str) -> list[str]:
+    """Where the values of an object lie, as jq writes it."""
+    if isinstance(value, dict):
+        return [leaf for key, one in value.items() for leaf in _leaves(one, f"{path}.{key}")]
+    if isinstance(value, list):
+        return [leaf for at, one in enumerate(value) for leaf in _leaves(one, f"{path or '.'}[{at}]")]
+    return [path] if path else []
 
 
 def of_cells(cells: Sequence[str]) -> str:

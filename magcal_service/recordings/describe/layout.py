@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
 from typing import Final
 
 from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.recordings.describe.cells import COMMA_NUMBER, NUMBER, WHITESPACE, is_value, split
-from magcal_service.recordings.describe.foreign import of_text, of_unequal
+from magcal_service.recordings.describe.foreign import of_marked_up, of_text, of_unequal
 from magcal_service.recordings.describe.header import Header, find_header
 from magcal_service.recordings.describe.sample import Sample
 from magcal_service.recordings.unit_words import unit_of
@@ -18,6 +20,8 @@ _DELIMITERS: Final = ("\t", ";", "|", ",", WHITESPACE)
 """In the order of preference: where two cut a line equally well, the rarer one was meant."""
 
 _COMMENTS: Final = ("#", "%", "//", "!", "*", "'")
+_OTHER_DELIMITERS: Final = ("^", "~", "&", ":", "/", "\\", "_")
+_SURELY: Final = 0.8  # of the lines have the same number of cells, and of these most are values
 _LOOKED_AT: Final = 400  # lines of the head: enough to know a log's form
 _WORTH_OF_LABEL: Final = 0.7  # of a value: that rows have labels in them is possible, and seldom
 _LEAST_SHARE: Final = 0.6  # of the lines looked at that have the same number of cells
@@ -88,9 +92,13 @@ def find_layout(sample: Sample, delimiter: str | None = None, decimal: str | Non
     found = [_cut(body, one) for one in ((delimiter,) if delimiter else _DELIMITERS)]
     best = max(found, key=lambda cut: round(cut.score, 2))
     if best.width < 2 or best.share < _LEAST_SHARE or best.score < 0.3:
-        accepted = of_unequal(sample.path, body) or (
-            "rows of the same number of cells, most of them numbers, are accepted, cut by comma, semicolon, tab, "
-            "| or blanks; --answer samples.delimiter=... says which"
+        accepted = (
+            of_unequal(sample.path, body)
+            or _cut_otherwise(sample.path, body)
+            or (
+                "rows of the same number of cells, most of them numbers, are accepted, cut by comma, semicolon, tab, "
+                "| or blanks; --answer samples.delimiter=... says which"
+            )
         )
         raise RecordingError([Fault(str(sample.path), (body or [""])[0][:80], accepted)])
     sign = decimal or ("," if best.comma > best.point else ".")
@@ -101,8 +109,17 @@ def _refuse_marked_up(sample: Sample, body: Sequence[str]) -> None:
     """Refuse JSON, XML and the like, whose lines a delimiter would cut into anything."""
     marked = [line for line in body if line.lstrip()[:1] in {"{", "<"} or line.strip() in {"[", "]"}]
     if body and len(marked) * 2 > len(body):
-        accepted = "a text file of rows is accepted; write the values as CSV, a row a line"
-        raise RecordingError([Fault(str(sample.path), marked[0][:80], accepted)])
+        raise RecordingError([Fault(str(sample.path), marked[0][:80], of_marked_up(sample.path, marked[-1]))])
+
+
+def _cut_otherwise(path: Path, body: Sequence[str]) -> str:
+    """What cuts rows evenly and is no delimiter here, with the command that exchanges it; empty where nothing does."""
+    found = [cut for cut in (_cut(body, sign) for sign in _OTHER_DELIMITERS) if cut.width > 1]
+    best = max(found, key=lambda cut: cut.score, default=None)
+    if best is None or best.score < _SURELY:
+        return ""
+    log = quote(str(path))
+    return f"rows are cut by {best.delimiter!r}: tr {quote(best.delimiter)} ',' < {log} > log.csv makes commas of them"
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,6 +184,27 @@ def _by_motion(draft: Draft, times: Times | None) -> Place | None:
         candidates = ((value, "ground speed of a low orbit"), (NO, "no position"))
         draft.ask(Question("position.columns", asks, candidates, value))
         return _asked(moving)
+    found = _orbiting(draft, times)
+    if found is not None:
+        triple, frame = found
+        value = ",".join(draft.names(triple.columns))
+        asks = "no name says a position; are these its x, y, z, which go round the Earth in a plane?"
+        candidates = ((value, f"as {frame} the plane of the orbit stands still"), (NO, "no position"))
+        draft.ask(Question("position.columns", asks, candidates, value))
+    return None
+
+
+def _orbiting(draft: Draft, times: Times | None) -> tuple[Triple, str] | None:
+    """Three neighbouring columns without a name that go round the Earth's centre, and in which frame."""
+    free = [column for column in draft.log.columns if column.numeric and column.number not in draft.reserved]
+    for three in zip(free, free[1:], free[2:], strict=False):
+        if times is None or any(column.name for column in three):
+            continue
+        triple = Triple(three, "", ())
+        unit = _cartesian_unit(triple)
+        frame = frame_of_way(triple.values * LENGTH_KM[LengthUnit(unit)], times.seconds) if unit else ""
+        if frame:
+            return triple, frame
     return None
 
 

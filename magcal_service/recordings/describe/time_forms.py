@@ -26,9 +26,14 @@ _CALENDAR: Final = (
     ({"second", "sec", "ss", "seconds", "s"}, "%S"),
 )
 
+NO_ZONE: Final = "; no zone is written, so UTC is taken"
+"""How the reason of a time ends that states no zone."""
+
 _MOSTLY: Final = 0.9  # of the cells have to fit
 
-_DATE: Final = {"date", "day", "datum", "fecha", "jour", "dates"}
+_DATE: Final = {"tarih", "date", "day", "datum", "fecha", "jour", "dates"}
+
+_ZONE: Final = re.compile(r"Z|UTC|GMT|[+-]\d\d:?\d\d", re.ASCII)
 
 _GPS_EPOCH_S: Final = 315964800.0  # 1980-01-06 in Unix seconds
 
@@ -43,9 +48,23 @@ _WEEK_S: Final = 604800.0  # seconds in a week
 def forms(log: Log) -> list[Form]:
     """Every way in which columns of a log can be its time."""
     found = [*_gps_week(log), *_calendar(log), *_date_and_clock(log)]
+    zones = zone_columns(log)
     for column in log.columns:
+        if len(zones) == 1 and not column.numeric and not _states_zone(column):
+            found += _texts((column, zones[0]), joined((column, zones[0])), 0)
         found += of_columns((column,))
     return found
+
+
+def zone_columns(log: Log) -> list[Column]:
+    """Columns that say each row's zone, as ``+02:00``."""
+    return [c for c in log.columns if any(c.cells) and all(_ZONE.fullmatch(cell) for cell in c.cells if cell)]
+
+
+def _states_zone(column: Column) -> bool:
+    """Whether the cells of a column name their zone themselves."""
+    filled = next((cell for cell in column.cells if cell), "")
+    return re.search(r"(Z|z|UTC|GMT|\d[+-]\d\d:?\d\d)$", filled) is not None
 
 
 def of_columns(columns: tuple[Column, ...]) -> list[Form]:
@@ -73,7 +92,7 @@ def _texts(columns: tuple[Column, ...], cells: Sequence[str], rank: int) -> list
         good = sum(value is not None for value in parsed)
         if good >= 0.9 * len(filled):
             times = np.array([np.nan if value is None else value / 1e9 for value in parsed])
-            zone = "" if re.search(r"(Z|z|UTC|[+-]\d\d:?\d\d)$", filled[0]) else "; no zone is written, so UTC is taken"
+            zone = "" if re.search(r"(Z|z|UTC|[+-]\d\d:?\d\d)$", filled[0]) else NO_ZONE
             why = f"every cell is an ISO 8601 instant such as {filled[0]!r}{zone}"
             return [Form(columns, "iso8601", times, True, why, True, rank)]
     patterns = dates.fitting(filled)
@@ -87,7 +106,7 @@ def _texts(columns: tuple[Column, ...], cells: Sequence[str], rank: int) -> list
     running = _same_instants(running, times_of)
     if len(running) > 1:
         running = _shortest_gaps(running, times_of)
-    zone = "" if patterns[0].endswith(("Z", "z", "UTC", "GMT")) else "; no zone is written, so UTC is taken"
+    zone = "" if patterns[0].endswith(("Z", "z", "UTC", "GMT")) else NO_ZONE
     why = f"every cell fits, such as {filled[0]!r}, and the times run on{zone}"
     return [Form(columns, "", times_of[pattern], True, why, len(running) == 1, rank, pattern) for pattern in running]
 
@@ -119,12 +138,16 @@ def _date_and_clock(log: Log) -> list[Form]:
         if c.numeric and set(c.words) & {"time", "utc", "clock", "hms", "hhmmss"} and dates.fitting_clocks(c.cells)
     ]
     days = [c for c in log.columns if c.cells and _is_date(c)]
+    zones = zone_columns(log)[:1] if len(zone_columns(log)) == 1 else []
+    if any(_states_zone(clock) for clock in clocks):
+        zones = []
     found = []
     for day in days[:2]:
         for clock in clocks[:2]:
             if day is clock:
                 continue
-            found += _texts((day, clock), joined((day, clock)), 0)
+            columns = (day, clock, *zones)
+            found += _texts(columns, joined(columns), 0)
     return found
 
 
@@ -142,7 +165,7 @@ def _calendar(log: Log) -> list[Form]:
     times = dates.seconds(cells, pattern)
     if not within(times, *UNIX) or np.isfinite(times).mean() < _MOSTLY:
         return []
-    why = "the names say year to second, and the numbers are those of such; no zone is written, so UTC is taken"
+    why = "the names say year to second, and the numbers are those of such" + NO_ZONE
     return [Form(tuple(columns), "", times, True, why, dates.in_order(times), 0, pattern)]
 
 

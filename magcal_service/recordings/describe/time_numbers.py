@@ -17,7 +17,7 @@ TIME_WORDS: Final = {
     "t", "time", "times", "timestamp", "timestamps", "ts", "unix", "unixtime", "utc", "epoch", "date", "datetime",
     "clock", "elapsed", "sec", "secs", "second", "seconds", "ms", "millis", "micros", "us", "met", "tow", "tick",
     "ticks", "posix", "gps", "jd", "mjd", "julian", "excel", "uptime", "sow", "itow", "stamp", "serial", "datenum",
-    "cnes", "spenvis", "cjd",
+    "cnes", "spenvis", "cjd", "zaman", "saat", "zeit",
 }  # fmt: skip
 
 S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -148,7 +148,7 @@ def numbers(column: Column) -> list[Form]:
                 ", as the name says" if named else ""
             )
             other = _other_epoch(column, float(values[0]) * factor)
-            spaced = named or _only_as(step, factor)
+            spaced = named or _as_rows(step * factor)
             sure = fits and not counter and not other and (named or not column.name) and spaced
             found.append(Form((column,), f"unix_{unit}", values * factor, True, why + other, sure, 1 if named else 3))
             if other or not spaced:
@@ -163,7 +163,7 @@ def numbers(column: Column) -> list[Form]:
             called = bool(set(column.words) & _OF_DAYS)
             sure = bool(set(column.words) & _OF_1950) if since_1950 else called or named or not column.name
             times = (values - epoch) * 86400.0
-            if not called and not _only_as(step, 86400.0):  # as likely seconds
+            if not called and not _only_as_days(step):  # as likely seconds
                 elapsed = _elapsed(column, step, named)
                 if step * 86400.0 > _STEP_S[1]:
                     return [*found, *elapsed]
@@ -178,10 +178,14 @@ def _year(unix_s: float) -> int:
     return 1970 + int(unix_s / 31556952)
 
 
-def _only_as(step: float, factor: float) -> bool:
-    """Whether rows are spaced as a log's by a unit of so many seconds, and as no log's by any usual unit of a clock."""
-    usual = _STEP_S[0] <= step * factor <= _SLOW_S
-    return usual and not any(_CLEAR_STEP_S[0] <= step * one <= _SLOW_S for one in S.values() if one < factor)
+def _as_rows(step_s: float) -> bool:
+    """Whether a step is what rows of a log are apart."""
+    return _STEP_S[0] <= step_s <= _SLOW_S
+
+
+def _only_as_days(step: float) -> bool:
+    """Whether rows are spaced as a log's by days, and as no log's by any usual unit of a clock."""
+    return _as_rows(step * 86400.0) and not any(_CLEAR_STEP_S[0] <= step * one <= _SLOW_S for one in S.values())
 
 
 def _in_rank(forms: list[Form], rank: int) -> list[Form]:

@@ -14,7 +14,7 @@ from magcal_service.recordings.describe import dates
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.time_check import agrees, stated_rates
-from magcal_service.recordings.describe.time_forms import ROLLOVERS, joined, of_columns
+from magcal_service.recordings.describe.time_forms import NO_ZONE, ROLLOVERS, joined, of_columns
 from magcal_service.recordings.describe.time_forms import forms as all_forms
 from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, in_form, is_named, repeated, rises
 from magcal_service.recordings.describe.times_found import Times
@@ -23,6 +23,7 @@ from magcal_service.recordings.timestamps import iso8601_to_ns
 FloatArray = npt.NDArray[np.float64]
 
 _FEW_SHARED: Final = 0.2  # of the shared stamps: a column that repeats so much less is the finer time
+_ZONES: Final = {"tz", "zone", "timezone", "utcoffset", "utc_offset", "gmtoffset", "tzoffset"}
 _TEN_BITS: Final = 1024  # weeks
 _SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
 
@@ -62,6 +63,7 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
         draft.put("time", "format", form.format)
     if form.format.startswith("gps_week"):
         _rollovers(draft, form.columns[0])
+    _say_zone(draft, form)
     draft.conclude("time", f"{' + '.join(c.label for c in form.columns)} as {form.pattern or form.format}", why)
     if start is not None:
         if not form.format.startswith("elapsed"):
@@ -71,6 +73,18 @@ def _take(draft: Draft, form: Form, why: str) -> Times:
     offset = (_instant("time.start", start) if start is not None else 0.0) or 0.0
     numbers = tuple(column.number for column in form.columns)
     return Times(form.times + offset, form.absolute or start is not None, numbers, form.format)
+
+
+def _say_zone(draft: Draft, form: Form) -> None:
+    """Say where a column is called a zone and is not read as one beside times that have none."""
+    if not form.why.endswith(NO_ZONE):
+        return
+    for column in draft.log.columns:
+        words = set(column.words) | {column.stem.lower()}
+        if words & _ZONES and column not in form.columns:
+            cell = next((cell for cell in column.cells if cell), "")
+            text = f"warning: UTC is taken, and {column.label} says {cell!r}: as +02:00 in each row it would be read"
+            draft.said.append(text)
 
 
 def _say_repeats(draft: Draft, form: Form) -> None:

@@ -42,9 +42,22 @@ _OTHER: Final = {"euler", "roll", "pitch", "yaw", "q", "quat", "quaternion", "cs
 
 TEMPERATURE: Final = {"temp", "temperature", "temps", "tmp", "tsens", "tmag", "therm", "thermistor", "tempc", "tempk"}
 CURRENT: Final = {"current", "curr", "amps", "amperage", "ibat", "ibatt", "ibus", "batcurrent"}
-LATITUDE: Final = {"lat", "latitude", "latd", "latdeg", "glat"}
-LONGITUDE: Final = {"lon", "long", "longitude", "lng", "londeg", "glon"}
-ALTITUDE: Final = {"alt", "altitude", "height", "elevation", "hgt", "altkm", "altm", "msl"}
+LATITUDE: Final = {"enlem", "breite", "lat", "latitude", "latd", "latdeg", "glat"}
+LONGITUDE: Final = {"boylam", "länge", "laenge", "lon", "long", "longitude", "lng", "londeg", "glon"}
+ALTITUDE: Final = {
+    "yükseklik",
+    "irtifa",
+    "höhe",
+    "hoehe",
+    "alt",
+    "altitude",
+    "height",
+    "elevation",
+    "hgt",
+    "altkm",
+    "altm",
+    "msl",
+}
 FRAMES: Final = {
     "eci": "eci", "gcrf": "eci", "j2000": "eci", "teme": "eci", "inertial": "eci", "tod": "eci", "beci": "eci",
     "mod": "eci", "ecef": "ecef", "itrf": "ecef", "ecf": "ecef", "becef": "ecef", "fixed": "ecef", "ned": "ned",

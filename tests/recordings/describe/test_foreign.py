@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -134,3 +135,53 @@ def test_of_labelled_values_given_twice_those_with_the_unit_are_the_field(tmp_pa
     path.write_text("\n".join(lines))
     text = describe(path, PLACE | {"time.rate_hz": "5"}).text or ""
     assert 'columns = ["8", "10", "12"]\nunit = "uT"' in text
+
+
+def objects() -> list[str]:
+    return [
+        json.dumps({"t_s": index / 5, "mag": {"x": x, "y": y, "z": z}, "gyro": [0.1, 0.2, 0.3]})
+        for index, (x, y, z) in enumerate(FIELD.tolist())
+    ]
+
+
+def in_hex() -> list[str]:
+    """Counts of 6 nT in three bytes, below 0 in two's complement."""
+    counts = np.round(FIELD * 1e3 / 6.0).astype(int) & 0xFFFFFF
+    lines = [f"{i / 5},0x{x:06X},0x{y:06X},0x{z:06X}" for i, (x, y, z) in enumerate(counts.tolist())]
+    return ["# 6.0 nT/LSB", "t_s,mx,my,mz", *lines]
+
+
+@pytest.mark.parametrize(
+    ("lines", "tool", "unit"),
+    [
+        (objects(), "jq", 'unit = "uT"'),
+        (in_hex(), "perl", 'unit = "nT"\nfactor = 6.0'),
+        (
+            ["t_s^mx_uT^my_uT^mz_uT", *("^".join(row.split(",")) for row in rows("{ms},{x},{y},{z}"))],
+            "tr",
+            'unit = "uT"',
+        ),
+    ],
+)
+def test_other_text_is_refused_with_a_command_that_makes_rows_of_it(
+    lines: list[str], tool: str, unit: str, tmp_path: Path
+) -> None:
+    if shutil.which(tool) is None:
+        pytest.skip(f"no {tool} here")
+    path = tmp_path / "a log's dump.txt"
+    path.write_text("\n".join(lines))
+    said = refusal(path)
+    begin = said.index("(echo") if tool == "jq" else said.index(f"{tool} ")
+    command = said[begin : said.index("> log.csv") + len("> log.csv")]
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
+    asked = describe(tmp_path / "log.csv", PLACE)
+    answers = {question.key: question.form for question in asked.questions if question.needed}
+    assert set(answers) <= {"time.format"}
+    assert unit in (describe(tmp_path / "log.csv", PLACE | answers).text or "")
+
+
+@pytest.mark.parametrize("line", ["<a><b>1</b></a>", "{1, 2, 3}", "{}"])
+def test_other_marked_up_text_is_refused_in_general_words(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("\n".join([line] * 50))
+    assert "write the values as CSV, a row a line" in refusal(path)

@@ -301,3 +301,18 @@ def test_the_field_model_itself_is_no_magnetometer(tmp_path: Path) -> None:
     assert "a model's field, for no sensor is so near it" in asked.asks
     told = describe(log, {"magnetometer.columns": "Bx_nT,By_nT,Bz_nT"})
     assert any(line.startswith("warning: by your answer magnetometer.columns") for line in told.said)
+
+
+@pytest.mark.parametrize(("frame", "unit_km"), [("ecef", 1.0), ("ecef", 1e-3)])
+def test_coordinates_without_names_that_go_round_the_earth_are_offered(
+    frame: str, unit_km: float, tmp_path: Path
+) -> None:
+    flight = maker_logs.orbit()
+    table = np.column_stack([flight.time_s, flight.field_nt, flight.ecef_km / unit_km])
+    log = tmp_path / "log.txt"
+    log.write_text("\n".join(" ".join(f"{value:.10g}" for value in row) for row in table))
+    assert offered(describe(log, {}), "position.columns") == ["5,6,7", "none"]
+    answers = {"position.columns": "5,6,7", "magnetometer.columns": "2,3,4", "magnetometer.unit": "nT"}
+    text = describe(log, answers).text or ""
+    assert f'frame = "{frame}"' in text
+    assert 'model = "igrf"' in text

@@ -156,7 +156,8 @@ def test_an_answer_decides(answers: dict[str, str], seconds: float, tmp_path: Pa
         ("mjd", 60000.0, 300.0 / 86400.0, "mjd_days", False),
         ("time", 60000.0, 1.0 / 86400.0, "mjd_days", False),
         ("", 1.75e9, 1.0, "unix_s", False),
-        ("", 1.75e9, 20.0, "unix_s elapsed_ms", True),  # 20 days of uptime in ms are as likely
+        ("", 1.75e9, 5.0, "unix_s", False),
+        ("", 1.75e9, 100.0, "unix_s elapsed_ms", True),  # 20 days of uptime in ms are as likely
         ("gps_time", 1.43e9, 1.0, "unix_s", True),  # of 2025 as GPS seconds
         ("time", 8.02e8, 1.0, "unix_s", True),  # of 2025 as seconds since 2000
         ("unix", 8.02e8, 1.0, "unix_s", False),
@@ -181,3 +182,33 @@ def test_a_time_by_its_numbers_alone_is_sure_only_where_no_other_is_as_likely(
     else:
         assert described.text is not None
         assert f'format = "{form}"' in described.text
+
+
+def text_times(folder: Path, header: str, cell: Callable[[int], str]) -> tuple[Times | None, Draft]:
+    return times_of(header, lambda row: cell(row), folder)
+
+
+@pytest.mark.parametrize(
+    ("header", "form"),
+    [
+        ("date;time;tz", "{:%Y-%m-%d;%H:%M:%S}.{};+02:00"),
+        ("tz;day;clock", "+0200;{:%d.%m.%Y;%H:%M:%S}.{}"),
+        ("timestamp;offset", "{:%Y-%m-%d %H:%M:%S}.{};+02:00"),
+    ],
+)
+def test_a_zone_in_a_column_of_its_own_is_read(header: str, form: str, tmp_path: Path) -> None:
+    def cell(row: int) -> str:
+        instant = START + datetime.timedelta(seconds=row * STEP_S, hours=2)
+        return form.format(instant, f"{instant.microsecond // 100000}")
+
+    times, _ = text_times(tmp_path, header, cell)
+    assert times is not None
+    assert times.seconds[7] == pytest.approx(unix(7), abs=1e-3)
+
+
+def test_a_zone_that_is_not_read_is_told(tmp_path: Path) -> None:
+    times, draft = text_times(
+        tmp_path, "date;time;tz", lambda row: f"2025-07-14;22:{row // 60:02d}:{row % 60:02d};CEST"
+    )
+    assert times is not None
+    assert any(line.startswith("warning: UTC is taken, and 'tz' says 'CEST'") for line in draft.said)
