@@ -78,6 +78,10 @@ def test_axe_finds_nothing_light_or_dark_on_a_desk_or_a_phone(browser: Browser) 
                 for scheme in ("light", "dark"):
                     await page.size(width, height, scheme)
                     assert await violations(page) == [], (name, scheme)
+            await page.until("document.body.classList.contains('stale')", 60.0)
+            for scheme in ("light", "dark"):
+                await page.size(*SIZES["desktop"], scheme)
+                assert await violations(page) == [], f"stale, {scheme}"
             await page.value("document.documentElement.removeAttribute('lang')")
             await page.value("document.getElementById('method').style.color = '#777'")
             assert {one[0] for one in await violations(page)} == {"color-contrast", "html-has-lang"}
