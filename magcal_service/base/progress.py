@@ -69,7 +69,7 @@ class Work:
 
     def line(self, elapsed_s: float, now: float) -> str:
         """All of it as a line; ``now`` is the time of day [s since 1970]."""
-        parts = [self.what if self.place is None else f"step {self.place[0]} of at most {self.place[1]}: {self.what}"]
+        parts = [self.what if self.place is None else f"step {self.place[0]} of at most {self.place[1]}"]
         if self.total:
             parts = [f"{self.what}: {self.done:.0f} of {self.total:.0f}{self.unit and ' '}{self.unit} done"]
         if self.failed:
@@ -80,7 +80,7 @@ class Work:
             parts.append(f"about {duration(left)} left")
         elif left is not None:
             parts.append(f"{duration(left)} left, until {time.strftime('%H:%M', time.localtime(now + left))}")
-        return ", ".join(parts)
+        return ", ".join(parts) + ("" if self.place is None else f": {self.what}")
 
 
 def duration(seconds: float) -> str:

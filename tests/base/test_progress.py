@@ -50,7 +50,7 @@ def test_what_was_kept_says_nothing_of_the_pace() -> None:
 
 def test_where_nobody_knows_the_end_none_is_claimed() -> None:
     assert Work("reading", done=5.0).line(3.0, 0.0) == "reading, 3 s"
-    assert Work("searching", place=(3, 10)).line(15.0, 0.0) == "step 3 of at most 10: searching, 15 s"
+    assert Work("searching", place=(3, 10)).line(15.0, 0.0) == "step 3 of at most 10, 15 s: searching"
 
 
 class Told:
@@ -72,7 +72,7 @@ class Told:
 def test_a_forecast_is_told_what_begins_and_says_about_when_it_ends() -> None:
     told = Told()
     search = Work("searching", place=(3, 10), began_s=100.0, forecast=told)
-    assert search.line(15.0, 0.0) == "step 3 of at most 10: searching, 15 s, about 15 s left"
+    assert search.line(15.0, 0.0) == "step 3 of at most 10, 15 s, about 15 s left: searching"
     with steps(("first", "second"), told) as begin:
         begin("second")
     assert told.steps == ["second"]
@@ -93,11 +93,11 @@ def test_a_terminal_sees_the_outermost_end_and_an_empty_line_after_it(terminal: 
         assert terminal.getvalue().endswith("\r\x1b[K")
         assert "rows of one" not in terminal.getvalue()
         with steps(("first", "second", "third")) as begin:
-            terminal.wait_for("step 1 of at most 3: first, 0 s")
+            terminal.wait_for("step 1 of at most 3, 0 s: first")
             begin("third")
-            terminal.wait_for("step 3 of at most 3: third, 0 s")
+            terminal.wait_for("step 3 of at most 3, 0 s: third")
             begin("second")
-            terminal.wait_for("step 2 of at most 3: second once more, 0 s")
+            terminal.wait_for("step 2 of at most 3, 0 s: second once more")
 
 
 def test_what_ends_within_two_seconds_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
