@@ -105,12 +105,12 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     found = (f"found: {one}" for one in result.findings)
     with beside_json(options.json):
         print("\n".join([*source_lines(recording), *recording.report.lines(), *found]))
-        print(_table(result))
+        print(_table(result, path))
     write_json(options.json, result.as_json())
     return DONE if result.trusted else NOT_TRUSTED
 
 
-def _table(result: Calibration) -> str:
+def _table(result: Calibration, path: Path) -> str:
     import numpy as np
 
     from magcal_service.model import BIAS, STATE_NAMES
@@ -136,5 +136,5 @@ def _table(result: Calibration) -> str:
         f"residual rms: {residuals.before:.1f} nT before{after}; "
         f"noise floor {residuals.noise_floor:.1f} nT; held out: {held_out}"
     )
-    lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
+    lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt, path))
     return "\n".join(lines)

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.base.errors import ConfigError, Fault, FileFault
@@ -255,8 +256,12 @@ def check_method(config: Path, name: str) -> None:
         raise ConfigError([Fault(f"{config.name}: craft.filter.method", fault.value, fault.accepted)]) from None
 
 
-def verdict_text(verdict: str, reasons: Sequence[str], remedy: str, model: str) -> str:
-    """The verdict with its reasons, what the model seems to leave out, and the remedy, a line each."""
+def verdict_text(verdict: str, reasons: Sequence[str], remedy: str, model: str, recording: Path) -> str:
+    """The verdict with its reasons, what the model seems to leave out, and the remedy, a line each.
+
+    The command that diagnoses is that of this ``recording``.
+    """
+    model = model.replace("magcal diagnose RECORDING", f"magcal diagnose {quote(str(recording))}")
     text = f"verdict: {verdict}"
     if reasons:
         text += f" ({', '.join(reasons)})"

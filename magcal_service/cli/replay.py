@@ -68,7 +68,7 @@ def _replay(options: argparse.Namespace) -> int:
         print(*compensation_lines(result.compensated, result.pipeline.compensation.model), sep="\n")
     if residuals.published is not None:
         print(f"vectors as they were published since the start: {residuals.published:.1f} nT")
-    print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt))
+    print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt, options.recording))
     if result.protection:
         print(result.protection)
     return DONE if result.verdict == "trusted" else NOT_TRUSTED

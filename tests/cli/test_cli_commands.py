@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from magcal_service.base.version import __version__
+from magcal_service.cli.common import verdict_text
 from magcal_service.daemon.estimate_csv import COLUMNS
 from magcal_service.estimators import find_method, methods
 from magcal_service.trust.reasons import Reason
@@ -301,3 +302,9 @@ def test_the_version_is_told() -> None:
 def test_no_command_is_refused_with_the_usage() -> None:
     done = run()
     assert (done.code, done.err.startswith("usage: magcal")) == (2, True)
+
+
+def test_the_command_that_diagnoses_names_the_recording_that_was_read() -> None:
+    said = "model doubtful: heat; run: magcal diagnose RECORDING"
+    text = verdict_text("doubtful", ["model_doubtful"], "", said, Path("my log.toml"))
+    assert text.endswith("run: magcal diagnose 'my log.toml'")
