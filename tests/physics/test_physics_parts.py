@@ -205,19 +205,20 @@ def test_autoregression_is_least_squares_on_the_samples_before() -> None:
     assert len(autoregression(e[:10])[0]) == 0
 
 
-def test_a_long_memory_has_four_free_lags_and_shares_the_rest() -> None:
-    e = np.random.default_rng(8).normal(size=300)
+def test_a_long_memory_has_sixteen_free_lags_and_shares_the_rest() -> None:
+    e = np.random.default_rng(8).normal(size=1100)
     found = long_memory(e)
-    assert len(found) == 32
-    assert found[4:8] == pytest.approx(np.full(4, found[4]))
-    assert found[8:] == pytest.approx(np.full(24, found[8]))
-    rows = np.arange(32, 300)
-    design = [e[rows - lag] for lag in (1, 2, 3, 4)]
-    design += [np.array([e[row - span : row].mean() for row in rows]) for span in (8, 32)]
+    assert len(found) == 128
+    assert found[16:32] == pytest.approx(np.full(16, found[16]))
+    assert found[32:] == pytest.approx(np.full(96, found[32]))
+    rows = np.arange(128, 1100)
+    design = [e[rows - lag] for lag in range(1, 17)]
+    design += [np.array([e[row - span : row].mean() for row in rows]) for span in (32, 128)]
     weights = np.linalg.lstsq(np.stack(design, axis=1), e[rows], rcond=None)[0]
-    assert found[8] == pytest.approx(weights[5] / 32.0)
-    assert found[4] == pytest.approx(weights[5] / 32.0 + weights[4] / 8.0)
-    assert found[0] == pytest.approx(weights[0] + weights[4] / 8.0 + weights[5] / 32.0)
+    assert found[32] == pytest.approx(weights[17] / 128.0)
+    assert found[16] == pytest.approx(weights[17] / 128.0 + weights[16] / 32.0)
+    assert found[0] == pytest.approx(weights[0] + weights[16] / 32.0 + weights[17] / 128.0)
+    assert len(long_memory(e[:200])) == 16
 
 
 @pytest.mark.parametrize(("levels", "step"), [(2, 0.0), (3, 2.5)])

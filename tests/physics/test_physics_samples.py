@@ -275,9 +275,25 @@ def test_a_slow_wander_on_white_noise_is_none(stated_nt: float | None) -> None:
     assert not hanging_together(white + first_order_body(0.995, 7), 80.0, stated_nt)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_does_not_show_that_it_fades_is_none(seed: int) -> None:
+    """A twelfth of the square in a wander over 60 samples: by chance its covariance falls within ten at times."""
+    rng = np.random.default_rng(160 + seed)
+    body = rng.normal(size=(len(scene()), 3)) + 0.3 * first_order_body(0.983, 170 + seed)
+    assert not hanging_together(body, 80.0, None)
+
+
 def test_white_noise_does_not_hang_together() -> None:
     """No memory, whatever is stated."""
     assert not hanging_together(np.random.default_rng(8).normal(size=(len(scene()), 3)), 80.0, 200.0)
+
+
+def test_a_driver_that_averages_is_whitened() -> None:
+    """The mean of four samples: its memory ends at once, four coefficients leave a correlation of 0.29."""
+    white = np.random.default_rng(21).normal(size=20_000)
+    mean = np.convolve(white, np.full(4, 0.5), mode="valid")
+    left = whitened(mean, long_memory(mean))
+    assert max(abs(float(np.corrcoef(left[:-lag], left[lag:])[0, 1])) for lag in range(1, 24)) < 0.16
 
 
 def test_whitening_in_the_body_takes_the_memory_off() -> None:

@@ -16,6 +16,13 @@ from magcal_service.physics.scene.view import View
 ORDER: Final = 8
 """Order of the autoregression; what lasts longer is ``long_memory``'s. Choice: each costs half of ln n nats."""
 
+_FREE: Final = 16
+"""Newest samples that have a coefficient each where a residual is whitened.
+
+A driver that averages four has a memory that ends at once: of its rest after 4, 8 and 16 the largest correlation is
+0.29, 0.22 and 0.15.
+"""
+
 _LEAST_NATS: Final = 15.0
 """Evidence from which on the noise is coloured: odds of 3 million, since every recording is tested."""
 
@@ -30,6 +37,15 @@ _FADING: Final = 0.3
 
 A first-order memory of 25 samples (rho 0.96) loses 0.3; half of that suffices where the noise is stated.
 """
+
+_NEAR: Final = (1, 2)
+"""Lags [samples] at which a memory is taken to be whole."""
+
+_FAR: Final = (9, 10, 11, 12)
+"""Lags [samples], ten on average, at which one that begins to fade within ten samples has faded; four err by half."""
+
+_FADES_SIGMAS: Final = 3.0
+"""Sampling errors by which a memory has to be seen to fade: what does not show that it fades may be slow physics."""
 
 _OWN: Final = 0.85
 """Share of the stated noise's square that may change from one sample to the next if the noise has a memory.
@@ -86,21 +102,21 @@ def _dot(first: Array, second: Array) -> Array:
 def long_memory(residual: Array, unit: Array | None = None) -> Array:
     """Coefficients (p,) of an autoregressive model with a memory of up to 2048 samples, few of them free.
 
-    The newest four samples have one each; means over the newest 8, 32, 128, 512 and 2048 share theirs: 1/f noise.
+    The newest 16 samples have one each; means over the newest 32, 128, 512 and 2048 share theirs: 1/f noise.
     ``unit`` as in ``autoregression``.
     Source: Corsi 2009, a heterogeneous autoregressive model, J. Financial Econometrics 7, 174-196.
     """
-    spans = [1, 2, 3, 4, *(span for span in (8, 32, 128, 512, 2048) if span < len(residual) // 8)]
-    longest = spans[-1]
+    means = [span for span in (32, 128, 512, 2048) if span < len(residual) // 8]
+    longest = max([_FREE, *means])
     along, body = _in_body(residual, unit)
     sums = np.concatenate([np.zeros((1, along.shape[1])), np.cumsum(body, axis=0)])
     rows = np.arange(longest, len(residual))
-    design = [_dot(along[rows], body[rows - lag]) for lag in spans[:4]]
-    design += [_dot(along[rows], sums[rows] - sums[rows - span]) / span for span in spans[4:]]
+    design = [_dot(along[rows], body[rows - lag]) for lag in range(1, _FREE + 1)]
+    design += [_dot(along[rows], sums[rows] - sums[rows - span]) / span for span in means]
     weights = np.linalg.lstsq(np.stack(design, axis=1), residual[rows], rcond=1e-10)[0]
     coefficients = np.zeros(longest)
-    coefficients[:4] = weights[:4]
-    for span, weight in zip(spans[4:], weights[4:].tolist(), strict=True):
+    coefficients[:_FREE] = weights[:_FREE]
+    for span, weight in zip(means, weights[_FREE:].tolist(), strict=True):
         coefficients[:span] += weight / span
     return coefficients
 
@@ -138,17 +154,29 @@ def is_noise(view: View) -> bool:
     less if it has a memory, unless all of it is as large as stated; and a memory begins to fade within ten samples.
     """
     unit, e = view.scene.unit, view.residual_nt
-    zero, one, ten = (covariance(unit, e, lag) for lag in (0, 1, 10))
+    zero, one = (covariance(unit, e, lag) for lag in (0, 1))
     turned = _dot(unit[1:], unit[:-1])
-    least = max(_LEAST_CORRELATION, _SIGNIFICANT_SIGMAS / math.sqrt(max(float(turned @ turned), 1.0)))
+    sampling = 1.0 / math.sqrt(max(float(turned @ turned), 1.0))
+    least = max(_LEAST_CORRELATION, _SIGNIFICANT_SIGMAS * sampling)
     if one < least * zero:
         return one < -3.0 * least * zero
-    fading = (one - ten) / one
     stated = view.stated_noise_nt
     if stated is None:
-        return fading > _FADING
+        return _fades(view, _FADING, sampling * zero)
     has_room = zero - one < _OWN * stated**2 or _OF_LEVEL[0] < zero / stated**2 < _OF_LEVEL[1]
-    return fading > 0.5 * _FADING and has_room
+    return has_room and _fades(view, 0.5 * _FADING, sampling * zero)
+
+
+def _fades(view: View, share: float, sampling: float) -> bool:
+    """Whether a memory is seen to lose a share of its covariance within ten samples.
+
+    ``sampling`` [nT^2] is the error of a covariance at one lag where most of the noise is white.
+    """
+    near, far = (
+        float(np.mean([covariance(view.scene.unit, view.residual_nt, lag) for lag in lags])) for lags in (_NEAR, _FAR)
+    )
+    error = sampling * math.hypot((1.0 - share) / math.sqrt(len(_NEAR)), 1.0 / math.sqrt(len(_FAR)))
+    return (1.0 - share) * near - far > _FADES_SIGMAS * error
 
 
 def covariance(unit: Array, residual: Array, lag: int) -> float:
