@@ -323,7 +323,8 @@ def concerned(explained: Explained) -> dict[str, tuple[str, ...]]:
     """The effects that each reason is about, by the reason, for those that are about single ones."""
     names = [term.hypothesis.effect for term in explained.fit.terms]
     unsure = [name for index, name in enumerate(names) if posterior(explained, index).own < SURE]
-    unsized = [name for index, name in enumerate(names) if not has_size(explained.fit, index)]
+    sized = [has_size(explained.fit, i) and not any(explained.courses[i : i + 1]) for i in range(len(names))]
+    unsized = [name for name, is_sized in zip(names, sized, strict=True) if not is_sized]
     return {"name_uncertain": tuple(unsure), "size_uncertain": tuple(unsized)}
 
 
@@ -359,11 +360,8 @@ def _at_an_end(term: Term) -> bool:
 def _is_cut_off(fit: Fit, index: int) -> bool:
     """Whether a change that takes a while begins or ends beside an end of its recording."""
     edges = [value for number, value in _numbers(fit, "edge") if number == index]
-    courses = [fit.problem.scene.course_at(edge) for edge in edges]
-    return any(
-        min(edge - time_s[0], time_s[-1] - edge) < _CUT_OFF * (time_s[-1] - time_s[0])
-        for edge, time_s in zip(edges, courses, strict=True)
-    )
+    ends = [(edge, *fit.problem.scene.course_at(edge)[[0, -1]].tolist()) for edge in edges]
+    return any(min(edge - first, last - edge) < _CUT_OFF * (last - first) for edge, first, last in ends)
 
 
 def is_rough(fit: Fit) -> bool:

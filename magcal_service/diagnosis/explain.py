@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
-from magcal_service.diagnosis.instants import timed
+from magcal_service.diagnosis.instants import has_other_course, timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.rivals import is_recorded, tempered
+from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
@@ -64,6 +64,7 @@ class Explained:
     nats: for each term, evidence for it over its absence that survives the blocks' scatter.
     gains: for each term, what it gains over the blocks.
     drivers: for each term, its own effect by each driver, at its best, best first.
+    courses: for each term, whether another course of its effect, of other numbers, holds nearly as much.
     shaped_nats, lasting_nats: what is seen beside all of them and has no name: in a shape of its own, and lasting.
     """
 
@@ -72,6 +73,7 @@ class Explained:
     nats: tuple[float, ...] = ()
     gains: tuple[Gain, ...] = ()
     drivers: tuple[tuple[Candidate, ...], ...] = ()
+    courses: tuple[bool, ...] = ()
     shaped_nats: float = 0.0
     lasting_nats: float = 0.0
 
@@ -305,7 +307,11 @@ class Search(Screen):
         space = self.workspace(fit, index)
         mine = fit.terms[index].hypothesis
         moves = mine.moves_s is not None  # what else does is expanded where this has moved it: near it only now
-        close = [h for h in self.hypotheses if h is mine or h.label in self.close or (moves and h.moves_s is not None)]
+        close = [
+            h
+            for h in self.hypotheses
+            if h is mine or h.label in self.close or (moves and h.moves_s is not None) or is_as_sudden(h, mine)
+        ]
         return self.screen(space, fit, sigma, sorted(others), close)
 
     def compared(self, fit: Fit, floor_nt: float, given_up: frozenset[str] = frozenset()) -> Explained:
@@ -336,7 +342,10 @@ class Search(Screen):
                 left = given_up | {fit.terms[index].hypothesis.label}
                 return self.compared(self.refreshed(other), floor_nt, left)
         best = tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
-        return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals))
+        courses = tuple(
+            has_other_course(term, ranked, CLASS_NATS) for term, ranked in zip(fit.terms, rivals, strict=True)
+        )
+        return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals), courses)
 
     def _drivers(self, fit: Fit, rivals: Sequence[Sequence[Candidate]]) -> tuple[tuple[Candidate, ...], ...]:
         """For each term its effect by each driver."""
@@ -366,7 +375,9 @@ class Search(Screen):
         noise = fit.white_rms_nt / fit.noise_gain
         gained = best.nats - own if math.isfinite(own) else 0.0
         most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
-        return trial if self._is_sized(trial) and _held_out(trial) <= _held_out(fit) + most else None
+        if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
+            return None
+        return trial if _held_out(trial) <= _held_out(fit) + most else None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))

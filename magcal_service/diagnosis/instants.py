@@ -1,4 +1,4 @@
-"""The instant of a change by joint solutions: to first order it is sought where the last one has led.
+"""When a change comes about, by joint solutions: to first order it is sought where the last one has led.
 
 Where the field points in few directions, the nine errors move far with the instant, and columns made at one are wrong
 at another.  On a craft that looks down a step was found 1270 s late so, and every round came back there.
@@ -6,7 +6,8 @@ at another.  On a craft that looks down a step was found 1270 s late so, and eve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +18,7 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
-    from magcal_service.diagnosis.screen import Screen
+    from magcal_service.diagnosis.screen import Candidate, Screen
 
 _FIRST: Final = 0.05
 """Share of the recording by which an instant is first moved to either side; a choice."""
@@ -43,7 +44,7 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
     if found:
         fit = _better(fit, [_at(fit, index, found[0].theta, found[0].gain.amplitudes)])
     if any(number.role == "edge" for number in own.nonlinear):
-        return _better(fit, [_at(fit, index, _moved(fit, index), fit.terms[index].amplitudes)])
+        return _better(fit, [_moved(course, index) for course in (fit, *_other_courses(search, fit, index))])
     if len(own.nonlinear) != 1 or own.nonlinear[0].role != "instant":
         return fit
     span_s = float(np.ptp(fit.problem.scene.time_s))
@@ -60,14 +61,46 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
     return fit
 
 
-def _moved(fit: Fit, index: int) -> Array:
-    """A term's edges (k,) where a joint solution leaves them that moves them along."""
+def _other_courses(search: Screen, fit: Fit, index: int) -> Iterator[Fit]:
+    """The fit with each other course of a change that takes a while in a term's place, at its best to first order."""
+    own = fit.terms[index].hypothesis
+    courses = [h for h in search.hypotheses if h.in_place and h.effect == own.effect and h.label != own.label]
+    space = search.workspace(fit, index)
+    for form in courses:
+        found = search.screen(space, fit, fit.white_rms_nt, among=[form])
+        for one in found[:1]:
+            terms = list(fit.terms)
+            terms[index] = Term(form, one.theta, one.gain.amplitudes)
+            other = solve(fit.problem, fit.x, terms)
+            if not form.is_quickest(other.terms[index].theta):
+                yield other
+
+
+def has_other_course(term: Term, ranked: Sequence[Candidate], within_nats: float) -> bool:
+    """Whether another course holds about as much in a change that takes a while: it begins and ends elsewhere then.
+
+    Parameters
+    ----------
+    term: the change.
+    ranked: all candidates for its place.
+    within_nats: by how much less the other may hold.
+    """
+    mine = term.hypothesis
+    courses = [c for c in ranked if c.hypothesis.in_place and c.hypothesis.effect == mine.effect]
+    own = next((c.nats for c in courses if c.hypothesis is mine), math.inf)
+    return any(c.hypothesis is not mine and c.nats > own - within_nats for c in courses)
+
+
+def _moved(fit: Fit, index: int) -> Fit:
+    """The fit with a term's edges where a joint solution leaves them that moves them along with all else."""
     term = fit.terms[index]
     terms: list[Term] = list(fit.terms)
     terms[index] = replace(term, hypothesis=term.hypothesis.loosened())
     time_s = fit.problem.scene.course_at(float(term.theta[0]))
-    moved = solve(fit.problem, fit.x, terms).terms[index].theta
-    return np.sort(np.clip(moved, time_s[0], time_s[-1]))
+    moved = np.array(solve(fit.problem, fit.x, terms).terms[index].theta)
+    is_edge = np.array([number.role == "edge" for number in term.hypothesis.nonlinear])
+    moved[is_edge] = np.sort(np.clip(moved[is_edge], time_s[0], time_s[-1]))
+    return _better(fit, [_at(fit, index, moved, term.amplitudes)])
 
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:

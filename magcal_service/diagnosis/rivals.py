@@ -64,7 +64,8 @@ def tempered(
     fit: with the term; ``index``: its number; ``space``: the residual as if it had never been fitted.
     blocks: (m,) number of each row's block, over which the scatter of a difference is taken.
     sigma_nt: noise that evidence is counted in [nT].
-    most_fitted: rivals of other effects that are fitted in its place.
+    most_fitted: rivals of other effects that are fitted in its place; a change that takes a while is held against every
+        sudden one besides.
     """
     mine = fit.terms[index].hypothesis
     sought = next((c for c in ranked if c.hypothesis is mine), None)
@@ -77,9 +78,10 @@ def tempered(
         one = own if candidate is sought else candidate
         if one is not own and one.nats > own.nats - _WORTH_TEMPERING:
             by_fit = None
-            is_near = one.nats > _WORTH_FITTING * own.nats and len(fitted) <= most_fitted
-            if is_near and one.hypothesis.effect not in fitted:
-                fitted.add(one.hypothesis.effect)
+            kind, is_sudden = _kind(one.hypothesis, mine), is_as_sudden(one.hypothesis, mine)
+            has_turn = most_fitted > 0 and (is_sudden or len(fitted) <= most_fitted)
+            if has_turn and one.nats > _WORTH_FITTING * own.nats and kind not in fitted:
+                fitted.add(kind)
                 by_fit = _fitted(search, one, own, fit, index, sigma_nt)
             if by_fit is None:
                 beside = _left(search, one, fit, space), best
@@ -91,6 +93,19 @@ def tempered(
             one = replace(one, nats=one.nats + (RECORDED_NATS if is_recorded(one.hypothesis) else -RECORDED_NATS))
         found.append(one)
     return sorted(found, key=lambda candidate: -candidate.nats)
+
+
+def _kind(rival: Hypothesis, mine: Hypothesis) -> str:
+    """What one fit in a term's place stands for: an effect, but of sudden changes for one that takes a while each form.
+
+    Several instants follow its course to first order better than the one that is true does, before it is fitted.
+    """
+    return rival.label if is_as_sudden(rival, mine) else rival.effect
+
+
+def is_as_sudden(rival: Hypothesis, mine: Hypothesis) -> bool:
+    """Whether a rival is a sudden change in place of one that takes a while."""
+    return mine.in_place and any(number.role == "instant" for number in rival.nonlinear)
 
 
 def _as_fitted(search: Screen, sought: Candidate, fit: Fit, index: int, space: Workspace, sigma_nt: float) -> Candidate:

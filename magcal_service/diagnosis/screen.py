@@ -284,6 +284,8 @@ class Screen:
         """Whether a candidate is no larger than its physics ever is, and not nearly absorbed by the other columns."""
         if candidate.nats < 0.5 * ACCEPTED_NATS:
             return True
+        if candidate.hypothesis.is_quickest(candidate.theta):
+            return False
         if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
             return False
         if not above_least(candidate.hypothesis, candidate.gain.amplitudes):

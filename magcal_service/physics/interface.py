@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 START: Final = "start_"
 """Begins the name of a block that is the state a recording begins in."""
 
+_NEARLY: Final = 1.5
+"""Times the quickest that is tried, which a change over a while has to take: what is found there would be quicker."""
+
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -149,6 +152,11 @@ class Hypothesis:
     def loosened(self) -> Hypothesis:
         """The same with nonlinear numbers that a refit moves, whatever their role."""
         return replace(self, nonlinear=loose(self.nonlinear))
+
+    def is_quickest(self, theta: Array) -> bool:
+        """Whether, with numbers (m,), it is a change over a while as quick as any that is tried: that is a jump."""
+        numbers = zip(self.nonlinear, theta, strict=True)
+        return self.in_place and any(not n.role and value <= _NEARLY * n.grid.min() for n, value in numbers)
 
 
 def loose(numbers: Sequence[Nonlinear]) -> tuple[Nonlinear, ...]:

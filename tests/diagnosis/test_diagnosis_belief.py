@@ -12,7 +12,8 @@ import pytest
 
 from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
-from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
+from magcal_service.diagnosis.instants import has_other_course
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rest import Rest
@@ -52,6 +53,17 @@ def explained(rivals: Sequence[tuple[str, float]], own: float = 100.0) -> Explai
     idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
     ranked = [Candidate(form(name), np.zeros(0), idle, nats) for name, nats in [("bias_step", own), *rivals]]
     return Explained(fits()[1], (tuple(ranked),), (own,), (BlockGain(own, 1.0, 10, 10),))
+
+
+@pytest.mark.parametrize(("behind", "sized"), [(1.0, False), (10.0, True)])
+def test_where_another_course_holds_as_much_a_change_has_no_size(behind: float, sized: bool) -> None:
+    """Evenly or relaxing: it begins and ends elsewhere."""
+    evenly, relaxing = (replace(form("bias_drift"), variant=variant, in_place=True) for variant in ("even", "relaxing"))
+    idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
+    ranked = [Candidate(evenly, np.zeros(0), idle, 50.0), Candidate(relaxing, np.zeros(0), idle, 50.0 - behind)]
+    others = has_other_course(Term(evenly, np.zeros(0), np.zeros(3)), ranked, CLASS_NATS)
+    assert others is not sized
+    assert ("size_uncertain" in said(replace(explained([]), courses=(others,)))) is not sized
 
 
 def said(named: Explained, unexplained: float = 0.0, unknown: bool = False) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
-from magcal_service.diagnosis.rivals import RECORDED_NATS, tempered
+from magcal_service.diagnosis.rivals import RECORDED_NATS, is_as_sudden, tempered
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
@@ -93,6 +93,38 @@ def test_the_ends_of_a_change_that_takes_a_while_are_moved_by_joint_solutions(wi
     for name, edge in zip(("from_s", "to_s"), edges, strict=True):
         assert 0.0 < float(values[name].sigma) < 60.0
         assert abs(float(values[name].value) - edge) < 4.0 * float(values[name].sigma)
+
+
+@pytest.mark.parametrize("relaxes", [True, False])
+def test_a_change_that_takes_a_while_takes_the_course_that_leaves_least(relaxes: bool) -> None:
+    """Begun with the other course, at joint solutions of either."""
+    forms = {one.variant: one for one in effect_named("bias_drift").hypotheses(scene()) if one.in_place}
+    evenly, relaxing = forms["over a while"], forms["relaxing from an instant"]
+    since = np.maximum(TIME_S - 3000.0, 0.0)
+    course = 1.0 - np.exp(-since / 600.0) if relaxes else np.minimum(since / 1500.0, 1.0)
+    search, fit = searching(flown(along(1, 1500.0 * course)), evenly, relaxing)
+    form, theta = (evenly, [3000.0, 5000.0]) if relaxes else (relaxing, [3000.0, 600.0])
+    found = timed(search, solve(search.problem, fit.x, [Term(form, np.array(theta), np.zeros(3))]), 0).terms[0]
+    assert found.hypothesis is (relaxing if relaxes else evenly)
+    np.testing.assert_allclose(found.theta, [3000.0, 600.0 if relaxes else 4500.0], atol=90.0)
+
+
+def test_a_change_that_takes_a_while_is_held_against_each_form_of_a_sudden_one() -> None:
+    """Three others are fitted where they come near; a jump at one instant is, too, whatever comes nearer."""
+    effects = [effect_named(name) for name in ("bias_drift", "bias_step")]
+    forms = {one.label: one for effect in effects for one in effect.hypotheses(scene())}
+    while_, sudden = forms["bias_drift[over a while]"], forms["bias_step"]
+    jump = 300.0 * (TIME_S >= 4000.0)
+    search, fit = searching(flown(along(1, jump)), while_, sudden)
+    fit = timed(search, solve(search.problem, fit.x, [Term(while_, np.array([3000.0, 5000.0]), np.zeros(3))]), 0)
+    assert is_as_sudden(sudden, while_)
+    assert not is_as_sudden(while_, sudden)
+    sigma = max(fit.white_rms_nt, FLOOR_NT)
+    ranked = search.screen(search.workspace(fit, 0), fit, sigma)
+    blocks = search.problem.blocks(fit.white_residual)
+    by_fit = tempered(search, ranked, fit, 0, search.workspace(fit, 0), blocks, sigma, most_fitted=1)
+    assert by_fit[0].hypothesis is sudden
+    assert abs(float(by_fit[0].theta[0]) - 4000.0) <= 8.0
 
 
 @pytest.mark.parametrize(

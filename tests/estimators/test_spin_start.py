@@ -83,6 +83,14 @@ def test_a_mirrored_calibration_is_seen() -> None:
     assert find_spin(mirrored, np.zeros(9), 0.6, 1.0)[0].mirrored
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_samples_that_any_axis_follows_give_no_guess(count: int) -> None:
+    """After the clock has hopped and the gate has taken the rest, one sample is left of the stretch: no time spans."""
+    samples = samples_of(Craft(seed=3, rate_rpm=7.5), 240)
+    samples = samples.where(np.arange(len(samples.times_s)) < count)
+    assert find_spin(samples, ROUGH, 0.6, 1.0) == []
+
+
 def test_a_sound_calibration_is_not_called_mirrored() -> None:
     assert not find_spin(samples_of(Craft(seed=6, noise_nt=50.0), 1500), ROUGH, 0.6, 1.0)[0].mirrored
 

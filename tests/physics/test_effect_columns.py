@@ -86,7 +86,8 @@ def sizes(form: Hypothesis) -> dict[str, tuple[int, ...]]:
 def test_a_bias_drifts_by_its_rate_and_bends_by_its_curve() -> None:
     found = forms("bias_drift")
     rate, curve = np.array([1e-3, -2e-3, 3e-3]), np.array([1e-7, 0.0, -2e-7])
-    assert list(found) == [("none", ""), ("none", "quadratic"), ("none", "relaxing"), ("none", "over a while")]
+    variants = ["", "quadratic", "relaxing", "over a while", "relaxing from an instant"]
+    assert list(found) == [("none", variant) for variant in variants]
     assert added(found["none", ""], rate) == pytest.approx(np.outer(TIME_S, rate))
     both = np.outer(TIME_S, rate) + np.outer(TIME_S**2, curve)
     assert added(found["none", "quadratic"], [rate, curve]) == pytest.approx(both)
@@ -95,9 +96,11 @@ def test_a_bias_drifts_by_its_rate_and_bends_by_its_curve() -> None:
     assert added(found["none", "relaxing"], end, 900.0) == pytest.approx(relaxed)
     between = np.outer(np.interp(TIME_S, [400.0, 1600.0], [0.0, 1.0]), end)
     assert added(found["none", "over a while"], end, 400.0, 1600.0) == pytest.approx(between)
+    later = np.outer(np.where(TIME_S > 400.0, 1.0 - np.exp((400.0 - TIME_S) / 900.0), 0.0), end)
+    assert added(found["none", "relaxing from an instant"], end, 400.0, 900.0) == pytest.approx(later)
     names = [[(block.name, block.unit) for block in form.blocks] for form in found.values()]
     plain = [[("nt_per_s", "nT/s")], [("nt_per_s", "nT/s"), ("nt_per_s2", "nT/s2")]]
-    assert names == [*plain, [("nt_end", "nT")], [("nt_between", "nT")]]
+    assert names == [*plain, [("nt_end", "nT")], [("nt_between", "nT")], [("nt_end", "nT")]]
     assert found["none", "relaxing"].nonlinear[0].grid == pytest.approx(
         SPAN_S * np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])
     )

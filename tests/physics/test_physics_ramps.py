@@ -1,4 +1,4 @@
-"""A change that takes a while: its begin and end are found, and what is sudden is left to a step."""
+"""A change that takes a while: its begin, end and course are found, and what is sudden is left to a step."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from magcal_service.physics.segments import Segments
 from tests.physics.test_physics_instants import ALONG, COUNT, FIELD, NOISE_NT, SIZE_NT, TIME_S, flown
 
 
-def ramp_of(effect: str, count: int = COUNT) -> Hypothesis:
-    (form,) = [one for one in effect_named(effect).hypotheses(flown(TIME_S[:count])) if one.variant == "over a while"]
+def ramp_of(effect: str, count: int = COUNT, variant: str = "over a while") -> Hypothesis:
+    (form,) = [one for one in effect_named(effect).hypotheses(flown(TIME_S[:count])) if one.variant == variant]
     return form
 
 
@@ -51,6 +51,23 @@ def test_a_gain_that_changes_over_a_while_is_found_too() -> None:
     ((begin, end),) = proposed(ramp_of("scale_drift"), growth)
     assert abs(begin - 2000.0) < 120.0
     assert abs(end - 3000.0) < 120.0
+
+
+@pytest.mark.parametrize(("from_s", "tau_s"), [(900.0, 200.0), (2500.0, 400.0), (1000.0, 900.0)])
+def test_what_relaxes_is_found_by_its_instant_and_its_time_constant(from_s: float, tau_s: float) -> None:
+    relaxed = 1.0 - np.exp(-np.maximum(TIME_S - from_s, 0.0) / tau_s)
+    form = ramp_of("bias_drift", variant="relaxing from an instant")
+    ((begin, tau),) = proposed(form, 3.0 * SIZE_NT * relaxed[:, None] * ALONG)
+    assert abs(begin - from_s) < 120.0
+    assert tau == pytest.approx(tau_s, rel=0.3)
+
+
+def test_what_relaxes_as_quickly_as_any_that_is_tried_is_a_jump() -> None:
+    form = ramp_of("bias_drift", variant="relaxing from an instant")
+    least = float(form.nonlinear[1].grid.min())
+    assert form.is_quickest(np.array([1000.0, least]))
+    assert not form.is_quickest(np.array([1000.0, 2.0 * least]))
+    assert not ramp_of("bias_drift").is_quickest(np.array([1000.0, 2000.0]))
 
 
 @pytest.mark.parametrize("effect", ["bias_drift", "scale_drift"])

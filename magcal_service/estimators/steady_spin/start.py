@@ -30,6 +30,9 @@ _SEARCH_SAMPLES: Final = 512
 _AXIS_CONTRAST: Final = 2.0
 """Residual across the axis over that along it; a craft that does not turn about an axis has about 1."""
 
+_FOLLOWED: Final = 3
+"""Samples that nine numbers from H to B follow exactly whatever the axis is: of so few, none stands out."""
+
 _MIRROR_MARGIN: Final = 0.5
 """A reflection that leaves less than this share of what a rotation leaves means a mirrored calibration."""
 
@@ -101,7 +104,7 @@ def best_rotation(matrix: Array) -> Array:
 
 
 def find_spin(samples: Samples, x: Array, lowest_rad_s: float, highest_rad_s: float) -> list[SpinGuess]:
-    """Rate and attitude from scratch: the best guess and its twin; none where the vectors show no axis.
+    """Rate and attitude from scratch: the best guess and its twin; none where the vectors are few or show no axis.
 
     The twin: over a short stretch H moves on an arc in one plane.  Reflect the spin axis s in that plane, and H has the
     same component along it but moves about it the other way; a rate that differs by twice that motion makes up for it.
@@ -113,6 +116,8 @@ def find_spin(samples: Samples, x: Array, lowest_rad_s: float, highest_rad_s: fl
     x: a calibration that is right to some percent (9,).
     lowest_rad_s, highest_rad_s: where the rate is searched, both without sign; both senses of turn are tried.
     """
+    if len(samples.times_s) <= _FOLLOWED:
+        return []
     samples = samples.thinned(_SEARCH_SAMPLES)
     w = calibrate(x, samples.field_nt)
     axis = find_axis(w, samples.reference_eci_nt)

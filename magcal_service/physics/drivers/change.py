@@ -16,7 +16,7 @@ from magcal_service.physics.scene.scene import Scene
 _INSTANTS: Final = 96
 """Change times tried first; choice: one percent of the recording apart, the best is refined; more cost a gain each."""
 
-_RELAXATION_SHARES: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+RELAXATION_SHARES: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Time constants of a relaxation, as shares of the recording: shorter is a step, longer a parabola."""
 
 
@@ -46,7 +46,7 @@ def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypoth
     curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape)
     both = joined(linear, act(elapsed**2))
     yield Hypothesis(effect, "none", lambda _: both, (block, curve), "quadratic")
-    tau = Nonlinear("time_constant_s", "s", span * np.array(_RELAXATION_SHARES))
+    tau = Nonlinear("time_constant_s", "s", span * np.array(RELAXATION_SHARES))
     end = Block(
         f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape
     )

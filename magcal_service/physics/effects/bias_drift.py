@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.drivers.ramps import ramp
+from magcal_service.physics.drivers.ramps import ramp, relaxing_from
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -15,6 +15,7 @@ from magcal_service.physics.scene.scene import Scene
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield from drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
     yield ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"))
+    yield relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"))
 
 
 EFFECT = Effect(
@@ -22,7 +23,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_COURSE, ""),),
     title="the bias drifts",
-    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample; "
+    equation="d = rate t; rate t + curve t^2; or end (1 - exp(-t / tau)), t from the first sample or an instant; "
     "or between (t - from) / (to - from), 0 before and all of it after",
     units={
         "nt_per_s": "nT/s",
@@ -41,6 +42,8 @@ EFFECT = Effect(
     says=(
         "The bias of {nt_per_s.place} drifts by {nt_per_s.signed} at first, bending by up to {nt_per_s2.size}.",
         "The bias of {nt_per_s.place} drifts by {nt_per_s.signed}, the most of the three.",
+        "The bias of {nt_end.place} relaxes by {nt_end.signed} from {from_s.size} on, with a time constant of "
+        "{time_constant_s.size}.",
         "The bias of {nt_end.place} relaxes by {nt_end.signed} with a time constant of {time_constant_s.size}.",
         "The bias of {nt_between.place} changes by {nt_between.signed} from {from_s.size} to {to_s.size}, evenly.",
     ),

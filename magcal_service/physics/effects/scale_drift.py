@@ -8,7 +8,7 @@ from dataclasses import replace
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, gains
 from magcal_service.physics.drivers.change import drifts
-from magcal_service.physics.drivers.ramps import ramp
+from magcal_service.physics.drivers.ramps import ramp, relaxing_from
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -18,6 +18,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for hypothesis in drifts(scene, "scale_drift", lambda s: gains(scene.calibrated_nt, s), Block("per_s", "1/s")):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".strip(", "))
     yield ramp(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("between", "1"))
+    yield relaxing_from(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("end", "1"))
 
 
 EFFECT = Effect(
@@ -43,6 +44,8 @@ EFFECT = Effect(
     says=(
         "The gain of {per_s.place} {per_s.falls} by {per_s.size} at first, bending by up to {per_s2.size}.",
         "The gain of {per_s.place} {per_s.falls} by {per_s.size}, the most of the three.",
+        "The gain of {end.place} {end.falls} by {end.percent} in all from {from_s.size} on, with a time constant of "
+        "{time_constant_s.size}.",
         "The gain of {end.place} {end.falls} by {end.percent} in all, with a time constant of {time_constant_s.size}.",
         "The gain of {between.place} {between.falls} by {between.percent} from {from_s.size} to {to_s.size}, evenly.",
     ),
