@@ -49,8 +49,11 @@ def standing(
     is_left: whether families without a name hold something beside the names.
     """
     explained = _each_its_own(search, explained, phase, floor_nt)
-    if explained.fit.terms and is_left:
-        explained = _all_together(search, baseline, explained, phase, floor_nt)
+    if explained.fit.terms:
+        product = largest_product(replace(search, problem=baseline.problem), baseline, floor_nt)
+        named = _squares(search, baseline) - _squares(search, explained.fit)
+        if is_left or named <= product / baseline.noise_gain**2:
+            explained = _all_together(search, baseline, explained, phase, floor_nt, product)
     explained = against_signals(search, explained, floor_nt)
     if explained.fit.terms and not explained.fit.converged:
         fit = ended(explained.fit)
@@ -77,18 +80,17 @@ def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> in
 
 
 def _all_together(
-    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, product: float
 ) -> Explained:
     """Without names that a family without a name outdoes: it holds clearly more than they do.
 
-    One product of two components, with one amplitude, is enough to do so if it holds more than all of them.
+    One product of two components, with one amplitude, is enough to do so if it holds more than all of them [nT^2].
     One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
     first stay if they pass without the later ones.
     """
     fit = explained.fit
     nameless = replace(search, problem=baseline.problem)
     best = structures(nameless, baseline, phase, floor_nt)[0]
-    product = largest_product(nameless, baseline, floor_nt)
     for count in range(len(fit.terms), 0, -1):
         fewer = (
             fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))

@@ -253,6 +253,14 @@ def test_a_line_of_the_craft_s_own_turning_is_no_tone(of: str, tmp_path: Path) -
     assert diagnosis.reasons == ("unexplained_structure",)
 
 
+@pytest.mark.parametrize("seed", [610100016, 710100012])
+def test_one_product_that_holds_more_than_a_cubic_s_nine_numbers_is_no_cubic(seed: int, tmp_path: Path) -> None:
+    """The cubic left nothing beside it, and was trusted."""
+    diagnosis = of_blind(seed, "outside:field_product", tmp_path)
+    assert "cubic_response" not in names_of(diagnosis)
+    assert diagnosis.reasons == ("unexplained_structure",)
+
+
 def test_a_true_line_beside_a_turning_craft_stays_one(tmp_path: Path) -> None:
     diagnosis = of_blind(410100034, "tone", tmp_path)
     assert names_of(diagnosis) == ["tone"]
