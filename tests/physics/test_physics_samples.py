@@ -11,6 +11,7 @@ import pytest
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.effects.coloured_noise import (
+    _independent,
     autoregression,
     body_correlation,
     covariance,
@@ -286,6 +287,19 @@ def test_what_does_not_show_that_it_fades_is_none(seed: int) -> None:
 def test_white_noise_does_not_hang_together() -> None:
     """No memory, whatever is stated."""
     assert not hanging_together(np.random.default_rng(8).normal(size=(len(scene()), 3)), 80.0, 200.0)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_the_level_of_noise_with_a_memory_is_as_uncertain_as_it_scatters(memory: float) -> None:
+    """First-order noise: (1 - rho^2) / (1 + rho^2) of its samples count; 120 draws scatter as they say, within 20 %."""
+    draws = [first_order_noise(memory, 500 + seed) for seed in range(120)]
+    levels = [float(np.sqrt(np.mean(one**2))) for one in draws]
+    said = float(
+        np.mean([level / math.sqrt(2.0 * _independent(one)) for level, one in zip(levels, draws, strict=True)])
+    )
+    assert said == pytest.approx(float(np.std(levels)), rel=0.2)
+    share = (1.0 - memory**2) / (1.0 + memory**2)
+    assert np.mean([_independent(one) for one in draws]) == pytest.approx(share * len(draws[0]), rel=0.1)
 
 
 def test_a_driver_that_averages_is_whitened() -> None:

@@ -192,6 +192,22 @@ def body_correlation(view: View) -> float:
     return float(np.clip(covariance(unit, e, 1) / max(covariance(unit, e, 0), 1e-300), -0.999, 0.999))
 
 
+def _independent(residual: Array) -> float:
+    """As many independent samples would tell the level of a residual (n,) as well: n / (1 + 2 sum r_l^2).
+
+    r_l is its correlation at a lag of l samples, up to the first that does not stand out.
+    Source: Bartlett 1946, J. Royal Statistical Society B 8, 27-41, variance of a mean square.
+    """
+    count, total = len(residual), 1.0
+    square = max(float(residual @ residual), 1e-300)
+    for lag in range(1, count // 2):
+        correlation = float(residual[:-lag] @ residual[lag:]) / square
+        if abs(correlation) < 2.0 / math.sqrt(count):
+            break
+        total += 2.0 * correlation**2
+    return count / total
+
+
 def _find(view: View) -> Finding | None:
     coefficients, nats = autoregression(view.residual_nt, view.scene.pauses, view.scene.unit)
     if not len(coefficients):
@@ -206,7 +222,7 @@ def _find(view: View) -> Finding | None:
     sigma = 2.0 / math.sqrt(len(view.residual_nt))
     parameters = {
         "correlation": value_of(correlation, sigma, "1"),
-        "level_nt": value_of(level, level / math.sqrt(2.0 * len(view.residual_nt)), "nT"),
+        "level_nt": value_of(level, level / math.sqrt(2.0 * _independent(view.residual_nt)), "nT"),
     }
     if stated is not None:
         parameters["stated_nt"] = value_of(stated, 0.0, "nT")
