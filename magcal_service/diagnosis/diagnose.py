@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import concerned, posterior, reasons
+from magcal_service.diagnosis.belief import concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
@@ -18,7 +18,6 @@ from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.searching import End, in_form, with_memory
-from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
@@ -32,9 +31,6 @@ from magcal_service.recordings.recording import Recording
 from magcal_service.trust.reasons import Reason
 
 COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloured_noise, nutation, spin_rate))
-
-_OPEN: Final = 0.9
-"""Probability of a cause in no catalogue from which on, beside every name, the verdict is no name's; a choice."""
 
 UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
@@ -290,9 +286,7 @@ def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolutio
 
 
 def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
-    rivals = [dict(posterior(explained, index).rivals) for index in range(len(explained.fit.terms))]
-    is_open = min((each.get(UNLISTED, 0.0) for each in rivals), default=0.0) > _OPEN
-    if unexplained > UNKNOWN_SHARE or is_open:
+    if unexplained > UNKNOWN_SHARE:
         return Verdict.UNKNOWN
     named = explained.fit.terms or any(name != COLOURED_NOISE for name in findings)  # noise explains no mismatch
     return Verdict.NAMED if named else Verdict.NONE

@@ -12,7 +12,6 @@ import pytest
 
 from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
-from magcal_service.diagnosis.diagnose import Verdict, _verdict
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
 from magcal_service.diagnosis.instants import has_other_course
 from magcal_service.diagnosis.linear import Gain
@@ -54,12 +53,6 @@ def explained(rivals: Sequence[tuple[str, float]], own: float = 100.0) -> Explai
     idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
     ranked = [Candidate(form(name), np.zeros(0), idle, nats) for name, nats in [("bias_step", own), *rivals]]
     return Explained(fits()[1], (tuple(ranked),), (own,), (BlockGain(own, 1.0, 10, 10),))
-
-
-@pytest.mark.parametrize(("lasting", "verdict"), [(0.0, Verdict.NAMED), (50.0, Verdict.NAMED), (1e5, Verdict.UNKNOWN)])
-def test_a_name_that_is_a_tenth_as_likely_as_none_at_all_is_no_verdict(lasting: float, verdict: Verdict) -> None:
-    """It was `named`, beside "< 0.1 % this, 99.9 % unknown"."""
-    assert _verdict(replace(explained([]), lasting_nats=lasting), {}, 0.1) is verdict
 
 
 @pytest.mark.parametrize(("behind", "sized"), [(1.0, False), (10.0, True)])
