@@ -21,7 +21,7 @@ from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
-from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
@@ -295,9 +295,8 @@ class Search(Screen):
             best = next((c for c in ranked if c.hypothesis is not term.hypothesis), None)
             if best is None or best.nats < _NEARLY * own:
                 continue
-            terms = list(fit.terms)
-            terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
-            trial = solve(self.problem, fit.x, terms)
+            term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+            trial = exchanged(self.problem, fit, index, term)
             if self._is_sized(trial):
                 fit = self.refreshed(trial)
         return fit
@@ -369,9 +368,7 @@ class Search(Screen):
         if not ranked or ranked[0].nats < own + by_nats:
             return None
         best = ranked[0]
-        terms = list(fit.terms)
-        terms[index] = Term(best.hypothesis, best.theta, best.gain.amplitudes)
-        trial = solve(self.problem, fit.x, tuple(terms))
+        trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
         noise = fit.white_rms_nt / fit.noise_gain
         gained = best.nats - own if math.isfinite(own) else 0.0
         most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)

@@ -48,8 +48,9 @@ USUAL: Final[Mapping[Place, Usual]] = {
     (3, 1, LEFT): Usual(3.45, 0.24),  # of 7
 }
 """Beside each row of how many diagnoses of 34 simulated recordings (``python -m tests.benchmarks.bench_progress`` on
-``python -m tests.blind --seed 7701 --n 24`` and ``python -m tests.regimes --seed 7702 --n 32``, as far as they were
-reached).  What follows `LEFT` goes on from what was told there."""
+``python -m tests.blind --seed 7701 --n 24`` and ``python -m tests.regimes --seed 7702 --n 32``: the first ones, and
+some that were picked for being short, for several effects or for none of the catalogue).  What follows `LEFT` goes on
+from what was told there."""
 
 _LONGER: Final = 0.5
 """Of what a step has taken, what it will take besides once it has taken longer than usual; a choice."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term
-from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.solution import exchanged
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
@@ -69,9 +69,7 @@ def _other_courses(search: Screen, fit: Fit, index: int) -> Iterator[Fit]:
     for form in courses:
         found = search.screen(space, fit, fit.white_rms_nt, among=[form])
         for one in found[:1]:
-            terms = list(fit.terms)
-            terms[index] = Term(form, one.theta, one.gain.amplitudes)
-            other = solve(fit.problem, fit.x, terms)
+            other = exchanged(fit.problem, fit, index, Term(form, one.theta, one.gain.amplitudes))
             if not form.is_quickest(other.terms[index].theta):
                 yield other
 
@@ -94,10 +92,9 @@ def has_other_course(term: Term, ranked: Sequence[Candidate], within_nats: float
 def _moved(fit: Fit, index: int) -> Fit:
     """The fit with a term's edges where a joint solution leaves them that moves them along with all else."""
     term = fit.terms[index]
-    terms: list[Term] = list(fit.terms)
-    terms[index] = replace(term, hypothesis=term.hypothesis.loosened())
+    loose = exchanged(fit.problem, fit, index, replace(term, hypothesis=term.hypothesis.loosened()))
     time_s = fit.problem.scene.course_at(float(term.theta[0]))
-    moved = np.array(solve(fit.problem, fit.x, terms).terms[index].theta)
+    moved = np.array(loose.terms[index].theta)
     is_edge = np.array([number.role == "edge" for number in term.hypothesis.nonlinear])
     moved[is_edge] = np.sort(np.clip(moved[is_edge], time_s[0], time_s[-1]))
     return _better(fit, [_at(fit, index, moved, term.amplitudes)])
@@ -115,6 +112,4 @@ def _squares(fit: Fit) -> float:
 
 def _at(fit: Fit, index: int, theta: Array, amplitudes: Array) -> Fit:
     """The joint solution with a term's nonlinear numbers there."""
-    terms: list[Term] = list(fit.terms)
-    terms[index] = replace(terms[index], theta=theta, amplitudes=amplitudes)
-    return solve(fit.problem, fit.x, terms)
+    return exchanged(fit.problem, fit, index, replace(fit.terms[index], theta=theta, amplitudes=amplitudes))

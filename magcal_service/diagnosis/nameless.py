@@ -13,7 +13,7 @@ from magcal_service.diagnosis.leftover import largest_product, significant, stru
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, OF_LINES
 from magcal_service.diagnosis.signals import against_signals
-from magcal_service.diagnosis.solution import ended, solve
+from magcal_service.diagnosis.solution import ended, exchanged, solve
 from magcal_service.model import Array
 
 NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
@@ -50,10 +50,7 @@ def standing(
     """
     explained = _each_its_own(search, explained, phase, floor_nt)
     if explained.fit.terms:
-        product = largest_product(replace(search, problem=baseline.problem), baseline, floor_nt)
-        named = _squares(search, baseline) - _squares(search, explained.fit)
-        if is_left or named <= product / baseline.noise_gain**2:
-            explained = _all_together(search, baseline, explained, phase, floor_nt, product)
+        explained = _all_together(search, baseline, explained, phase, floor_nt, is_left)
     explained = against_signals(search, explained, floor_nt)
     if explained.fit.terms and not explained.fit.converged:
         fit = ended(explained.fit)
@@ -80,24 +77,28 @@ def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> in
 
 
 def _all_together(
-    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, product: float
+    search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
 ) -> Explained:
     """Without names that a family without a name outdoes: it holds clearly more than they do.
 
-    One product of two components, with one amplitude, is enough to do so if it holds more than all of them [nT^2].
+    One product of two components, with one amplitude, is enough to do so if it holds more than all of them; where
+    nothing is left beside the names, nothing else is.
     One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
     first stay if they pass without the later ones.
     """
-    fit = explained.fit
+    fit, before, gain2 = explained.fit, _squares(search, baseline), baseline.noise_gain**2
     nameless = replace(search, problem=baseline.problem)
+    product = largest_product(nameless, baseline, floor_nt)
+    if not is_left and before - _squares(search, fit) > product / gain2:
+        return explained
     best = structures(nameless, baseline, phase, floor_nt)[0]
     for count in range(len(fit.terms), 0, -1):
         fewer = (
             fit if count == len(fit.terms) else search.refreshed(solve(search.problem, baseline.x, fit.terms[:count]))
         )
-        named = _squares(search, baseline) - _squares(search, fewer)
+        named = before - _squares(search, fewer)
         needed = max(NEEDED_SHARES[min(count, len(NEEDED_SHARES)) - 1] * best.squares, product)
-        if named > needed / baseline.noise_gain**2:
+        if named > needed / gain2:
             return explained if fewer is fit else search.compared(fewer, floor_nt)
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
 
@@ -177,8 +178,7 @@ def _from_known(search: Search, fit: Fit, floor_nt: float) -> Fit:
         sigma = max(fit.white_rms_nt, floor_nt)
         for candidate in search.screen(search.workspace(fit, index), fit, sigma, among=[term.hypothesis]):
             again = replace(term, theta=candidate.theta, amplitudes=candidate.gain.amplitudes)
-            terms = [again if number == index else other for number, other in enumerate(fit.terms)]
-            trial = solve(search.problem, fit.x, terms)
+            trial = exchanged(search.problem, fit, index, again)
             fit = min((fit, trial), key=lambda one: _squares(search, one))
     return fit
 

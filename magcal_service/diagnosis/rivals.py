@@ -18,7 +18,7 @@ from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Term
-from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.solution import exchanged
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
@@ -78,7 +78,9 @@ def tempered(
         one = own if candidate is sought else candidate
         if one is not own and one.nats > own.nats - _WORTH_TEMPERING:
             by_fit = None
-            kind, is_sudden = _kind(one.hypothesis, mine), is_as_sudden(one.hypothesis, mine)
+            is_sudden = is_as_sudden(one.hypothesis, mine)
+            # several instants follow a course to first order better than the one that is true: each form is fitted
+            kind = one.hypothesis.label if is_sudden else one.hypothesis.effect
             has_turn = most_fitted > 0 and (is_sudden or len(fitted) <= most_fitted)
             if has_turn and one.nats > _WORTH_FITTING * own.nats and kind not in fitted:
                 fitted.add(kind)
@@ -93,14 +95,6 @@ def tempered(
             one = replace(one, nats=one.nats + (RECORDED_NATS if is_recorded(one.hypothesis) else -RECORDED_NATS))
         found.append(one)
     return sorted(found, key=lambda candidate: -candidate.nats)
-
-
-def _kind(rival: Hypothesis, mine: Hypothesis) -> str:
-    """What one fit in a term's place stands for: an effect, but of sudden changes for one that takes a while each form.
-
-    Several instants follow its course to first order better than the one that is true does, before it is fitted.
-    """
-    return rival.label if is_as_sudden(rival, mine) else rival.effect
 
 
 def is_as_sudden(rival: Hypothesis, mine: Hypothesis) -> bool:
@@ -132,9 +126,8 @@ def _fitted(
     Both fits are zeros of the score, which leave more than the least sum of squares does; and what is left is counted
     as the sensor's own noise, which errors that shrink the field shrink along.
     """
-    terms = list(fit.terms)
-    terms[index] = Term(rival.hypothesis, rival.theta, rival.gain.amplitudes)
-    trial = timed(search, solve(fit.problem, fit.x, terms), index)
+    term = Term(rival.hypothesis, rival.theta, rival.gain.amplitudes)
+    trial = timed(search, exchanged(fit.problem, fit, index, term), index)
     if not trial.converged or not all(within_physics(trial, number) for number in range(len(trial.terms))):
         return None
     before, left = search.white(fit.residual), search.white(trial.residual) * (fit.noise_gain / trial.noise_gain)

@@ -119,6 +119,13 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
     return replace(fit, converged=here.to_go < _CONVERGED * here.sigma2)
 
 
+def exchanged(problem: Problem, fit: Fit, index: int, term: Term) -> Fit:
+    """The joint solution from where a fit is, with another term in the place of its ``index``-th."""
+    terms = list(fit.terms)
+    terms[index] = term
+    return solve(problem, fit.x, terms)
+
+
 def ended(fit: Fit) -> Fit:
     """A fit that has stalled near its end, taken there by the score's own derivative, or along its least known number.
 

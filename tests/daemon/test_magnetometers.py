@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from magcal_service.daemon.checkpoints.store import Checkpoints
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Link, Role, open_link
-from magcal_service.links.zenoh import ZenohLink
 from magcal_service.trust.modes import MODES, Mode
 from magcal_service.wire.messages import (
     CalibratedVector,
@@ -31,10 +29,10 @@ from magcal_service.wire.messages import (
     Status,
     Verdict,
 )
-from sim_sensor.demo.pty_pair import PtyPair
 from tests.daemon.magnetometer_streams import MAGNET_S, PAIR, messages, of_source, pair
 from tests.daemon.pipeline_streams import handle_all
-from tests.links.link_messages import free_port, settle
+from tests.daemon.real_links import ends
+from tests.links.link_messages import settle
 
 _names = itertools.count()
 
@@ -109,29 +107,20 @@ def test_each_publishes_what_it_would_alone() -> None:
 
 @pytest.mark.parametrize("kind", ["zenoh", "serial"])
 def test_both_are_served_over_a_real_link(kind: str) -> None:
-    with PtyPair() as ends:
-        here, there = (f"serial:{path}" for path in ends.paths)
-        if kind == "zenoh":
-            here = there = f"zenoh:tcp/127.0.0.1:{free_port()}"
-        with (
-            open_link(here, Role.SERVICE, crafts=["pair"]) as link,
-            open_link(there, Role.NODE, crafts=["pair"]) as node,
-        ):
-            if kind == "zenoh":  # what is sent before the ends have found each other is dropped
-                assert settle(lambda: all(cast(ZenohLink, end).alive() for end in (link, node)))
-            service = Service(Config(here, (PAIR,)), link)
-            published: list[Message] = []
-            for message in messages(20.0):
-                node.send(message)
+    with ends(kind) as (link, node):
+        service = Service(Config(link.address, (PAIR,)), link)
+        published: list[Message] = []
+        for message in messages(20.0):
+            node.send(message)
 
-            def come() -> bool:
-                for message in link.receive(0.0):
-                    service.handle(message)
-                published.extend(node.receive(0.0))
-                return len(vectors(published, "mag")) == len(vectors(published, "mag2")) == 20
+        def come() -> bool:
+            for message in link.receive(0.0):
+                service.handle(message)
+            published.extend(node.receive(0.0))
+            return len(vectors(published, "mag")) == len(vectors(published, "mag2")) == 20
 
-            settle(come)
-            estimates = {one.source for one in published if isinstance(one, Estimate)}
+        settle(come)
+        estimates = {one.source for one in published if isinstance(one, Estimate)}
     assert (len(vectors(published, "mag")), len(vectors(published, "mag2"))) == (20, 20)
     assert estimates == {"magcal", "mag2"}
 

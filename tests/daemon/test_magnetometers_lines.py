@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -14,13 +11,11 @@ import pytest
 from magcal_service.cli.__main__ import main
 from magcal_service.config.settings import Config
 from magcal_service.daemon.service import Service
-from magcal_service.links import Link, Role, open_link
-from magcal_service.links.zenoh import ZenohLink
 from magcal_service.model import STATE_NAMES
 from magcal_service.wire.messages import CalibratedVector, Estimate, MagnetometerSample, Message
-from sim_sensor.demo.pty_pair import PtyPair
 from tests.daemon.magnetometer_streams import MAGNET_S, PAIR, pair
-from tests.links.link_messages import free_port, settle
+from tests.daemon.real_links import ends
+from tests.links.link_messages import settle
 from tests.recordings.sessions import record
 
 SECONDS = MAGNET_S + 60.0
@@ -33,22 +28,6 @@ Row = tuple[str, int, list[float], list[float], str]
 
 def stream() -> list[Message]:
     return list(pair(SECONDS, APART_NT, SHIFTED_S).messages())
-
-
-@contextmanager
-def ends(kind: str) -> Iterator[tuple[Link, Link]]:
-    """The service's end and the node's, once they hear each other."""
-    with PtyPair() as line:
-        here, there = (f"serial:{path}" for path in line.paths)
-        if kind == "zenoh":
-            here = there = f"zenoh:tcp/127.0.0.1:{free_port()}"
-        with (
-            open_link(here, Role.SERVICE, crafts=["pair"]) as link,
-            open_link(there, Role.NODE, crafts=["pair"]) as node,
-        ):
-            if kind == "zenoh":
-                assert settle(lambda: all(cast(ZenohLink, end).alive() for end in (link, node)))
-            yield link, node
 
 
 def over(kind: str) -> list[Row]:

@@ -137,6 +137,11 @@ class UnitFound:
     possible: tuple[str, ...]
     factor: float = 1.0
 
+    @property
+    def unit_nt(self) -> float:
+        """Nanotesla per 1 of a number; only where there is a unit."""
+        return self.factor * FIELD_NT[FieldUnit(self.unit)]
+
 
 def find_unit(size: Size | None, said: str, *, whole: bool, expected_nt: float | None = None) -> UnitFound:
     """The unit by what the names say and what the numbers can be.

@@ -213,10 +213,11 @@ def _put(draft: Draft, found: list[tuple[Triple, UnitFound]], by: str) -> list[M
         if several:
             draft.put(section, "source", names[number])
         draft.put(section, "columns", draft.names(triple.columns))
-        draft.put_unit(section, AnsweredUnit(unit.unit, unit.factor))
+        size = AnsweredUnit(unit.unit, unit.factor)
+        draft.put_unit(section, size)
         why = by or "the names say a magnetometer's x, y and z"
         draft.conclude("magnetometer.columns", triple.label, why)
-        draft.conclude("magnetometer.unit", str(AnsweredUnit(unit.unit, unit.factor)), unit.why)
+        draft.conclude("magnetometer.unit", str(size), unit.why)
     if several:
         draft.said.append(f"magnetometer: several, each with its source; --source chooses: {', '.join(names)}")
     by_answer = answered("magnetometer.unit")

@@ -12,7 +12,7 @@ from magcal_service.base.units import FIELD_NT, FieldUnit
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.expected import frame_of_field
-from magcal_service.recordings.describe.field import Size, find_unit, in_earth_field, size_of
+from magcal_service.recordings.describe.field import Size, UnitFound, find_unit, in_earth_field, size_of
 from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.magnetometer import Magnetometer
 from magcal_service.recordings.describe.place import Place, likely_height
@@ -158,12 +158,10 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     if not unit.possible and not by:
         draft.said.append(f"reference: {triple.label} left out: {unit.why}")
         return False
-    if not unit.sure:
-        asks = f"in which unit is the reference {triple.label}? {unit.why}"
-        draft.ask(_unit_question(asks, unit.possible))
+    _ask_unit(draft, triple.label, unit)
     frame = draft.answers.get("reference.frame") or frame_of(triple.words)
     if not frame and unit.sure:
-        frame = frame_of_field(triple.values * unit.factor * FIELD_NT[FieldUnit(unit.unit)], times, place)
+        frame = frame_of_field(triple.values * unit.unit_nt, times, place)
         if frame:
             draft.conclude("reference.frame", frame, "in it, and in no other, they are IGRF's")
     if not frame:
@@ -182,8 +180,11 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     return True
 
 
-def _unit_question(asks: str, possible: tuple[str, ...]) -> Question:
-    return Question("reference.unit", asks, tuple((one, "") for one in possible), "nT", scaled="0.1 nT")
+def _ask_unit(draft: Draft, label: str, unit: UnitFound) -> None:
+    """Ask for the reference's unit, unless it is sure."""
+    if not unit.sure:
+        asks = f"in which unit is the reference {label}? {unit.why}"
+        draft.ask(Question("reference.unit", asks, tuple((one, "") for one in unit.possible), "nT", scaled="0.1 nT"))
 
 
 def _size(column: Column) -> Size | None:
@@ -193,9 +194,7 @@ def _size(column: Column) -> Size | None:
 
 def _magnitude(draft: Draft, column: Column, size: Size | None, by: str, expected_nt: float | None) -> bool:
     unit = reference_unit(draft, size, column.unit, expected_nt)
-    if not unit.sure:
-        asks = f"in which unit is the reference {column.label}? {unit.why}"
-        draft.ask(_unit_question(asks, unit.possible))
+    _ask_unit(draft, column.label, unit)
     draft.reserved.add(column.number)
     draft.put("reference", "magnitude", draft.name(column))
     draft.put_unit("reference", AnsweredUnit(unit.unit, unit.factor))

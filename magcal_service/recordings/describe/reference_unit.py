@@ -31,7 +31,7 @@ def reference_unit(draft: Draft, size: Size | None, said: str, expected_nt: floa
     answer = draft.answers.unit("reference.unit", FieldUnit)
     found = _as_answered(draft, size, answer) if answer is not None else _found(size, said, expected_nt)
     if found.sure and size is not None:
-        draft.reference_nt = size.usual * found.factor * FIELD_NT[FieldUnit(found.unit)]
+        draft.reference_nt = size.usual * found.unit_nt
     return found
 
 
@@ -47,9 +47,10 @@ def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound
 
 
 def _as_answered(draft: Draft, size: Size | None, answer: AnsweredUnit) -> UnitFound:
+    found = UnitFound(answer.unit, True, answered("reference.unit"), (answer.unit,), answer.factor)
     if size is not None:
-        warn_outside(draft, f"reference.unit={answer}", size.usual * answer.factor * FIELD_NT[FieldUnit(answer.unit)])
-    return UnitFound(answer.unit, True, answered("reference.unit"), (answer.unit,), answer.factor)
+        warn_outside(draft, f"reference.unit={answer}", size.usual * found.unit_nt)
+    return found
 
 
 def warn_outside(draft: Draft, answer: str, amount_nt: float) -> None:
