@@ -24,6 +24,7 @@ from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.estimators.interface import InformationSet, Method, Phase, StateEstimate, TickOutcome
 from magcal_service.estimators.parts.adaptive import ChangeDetector
+from magcal_service.estimators.parts.sample_gate import SampleGate
 from magcal_service.estimators.parts.spin_innovation import spin_innovation
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import StartCollector, prior_sigma
@@ -268,7 +269,7 @@ class Ukf(Stateful, UkfMemory):
 
     def _scalar_update(self, tick: Tick) -> tuple[TickOutcome, list[bool]]:
         """Equation (3), sample by sample; a sample beyond the gate is counted and left out: which were used (n,)."""
-        gate = self.config.filter.gate_sigma**2
+        gate = SampleGate.of(self.config.filter)
         residuals: list[float] = []
         used: list[bool] = []
         squared = 0.0
@@ -279,9 +280,10 @@ class Ukf(Stateful, UkfMemory):
             )
             residuals.append(innovation.residual_nt)
             norm = innovation.squared_norm()
-            used.append(not norm > gate)
-            self._rejected_share += (float(norm > gate) - self._rejected_share) / REJECTED_MEMORY
-            if norm > gate:
+            rejected = norm > gate.limit(innovation.variance, innovation.noise_variance)
+            used.append(not rejected)
+            self._rejected_share += (float(rejected) - self._rejected_share) / REJECTED_MEMORY
+            if rejected:
                 continue
             self._innovation_count = min(self._innovation_count + 1, INNOVATION_MEMORY)
             self._innovation_mean += (norm - self._innovation_mean) / self._innovation_count
@@ -290,10 +292,10 @@ class Ukf(Stateful, UkfMemory):
             if self._learning:
                 self._learn_noise(innovation.residual_nt)
         count = sum(used)
-        rejected = len(used) - count
+        left_out = len(used) - count
         self._samples += count
-        self._rejected += rejected
-        return TickOutcome(self._phase, np.array(residuals), count, rejected, squared, count), used
+        self._rejected += left_out
+        return TickOutcome(self._phase, np.array(residuals), count, left_out, squared, count), used
 
     def _learn_noise(self, residual_nt: float) -> None:
         """Follow an unknown noise level by the running mean square of the residual and of its second difference.

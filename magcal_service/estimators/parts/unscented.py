@@ -84,12 +84,14 @@ class ScalarInnovation:
     ----------
     residual_nt: e = |w| - |H| at the measured vector [nT].
     value, variance: innovation of equation (3) [nT^2] and its variance [nT^4].
+    noise_variance: the part of the variance that is the sample's own noise [nT^4].
     cross: covariance of the state with it (9,).
     """
 
     residual_nt: float
     value: float
     variance: float
+    noise_variance: float
     cross: Array
 
     def squared_norm(self) -> float:
@@ -146,7 +148,8 @@ def scalar_innovation(
     )
     value = scalar_innovation_value(residual, length, magnitude_nt, white_variance) - shift
     cross = root.dot(linear) * (2.0 * weights.pair * weights.spread)
-    return ScalarInnovation(residual, value, spread + variance_of_v(magnitude_nt, noise_variance), cross)
+    own = variance_of_v(magnitude_nt, noise_variance)
+    return ScalarInnovation(residual, value, spread + own, own, cross)
 
 
 def sigma_points(x: Array, root: Array, weights: UnscentedWeights) -> Array:

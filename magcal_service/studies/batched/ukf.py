@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import CraftConfig, SpinWindow
+from magcal_service.estimators.parts.sample_gate import SampleGate
 from magcal_service.estimators.parts.spin_innovation import spin_innovation
 from magcal_service.estimators.parts.spin_window import SpinWindows, Window
 from magcal_service.estimators.parts.start import prior_sigma
@@ -68,7 +69,7 @@ class BatchedUkf:
         self._weights = UnscentedWeights.scaled(settings.alpha, settings.beta, settings.kappa)
         walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
         self._walk = walk**2 if walk.any() else None
-        self._gate = settings.gate_sigma**2
+        self._gate = SampleGate.of(settings)
         self._inflation = settings.start_inflation**2
         self._variance = (config.sensor.noise_nt or 0.0) ** 2
         self.running: Flags = np.zeros(runs, dtype=bool)
@@ -169,7 +170,7 @@ class BatchedUkf:
         field = field_nt.T[:, self._run[:count]]
         found = scalar_innovations(x, roots(covariance, root), self._weights, field, magnitude_nt, self._variance)
         norm = found.value * found.value / found.variance
-        used = norm <= self._gate
+        used = norm <= self._gate.limits(found.variance, found.noise_variance)
         weight = used / found.variance
         scaled = found.cross * weight
         x += scaled * found.value
@@ -187,7 +188,7 @@ class BatchedUkf:
         states = np.ascontiguousarray(x.T), np.ascontiguousarray(np.moveaxis(roots(covariance, root), 2, 0))
         found = spin_innovation(*states, self._weights, window, field, self._variance)
         squared = (found.value * np.linalg.solve(found.covariance, found.value[..., None])[..., 0]).sum(axis=1)
-        gain = np.moveaxis(found.gain(), 0, 2) * (squared <= self._gate + 2.0)  # (9, 2, r)
+        gain = np.moveaxis(found.gain(), 0, 2) * (squared <= self._gate.squared + 2.0)  # (9, 2, r)
         x += (gain * found.value.T).sum(axis=1)
         cross = np.moveaxis(found.cross, 0, 2)
         for i in range(2):

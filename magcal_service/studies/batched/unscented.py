@@ -80,10 +80,11 @@ def moved(field: tuple[Array, ...], root: Array, spread: float) -> tuple[Array, 
 
 @dataclass(frozen=True, slots=True)
 class ScalarInnovations:
-    """``unscented.ScalarInnovation`` of many runs: innovation and variance (r,), cross covariance (9, r)."""
+    """``unscented.ScalarInnovation`` of many runs: innovation, variance (r,), its part, cross covariance (9, r)."""
 
     value: Array
     variance: Array
+    noise_variance: float
     cross: Array
 
 
@@ -112,4 +113,4 @@ def scalar_innovations(
     variance = 2.0 * weights.pair * square + weights.covariance_0 * shift * shift + noise
     value = scalar_innovation_value(residual, vectors.length, magnitude_nt, noise_variance) - shift
     cross = np.einsum("ijr,jr->ir", root, linear) * (2.0 * weights.pair * weights.spread)
-    return ScalarInnovations(value, variance, cross)
+    return ScalarInnovations(value, variance, noise, cross)

@@ -1,0 +1,52 @@
+"""Beyond which innovation a sample is left out.
+
+A wrong sample within the gate moves the estimate by as many of its sigmas as its innovation has, times that of the
+spread over the noise.  Where the estimate hardly spreads that is nothing.  Right after a start, whose sigmas were
+inflated for the handover, it would be a dozen, and the estimate, overconfident by then, would be trusted while it still
+comes back.  So a sample is judged by what the spread was before the inflation, yet never more strictly than by 3 sigma
+of its innovation, since a spread that nothing has inflated is to be believed.
+
+Original to this project.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magcal_service.config.settings import FilterConfig
+from magcal_service.model import Array
+
+_ALWAYS_TAKEN: Final = 3.0**2
+"""Normalised innovation squared that is never left out: one sound sample in 370 is beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleGate:
+    """The gate of a filter, in normalised innovation squared.
+
+    Parameters
+    ----------
+    squared: the limit where the estimate hardly spreads, ``filter.gate_sigma`` squared.
+    inflation: factor on the covariance at the handover, ``filter.start_inflation`` squared.
+    """
+
+    squared: float
+    inflation: float
+
+    @classmethod
+    def of(cls, settings: FilterConfig) -> SampleGate:
+        """The gate that a configuration asks for."""
+        return cls(settings.gate_sigma**2, settings.start_inflation**2)
+
+    def limit(self, variance: float, noise_variance: float) -> float:
+        """The limit for an innovation of a variance, of which a part is the sample's own noise (the same unit)."""
+        own = noise_variance / variance
+        return max(self.squared * (own + (1.0 - own) / self.inflation), _ALWAYS_TAKEN)
+
+    def limits(self, variance: Array, noise_variance: float) -> Array:
+        """``limit`` of many runs (r,)."""
+        own = noise_variance / variance
+        return np.asarray(np.maximum(self.squared * (own + (1.0 - own) / self.inflation), _ALWAYS_TAKEN))
