@@ -222,7 +222,9 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
         return entry.says
     names = [known.get(name, name) for name in (entry.effect, *alike)]
     says = f"{entry.says[:1].lower()}{entry.says[1:]}"
-    return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}. If the first: {says}"
+    rival, probability = max(entry.rivals, key=lambda pair: pair[1], default=("", 0.0))
+    likeliest = f" Likeliest is {known.get(rival, rival)}, {chance(probability)}." if probability > 0.5 else ""
+    return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}.{likeliest} If the first: {says}"
 
 
 def share(entry: Entry) -> str:

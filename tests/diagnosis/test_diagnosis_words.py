@@ -260,6 +260,8 @@ def test_no_sentence_contradicts_another() -> None:
             best = max(one.rivals, key=lambda pair: pair[1])
             assert said.endswith(f"{chance(one.probability)} this, {chance(best[1])} {best[0]}")
             assert all(TITLES[name] in head for name in one.members)
+            likeliest = f"Likeliest is {TITLES[best[0]]}, {chance(best[1])}. If the first"
+            assert (likeliest in head) is (best[1] > 0.5)
         for text in summary(diagnosis(Verdict.NAMED, terms=1), [one], HELD_OUT, []):
             assert "that it is there" not in text
     assert min(kinds.values()) > 50
@@ -317,6 +319,17 @@ def test_a_name_beside_a_cause_in_no_catalogue_says_so() -> None:
     found.rivals = (("unknown", 0.14),)
     said = cause_sentence(found, titles(diagnosis(Verdict.NAMED)))
     assert said == "Not told apart: heat; or something that is in no catalogue. If the first: it is hot."
+
+
+def test_a_cause_in_no_catalogue_that_is_likelier_than_the_name_is_said_first() -> None:
+    """Odds beyond all doubt that something is there, and a thousandth that it is this, were the whole answer."""
+    found = entry("a", probability=0.001)
+    found.rivals = (("unknown", 0.999),)
+    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED)))
+    assert said == (
+        "Not told apart: heat; or something that is in no catalogue. "
+        "Likeliest is something that is in no catalogue, 99.9 %. If the first: it is hot."
+    )
 
 
 def test_what_is_too_much_to_act_on_is_not_called_little() -> None:
