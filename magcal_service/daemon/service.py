@@ -188,7 +188,7 @@ class Service:
                 self.feed_watchdog()
             self._save_in_turns()
         self.save()
-        for pipeline in self.pipelines.values():
+        for pipeline in notify.asking_for_time(self.pipelines.values()):
             with contained(pipeline, "closing its ticks"):
                 self._publish(pipeline.flush())
         self.publish_status()
@@ -229,7 +229,8 @@ class Service:
 
     def save(self) -> bool:
         """Write a checkpoint of every craft that has taken samples since its last one; whether any was written."""
-        return self.checkpoints is not None and self.checkpoints.save(self.pipelines.values())
+        pipelines = notify.asking_for_time(self.pipelines.values())
+        return self.checkpoints is not None and self.checkpoints.save(pipelines)
 
     def handle(self, message: Message) -> None:
         """Pass one message to its craft's magnetometers and publish the outputs."""

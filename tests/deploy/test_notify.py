@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from magcal_service.daemon.notify import READY, STOPPING, WATCHDOG, notify, status, watchdog_period_s
+from magcal_service.config.daemon_settings import StateConfig
+from magcal_service.config.settings import Config, CraftConfig
+from magcal_service.daemon.checkpoints.store import Checkpoints
+from magcal_service.daemon.notify import (
+    READY,
+    STOPPING,
+    WATCHDOG,
+    asking_for_time,
+    notify,
+    status,
+    watchdog_period_s,
+)
+from magcal_service.daemon.service import Service
+from magcal_service.links import Role, open_link
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -75,3 +89,34 @@ def test_the_watchdog_is_fed_at_half_its_time(
         if value is not None:
             monkeypatch.setenv(name, value)
     assert watchdog_period_s() == period_s
+
+
+def test_more_time_is_asked_for_while_work_goes_on(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once and every two seconds; work that hangs asks no more."""
+    now = [100.0]
+    monkeypatch.setattr("magcal_service.daemon.notify.time.monotonic", lambda: now[0])
+    done = []
+    for item in asking_for_time(range(8)):
+        done.append(item)
+        now[0] += 0.5
+    assert done == list(range(8))
+    assert [manager.recv(4096) for _ in range(2)] == [b"EXTEND_TIMEOUT_USEC=10000000"] * 2
+    manager.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        manager.recv(4096)
+
+
+def test_the_unit_gives_as_much_to_begin_with() -> None:
+    unit = (Path(__file__).parents[2] / "deploy" / "magcal.service").read_text()
+    assert "TimeoutStopSec=10\n" in unit
+    assert "Type=notify\n" in unit  # who sends no messages is not listened to
+
+
+def test_a_service_that_stops_asks_for_time(manager: socket.socket, tmp_path: Path) -> None:
+    """For its last checkpoints, and for closing its ticks."""
+    crafts, stop = (CraftConfig("one"), CraftConfig("two")), threading.Event()
+    stop.set()
+    state = StateConfig(tmp_path / "state")
+    with open_link("loop:stopping", Role.SERVICE) as link, Checkpoints(state, crafts) as checkpoints:
+        Service(Config(link.address, crafts, state=state), link, checkpoints=checkpoints).run(stop)
+    assert [manager.recv(4096) for _ in range(2)] == [b"EXTEND_TIMEOUT_USEC=10000000"] * 2
