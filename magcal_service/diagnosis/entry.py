@@ -27,7 +27,7 @@ class Entry:
     Parameters
     ----------
     effect, says, driver, variant: what, in a sentence, by what, in which form.
-    probability: of this effect against its rivals.
+    probability: of this effect against its rivals; of what has no name, that something is there.
     rivals: (effect, probability), most probable first.
     members: names that this recording cannot tell apart, the effect's own included.
     separated_by: the observation that would tell them apart, or what would confirm the effect.

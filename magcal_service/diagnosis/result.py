@@ -125,12 +125,15 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     terms = fitted_terms(structure, diagnosis.search, diagnosis.fit)
     nearest = _nearest(diagnosis)
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
-    says = f"Something that is in no catalogue is left, most like {structure.shape.says}."
+    says = f"Something without a name is left, most like {structure.shape.says}."
     if diagnosis.inspection.open:
         asked = ", ".join(one.code for one in diagnosis.inspection.open)
         says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
-        says += f" Nearest is {nearest[0]}, which explains {100.0 * nearest[1]:.0f} % of it."
+        says += (
+            f" Nearest is {nearest[0]}, which would take {100.0 * nearest[1]:.0f} % of it and is not borne out: on"
+            " blocks that took no part, or against its rivals and shapes without a name."
+        )
     follows = strongest(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
     held = 0.0 if follows is None else min(1.0, follows[1] / max(structure.squares, 1e-9))
     if follows is not None and held >= (0.0 if nearest is None else nearest[1]):
@@ -151,7 +154,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         driver="none",
         variant=structure.shape.name,
         probability=1.0 - math.exp(-min(structure.nats, 50.0)),
-        rivals=() if nearest is None else ((nearest[0], 0.0),),
+        rivals=(),
         members=(UNLISTED,),
         separated_by="record more telemetry beside the magnetometer, and switch one suspect at a time",
         parameters={},

@@ -235,6 +235,8 @@ def share(entry: Entry) -> str:
 def belief(entry: Entry) -> str:
     """How sure a name is among its rivals, and how sure it is that there is anything: two questions, two numbers."""
     something = f"{odds(entry.nats)} that something is there"
+    if entry.effect == UNLISTED:  # what it is has no name, and no probability: it may be a listed cause, too faint
+        return something
     if entry.probability < SURE and entry.rivals:
         rival, probability = max(entry.rivals, key=lambda pair: pair[1])
         return f"{something}, but its name is open: {chance(entry.probability)} this, {chance(probability)} {rival}"

@@ -398,10 +398,11 @@ def test_what_has_no_name_is_described_with_the_nearest_that_has() -> None:
     assert 0.2 < share < 0.95
     shape = of.left[0].shape
     assert entry.says == (
-        f"Something that is in no catalogue is left, most like {shape.says}."
-        f" Nearest is idle, which explains {100.0 * share:.0f} % of it."
+        f"Something without a name is left, most like {shape.says}."
+        f" Nearest is idle, which would take {100.0 * share:.0f} % of it and is not borne out: on"
+        " blocks that took no part, or against its rivals and shapes without a name."
     )
-    assert (entry.effect, entry.variant, entry.rivals) == ("unknown", shape.name, (("idle", 0.0),))
+    assert (entry.effect, entry.variant, entry.rivals) == ("unknown", shape.name, ())
     assert entry.where["share_of_mismatch"] == 0.8123
     assert entry.where["nearest"] == {"effect": "idle", "explains": round(share, 4)}
     assert entry.where["fitted_shape"] == shape.name

@@ -332,6 +332,13 @@ def test_a_cause_in_no_catalogue_that_is_likelier_than_the_name_is_said_first() 
     )
 
 
+def test_what_has_no_name_is_given_no_probability() -> None:
+    """It may be a listed cause that is too faint to be named: that something is there is all that is sure."""
+    found = entry("unknown", probability=0.9999)
+    found.nats = 100.0
+    assert belief(found) == "odds beyond 10^12 to 1 that something is there"
+
+
 def test_what_is_too_much_to_act_on_is_not_called_little() -> None:
     of = diagnosis(Verdict.NAMED, unexplained=0.15, reasons=("unexplained_structure",))
     assert remaining(of) == "15 % of the mismatch, more than noise but too much to act on beside what was named"
