@@ -37,7 +37,7 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "record over more attitudes: at least a turn about two axes, or most of an orbit",
     ),
     "unexplained_structure": (
-        "a mismatch is left that nothing in the catalogue explains",
+        "a mismatch is left for which no name is borne out",
         "record more telemetry beside the magnetometer, and switch one suspect at a time",
     ),
     "mismatch_lasts": (
