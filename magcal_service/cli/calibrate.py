@@ -129,6 +129,7 @@ def _table(result: Calibration, path: Path) -> str:
             break
         number = f"{value:12.1f} +- {3 * error:9.1f} nT" if i < BIAS.stop else f"{value:12.5f} +- {3 * error:9.5f}"
         lines.append(f"  {name:<4}{number}   (3 sigma)")
+    lines += [f"scale: {result.scale_doubt}"] if result.scale_doubt else []
     residuals = result.residuals
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"

@@ -22,6 +22,7 @@ from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import refuse_unfit
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
+from magcal_service.offline.scale import scale_doubt
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
@@ -123,6 +124,11 @@ class Calibration(NineErrors):
         return self.verdict is Verdict.TRUSTED
 
     @property
+    def scale_doubt(self) -> str:
+        """What a factor that all axes share speaks for, in words; empty where it is that of a sensor, or not sure."""
+        return "" if self.verdict is Verdict.NOT_STARTED else scale_doubt(self.x, self.covariance)
+
+    @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
         if self.whole_log or not self.reasons:
@@ -160,6 +166,7 @@ class Calibration(NineErrors):
             },
             "counters": self.counters,
             "model_doubt": self.model_doubt,
+            "scale_doubt": self.scale_doubt,
             "findings": [one.to_dict() for one in self.findings],
         }
 
