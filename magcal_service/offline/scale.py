@@ -16,7 +16,7 @@ reference beside it.
 """
 
 _ALIKE: Final = 1.25
-"""Most by which the gains of a wrong unit differ; choice: sensors whose axes differ by more need a look of their own."""
+"""Most by which the gains of a wrong unit differ; choice: axes that differ by more need a look of their own."""
 
 
 def scale_doubt(x: Array, covariance: Array) -> str:

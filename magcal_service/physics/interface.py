@@ -48,6 +48,7 @@ class Block:
     most: absolute value that one of them has at most by its physics, in the unit; what goes beyond is no such effect.
     least: value that each of them has at least by its physics.
     labels: names along each dimension, where they are not the axes.
+    completes: whether it only completes what another block of its form says: alone it is no evidence for the name.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Block:
     most: float = math.inf
     least: float = -math.inf
     labels: tuple[tuple[str, ...], ...] = ()
+    completes: bool = False
 
     @property
     def size(self) -> int:

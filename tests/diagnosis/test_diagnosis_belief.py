@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import has_size, posterior, reasons, stands_out, with_left
+from magcal_service.diagnosis.belief import posterior, reasons, stands_out, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
 from magcal_service.diagnosis.instants import has_other_course
@@ -18,6 +18,7 @@ from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.diagnosis.sized import has_size
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import catalogue, effect_named
@@ -89,6 +90,27 @@ def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
     recorded = replace(named.fit, terms=(replace(term, hypothesis=replace(term.hypothesis, driver="channel:one")),))
     assert posterior(named, 0).own == pytest.approx(0.97)
     assert posterior(replace(named, fit=recorded), 0).own == pytest.approx(0.99)
+
+
+@pytest.mark.parametrize(
+    ("driver", "rival_driver", "behind", "rival"),
+    [
+        ("none", "inferred:sun", 12.0, 0.485),  # of 458 nats a part in forty: as likely, for all that is known
+        ("none", "inferred:sun", 3.0 + 0.03 * 458.0, 0.97 * math.exp(-3.0) / (1.0 + math.exp(-3.0))),
+        ("none", "none", 12.0, 0.97 * math.exp(-12.0)),  # a form that is exact has lost
+        ("channel:one", "inferred:sun", 12.0, 0.99 * math.exp(-12.0)),  # a record is held against that
+    ],
+)
+def test_a_rival_whose_driver_is_inferred_loses_nothing_by_its_form(
+    driver: str, rival_driver: str, behind: float, rival: float
+) -> None:
+    named = explained([("thermal_bias", 458.0 - behind)], own=458.0)
+    (term,), (own, other) = named.fit.terms, named.rivals[0]
+    mine = replace(term.hypothesis, driver=driver)
+    inferred = replace(other, hypothesis=replace(other.hypothesis, driver=rival_driver))
+    fit = replace(named.fit, terms=(replace(term, hypothesis=mine),))
+    found = posterior(replace(named, fit=fit, rivals=((own, inferred),)), 0)
+    assert dict(found.rivals)["thermal_bias"] == pytest.approx(rival, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -259,6 +281,22 @@ def test_an_effect_has_a_size_where_one_of_its_numbers_is_three_sigma() -> None:
         faint = replace(fit, terms=(replace(fit.terms[0], amplitudes=sigma * np.array([2.9, -2.9, most])),))
         assert has_size(faint, 0) is expected
         assert ("size_uncertain" in said(replace(explained([]), fit=faint))) is not expected
+
+
+def test_what_only_completes_a_form_is_no_size_of_it() -> None:
+    """A field of the Sun's direction of which only the second degree, or what is alike in every direction, is seen."""
+    fit = fits()[1]
+    (term,) = fit.terms
+    own, other = replace(term.hypothesis.blocks[0], shape=(1,)), replace(term.hypothesis.blocks[0], shape=(2,))
+    sigma = np.sqrt(np.diagonal(fit.covariance)[9:12])
+    for completes, z, expected in (
+        (True, (0.4, 6.8, 6.6), False),
+        (True, (3.1, 0.1, 0.1), True),
+        (False, (0.4, 6.8, 0.0), True),
+    ):
+        form = replace(term.hypothesis, blocks=(own, replace(other, completes=completes)))
+        seen = replace(fit, terms=(replace(term, hypothesis=form, amplitudes=sigma * np.array(z)),))
+        assert has_size(seen, 0) is expected
 
 
 def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:

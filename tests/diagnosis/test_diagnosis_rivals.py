@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from magcal_service import read_recording
-from magcal_service.diagnosis.belief import has_size
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
@@ -17,6 +16,7 @@ from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
 from magcal_service.diagnosis.rivals import RECORDED_NATS, is_as_sudden, tempered
 from magcal_service.diagnosis.screen import Candidate
+from magcal_service.diagnosis.sized import has_size
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import measure
 from magcal_service.physics.catalogue import effect_named

@@ -63,6 +63,14 @@ def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
     assert np.mean(pulses.spoiled[~ON]) < 0.12
 
 
+@pytest.mark.parametrize(("wave", "seen"), [(False, True), (True, False)])
+def test_a_wave_that_passes_through_none_is_no_coil(wave: bool, seen: bool) -> None:
+    """A half of a sine in each cycle swells and fades, where a coil is on at once and at all of it."""
+    within = np.where(ON, (TIME_S - FIRST_S) % CYCLE_S / (SHARE * CYCLE_S), 0.0)
+    course = np.sin(np.pi * within) if wave else ON.astype(np.float64)
+    assert (found(course[:, None] * levels()) is not None) is seen
+
+
 def _bursts() -> Array:
     rng = np.random.default_rng(12)
     field = np.zeros((COUNT, 3))

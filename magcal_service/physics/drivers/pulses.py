@@ -52,6 +52,16 @@ _LEAST_NATS: Final = 50.0
 _STEADY: Final = 0.5
 """Correlation of a pulse's field with the next one's from which on it follows something, and is another effect."""
 
+_ENDS: Final = 0.15
+"""Share of a pulse at each end that is held against its middle; choice: wider than its edges are uncertain."""
+
+_SWELLS: Final = 0.15
+"""Of the middle's field, what the ends may lack: coils that are on lacked up to 0.07, what passed through none between
+two of its waves 0.24."""
+
+_SWELLS_SIGMA: Final = 3.0
+"""Sigmas by which the ends have to lack it: one in 700 by chance."""
+
 _MARGIN: Final = 2
 """Samples around a pulse that are left out with it: a coil decays, and edges are known to a fortieth of a cycle."""
 
@@ -135,7 +145,31 @@ def pulses(view: View) -> Finding | None:
     follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
     turning = nats - _of_one_direction(squares, products, fields)
     clear = len(fields) >= _FEWEST and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
-    return _finding(view, beat, fields, nats) if clear else None
+    return _finding(view, beat, fields, nats) if clear and not _swells(view, beat, fields) else None
+
+
+def _swells(view: View, beat: Beat, fields: Array) -> bool:
+    """Whether what acts in a pulse is less at its ends than in its middle: a wave that passes through none, no coil.
+
+    Parameters
+    ----------
+    fields: of each pulse (k, 3), in units of the noise.
+    """
+    since = (view.scene.time_s - view.scene.time_s[0] - beat.first_s) / beat.period_s
+    pulse = np.floor(since).astype(np.intp)
+    within = (since - pulse) / beat.on_share
+    on = (pulse >= 0) & (pulse < len(fields)) & (within < 1.0)
+    expected = np.einsum("ni,ni->n", view.scene.unit[on], fields[pulse[on]])
+    seen, at_ends = view.residual_nt[on] / view.noise_nt, np.abs(within[on] - 0.5) > 0.5 - _ENDS
+    ends, middle = (_share(expected[rows], seen[rows]) for rows in (at_ends, ~at_ends))
+    lacks, sigma = 1.0 - ends[0] / middle[0], float(np.hypot(ends[1], middle[1])) / abs(middle[0])
+    return lacks > max(_SWELLS, _SWELLS_SIGMA * sigma)
+
+
+def _share(expected: Array, seen: Array) -> tuple[float, float]:
+    """Of what is expected, the share that is seen (n,) in units of the noise, and its sigma."""
+    square = max(float(expected @ expected), 1e-300)
+    return float(expected @ seen) / square, square**-0.5
 
 
 def _nats(found: tuple[float, Beat, float]) -> float:

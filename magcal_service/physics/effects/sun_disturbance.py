@@ -42,14 +42,14 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for driver, sun, constants in _directions(scene):
         linear = Block("nt", "nT", (3, 3), labels=(("Sun along x", "Sun along y", "Sun along z"), AXES))
         yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,), constants=constants)
-        square = Block("second_nt", "nT", (5, 3), labels=(_HARMONICS, AXES))
+        square = Block("second_nt", "nT", (5, 3), labels=(_HARMONICS, AXES), completes=True)
         both = np.concatenate([sun, harmonics(sun)], axis=1)
         second = (linear, square)
         yield Hypothesis("sun_disturbance", driver, _fixed(both), second, "second degree", constants=constants)
         light = np.linalg.norm(sun, axis=1, keepdims=True)
         if float(np.std(light)) > 0.05 or scene.is_given:
             whole = np.concatenate([sun, harmonics(sun), light], axis=1)
-            blocks = (linear, square, Block("light_nt", "nT"))
+            blocks = (linear, square, Block("light_nt", "nT", completes=True))
             form = "second degree and light"
             yield Hypothesis("sun_disturbance", driver, _fixed(whole), blocks, form, constants=constants)
 

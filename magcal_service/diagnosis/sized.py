@@ -1,0 +1,58 @@
+"""Whether the numbers of a name say something: one of what it says of itself stands out, and none is at an end."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
+
+_OF_ITS_SIGMA: Final = 3.0
+"""Times its own sigma that one number of what an effect says of itself has to be."""
+
+_END: Final = 0.999  # of the largest number that is searched: rounding
+
+_CUT_OFF: Final = 0.05
+"""Share of a recording beside its ends in which a change is not seen to begin or end: four that went on after the last
+sample were said to have ended in the last 3 %."""
+
+
+def has_size(fit: Fit, index: int) -> bool:
+    """Whether one amplitude of what a term says of itself stands out of its own sigma, and no number is at an end.
+
+    A block that only completes the form does not count: what of a field of the Sun's direction is of second degree, or
+    alike in every direction, is met of other causes too.
+
+    A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift; a
+    change that ends beside the last sample may be going on.
+    """
+    if _at_an_end(fit.terms[index]) or _is_cut_off(fit, index):
+        return False
+    blocks = fit.terms[index].hypothesis.blocks
+    own = np.repeat([not block.completes for block in blocks], [block.size for block in blocks])
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))
+    return bool(np.max((np.abs(fit.terms[index].amplitudes) / sigma)[own]) >= _OF_ITS_SIGMA)
+
+
+def _at_an_end(term: Term) -> bool:
+    """Whether a number of a term that a fit moves is the largest that was searched; the smallest may be none at all."""
+    numbers = zip(term.hypothesis.nonlinear, term.theta, strict=True)
+    return any(not n.role and len(n.grid) > 1 and value >= _END * float(n.grid.max()) for n, value in numbers)
+
+
+def _is_cut_off(fit: Fit, index: int) -> bool:
+    """Whether a change that takes a while begins or ends beside an end of its recording."""
+    edges = [value for number, value in numbers_of(fit, "edge") if number == index]
+    ends = [(edge, *fit.problem.scene.course_at(edge)[[0, -1]].tolist()) for edge in edges]
+    return any(min(edge - first, last - edge) < _CUT_OFF * (last - first) for edge, first, last in ends)
+
+
+def numbers_of(fit: Fit, role: str) -> list[tuple[int, float]]:
+    """The nonlinear numbers of a role, with the number of their term."""
+    return [
+        (index, float(value))
+        for index, term in enumerate(fit.terms)
+        for number, value in zip(term.hypothesis.nonlinear, term.theta, strict=True)
+        if number.role == role
+    ]
