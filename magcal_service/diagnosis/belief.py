@@ -14,7 +14,6 @@ from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
-from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.diagnosis.sized import has_size, numbers_of
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
@@ -113,7 +112,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     """
     name = explained.fit.terms[index].hypothesis.effect
     ranked, own = explained.rivals[index], explained.own_nats(index)
-    weights = {c.hypothesis.effect: _beside(c, explained.fit.terms[index], own) for c in ranked}
+    weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
@@ -123,18 +122,6 @@ def posterior(explained: Explained, index: int) -> Posterior:
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
     return Posterior(weights[name] / total, tuple(rivals), (name, *close))
-
-
-def _beside(rival: Candidate, term: Term, own: float) -> float:
-    """A rival's weight in a term's place, of one for the term itself, which holds ``own`` [nats].
-
-    Where neither follows a record, what the rival's inferred driver lacks for its form being inexact is not held
-    against it: a wrong name won by 12 nats of 458, a part in forty.
-    """
-    more = rival.nats - own
-    if rival.hypothesis.driver.startswith("inferred") and not is_recorded(term.hypothesis):
-        more = min(more + _INEXACT * own, max(more, 0.0))
-    return math.exp(float(np.clip(more, -_MOST_NATS, _MOST_NATS)))
 
 
 def _least_unlisted(explained: Explained, index: int) -> float:

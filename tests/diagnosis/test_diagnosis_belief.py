@@ -93,27 +93,6 @@ def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
 
 
 @pytest.mark.parametrize(
-    ("driver", "rival_driver", "behind", "rival"),
-    [
-        ("none", "inferred:sun", 12.0, 0.485),  # of 458 nats a part in forty: as likely, for all that is known
-        ("none", "inferred:sun", 3.0 + 0.03 * 458.0, 0.97 * math.exp(-3.0) / (1.0 + math.exp(-3.0))),
-        ("none", "none", 12.0, 0.97 * math.exp(-12.0)),  # a form that is exact has lost
-        ("channel:one", "inferred:sun", 12.0, 0.99 * math.exp(-12.0)),  # a record is held against that
-    ],
-)
-def test_a_rival_whose_driver_is_inferred_loses_nothing_by_its_form(
-    driver: str, rival_driver: str, behind: float, rival: float
-) -> None:
-    named = explained([("thermal_bias", 458.0 - behind)], own=458.0)
-    (term,), (own, other) = named.fit.terms, named.rivals[0]
-    mine = replace(term.hypothesis, driver=driver)
-    inferred = replace(other, hypothesis=replace(other.hypothesis, driver=rival_driver))
-    fit = replace(named.fit, terms=(replace(term, hypothesis=mine),))
-    found = posterior(replace(named, fit=fit, rivals=((own, inferred),)), 0)
-    assert dict(found.rivals)["thermal_bias"] == pytest.approx(rival, rel=1e-4)
-
-
-@pytest.mark.parametrize(
     ("variant", "own"),
     [
         ("steps at 2 instants", 0.97),
