@@ -145,7 +145,7 @@ class FilterConfig:
     start_max_s: after this much [s], when no solution fits ``noise_nt``, the noise is taken from the residual instead.
     start_inflation: factor on the batch's sigmas at the handover to the filter [-].
     alpha, beta, kappa: spread and weights of the UKF's sigma points [-].
-    gate_sigma: an innovation beyond this many sigmas is rejected [-].
+    gate_sigma: an innovation beyond this many sigmas is rejected [-]; right after a start fewer (``SampleGate``).
     adaptive: look for jumps of the errors and follow them by process noise at the jump alone.
     """
 

@@ -33,6 +33,19 @@ def test_without_an_inflation_nothing_is_judged_more_strictly() -> None:
     assert gate.limit(100.0, 1.0) == pytest.approx(36.0, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        FilterConfig(adaptive=True),
+        FilterConfig(process_noise_bias_nt=(0.0, 0.0, 5.0)),
+        FilterConfig(process_noise_D=(0.0,) * 5 + (1e-6,)),
+    ],
+)
+def test_a_spread_that_widens_in_flight_is_believed(settings: FilterConfig) -> None:
+    """After a pause of an hour sound samples would be refused in a row, and the filter would start anew."""
+    assert SampleGate.of(settings).limit(100.0, 1.0) == pytest.approx(36.0, rel=1e-12)
+
+
 def spiked(tick: Tick, nt: float) -> Tick:
     """The tick with its vector longer by so much."""
     length = np.linalg.norm(tick.field_body_nt, axis=1, keepdims=True)

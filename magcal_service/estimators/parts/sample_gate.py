@@ -4,7 +4,8 @@ A wrong sample within the gate moves the estimate by as many of its sigmas as it
 spread over the noise.  Where the estimate hardly spreads that is nothing.  Right after a start, whose sigmas were
 inflated for the handover, it would be a dozen, and the estimate, overconfident by then, would be trusted while it still
 comes back.  So a sample is judged by what the spread was before the inflation, yet never more strictly than by 3 sigma
-of its innovation, since a spread that nothing has inflated is to be believed.
+of its innovation.  Where a process noise or a jump that was followed widens the spread in flight, nothing tells what of
+it was inflated, and it is believed as it is.
 
 Original to this project.
 """
@@ -30,7 +31,7 @@ class SampleGate:
     Parameters
     ----------
     squared: the limit where the estimate hardly spreads, ``filter.gate_sigma`` squared.
-    inflation: factor on the covariance at the handover, ``filter.start_inflation`` squared.
+    inflation: factor on the covariance at the handover, ``filter.start_inflation`` squared; 1 where it widens in flight.
     """
 
     squared: float
@@ -39,7 +40,8 @@ class SampleGate:
     @classmethod
     def of(cls, settings: FilterConfig) -> SampleGate:
         """The gate that a configuration asks for."""
-        return cls(settings.gate_sigma**2, settings.start_inflation**2)
+        widens = settings.adaptive or any(settings.process_noise_bias_nt + settings.process_noise_D)
+        return cls(settings.gate_sigma**2, 1.0 if widens else settings.start_inflation**2)
 
     def limit(self, variance: float, noise_variance: float) -> float:
         """The limit for an innovation of a variance, of which a part is the sample's own noise (the same unit)."""
