@@ -31,7 +31,7 @@ class SampleGate:
     Parameters
     ----------
     squared: the limit where the estimate hardly spreads, ``filter.gate_sigma`` squared.
-    inflation: factor on the covariance at the handover, ``filter.start_inflation`` squared; 1 where it widens in flight.
+    inflation: factor on the covariance at the handover, ``filter.start_inflation`` squared; 1 where it may widen later.
     """
 
     squared: float
