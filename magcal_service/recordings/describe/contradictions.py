@@ -34,8 +34,7 @@ def warn_of_unit(draft: Draft, found: list[Magnetometer], model_nt: FloatArray |
             continue
         amount = size.best * one.unit_nt
         if not expected / _OFF <= amount <= expected * _OFF:
-            shown = "the radius of their sphere" if size.radius is not None else "most"
-            text = f"{shown} is {_text(amount)} nT, where the reference has {_text(expected)} nT"
+            text = f"{size.shown} is {_text(amount)} nT, where the reference has {_text(expected)} nT"
             draft.said.append(f"warning: by your answer magnetometer.unit={answer} of {one.triple.label} {text}")
 
 

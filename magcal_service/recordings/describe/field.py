@@ -51,6 +51,11 @@ class Size:
         """The radius where it is known, else the usual length."""
         return self.usual if self.radius is None else self.radius
 
+    @property
+    def shown(self) -> str:
+        """What ``best`` is, in words."""
+        return "most" if self.radius is None else "the radius of their sphere"
+
 
 def in_earth_field(length: float, unit: str) -> bool:
     """Whether a length in a unit is one that the Earth's field can have."""
@@ -161,7 +166,7 @@ def find_unit(size: Size | None, said: str, *, whole: bool, expected_nt: float |
     if not said and size.radius is not None:  # a sphere has no bias in it: it is the field or raw counts
         loose = tuple(u for u in units if _TURNED_NT[0] <= size.radius * FIELD_NT[FieldUnit(u)] <= _TURNED_NT[1])
     possible = tight + tuple(u for u in loose if u not in tight)
-    shown = "the radius of their sphere" if size.radius is not None else "most"
+    shown = size.shown
     if said:
         return _said_unit(size, said, shown, possible)
     if len(tight) != 1:

@@ -152,7 +152,7 @@ def _as_stated(size: Size | None, stated: StatedScale, expected_nt: float | None
     if found.unit != one.unit:
         return None
     amount = scaled.best * FIELD_NT[FieldUnit(one.unit)] / 1e3
-    why = f"whole numbers, and the log says {stated.words!r}: one is {one}, and most is {amount:.3g} uT"
+    why = f"whole numbers, and the log says {stated.words!r}: one is {one}, and {scaled.shown} is {amount:.3g} uT"
     return replace(found, why=why, factor=one.factor)
 
 
@@ -267,7 +267,7 @@ def _ask_counts(draft: Draft, triple: Triple, unit: UnitFound, model_nt: FloatAr
 
 def _as_field(triple: Triple, unit: str) -> str:
     size = size_of(triple.values)
-    return "" if size is None else f"then most is {size.best * FIELD_NT[FieldUnit(unit)] / 1e3:.3g} uT"
+    return "" if size is None else f"then {size.shown} is {size.best * FIELD_NT[FieldUnit(unit)] / 1e3:.3g} uT"
 
 
 def _ask_columns(draft: Draft, groups: list[Triple], model_nt: FloatArray | None, why: str) -> None:

@@ -124,3 +124,11 @@ def test_a_height_and_a_reference_in_other_units_can_be_answered(tmp_path: Path)
 def test_what_is_no_size_is_refused(answers: dict[str, str], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputRefusedError, match=says):
         described(written(tmp_path), **answers)
+
+
+def test_a_unit_is_offered_by_the_radius_where_the_bias_is_left_out(tmp_path: Path) -> None:
+    """A sphere's radius has no bias in it: the longest reading is another number."""
+    (question,) = described(written(tmp_path, count_nt=100.0)).needed
+    assert question.key == "magnetometer.unit"
+    offered = dict(question.candidates)
+    assert offered["mG"].startswith("then the radius of their sphere is 48.5 uT")
