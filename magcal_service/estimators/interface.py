@@ -72,6 +72,7 @@ class StateEstimate:
     spin_given_up: the spin windows contradicted the scalar measurement and are no longer used.
     departure: what makes it another than that of least squares on the scalar residuals of all ticks since its start,
         weighted alike, in a word or two; empty where nothing does.
+    followed: jumps of the errors that it has found and followed.
     """
 
     x: Array
@@ -84,6 +85,7 @@ class StateEstimate:
     waiting_for: StartGate | None
     spin_given_up: bool
     departure: str = "its method"
+    followed: int = 0
 
     @property
     def is_least_squares(self) -> bool:

@@ -199,6 +199,7 @@ class Ukf(Stateful, UkfMemory):
             waiting_for=self._start.gate if self._phase is Phase.STARTING else None,
             spin_given_up=self._spin_given_up,
             departure="" if self._walk is None and self._detector is None else self._departure(),
+            followed=self.changes,
         )
 
     def _departure(self) -> str:

@@ -50,6 +50,7 @@ class _Levels:
     magnitude_spread: Final = 0.005  # of |H| over its median, by ``ReferenceSense``
     noise_ratio: Final = (0.6, 1.6)  # of the noise seen to the noise stated; 300 residuals give it to 4 %: seldom
     held_factor: Final = 1.1  # samples to a reading; one repeat in ten is no sensor that holds its readings
+    followed_ticks: Final = 600  # two memories: one jump taken for another was followed anew after 224 and 448
     silent_s: Final = 60.0  # without a reference or with a stuck sensor
     coverage_ticks: Final = 12_000  # two orbits: by then every direction has occurred that will
 
@@ -76,6 +77,8 @@ class TrustMonitorMemory:
     _ticks: int
     _since_start: int
     _restarts: int
+    _followed: int
+    _since_jump: int
     _residuals: deque[float]
     _floor_nt: float
     _block: list[float]
@@ -115,9 +118,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
     def reset(self) -> None:
         """Back to the initial state, as after a reset of the estimator."""
         self._innovation = self._rejected_share = 0.0
-        self._ticks = 0
-        self._since_start = 0
-        self._restarts = 0
+        self._ticks = self._since_start = self._restarts = self._followed = 0
+        self._since_jump = _Levels.followed_ticks
         self._residuals = deque(maxlen=_Levels.spectrum_samples)
         self._floor_nt = 0.0
         self._block = []
@@ -135,8 +137,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         self._model_doubtful = False
         self._local = False
         self._sudden_share = 0.0
-        self._frozen = False
-        self._unchecked_s = 0.0
+        self._frozen, self._unchecked_s = False, 0.0
         self.protector.reset()
         self._held_factor = 1.0
 
@@ -201,6 +202,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         if outcome.phase is not Phase.RUNNING or not outcome.used + outcome.rejected:
             return
         self._since_start += 1
+        self._since_jump = 0 if estimate.followed > self._followed else self._since_jump + 1
+        self._followed = estimate.followed
         memory = 1.0 / min(self._since_start, _Levels.memory_ticks)
         total = outcome.used + outcome.rejected
         self._rejected_share += memory * (outcome.rejected / total - self._rejected_share)
@@ -387,7 +390,7 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         if max(variances[BIAS]) > settings.sigma_bias_nt**2 or max(variances[D_ALL]) > settings.sigma_D**2:
             late = self._ticks > _Levels.coverage_ticks
             unfinished.append(Reason.POOR_COVERAGE if late else Reason.NOT_SETTLED)
-        elif self._since_start < settings.min_ticks:
+        elif self._since_start < settings.min_ticks or self._since_jump < _Levels.followed_ticks:
             unfinished.append(Reason.NOT_SETTLED)
         if estimate.phase is Phase.RUNNING and self.protector.applies_to(estimate):
             level = self.protector.level_of(estimate, self._unchecked_s)

@@ -457,6 +457,19 @@ def test_a_restart_is_told_until_min_ticks_have_passed(ticks: int, bad: bool) ->
     assert (Reason.RESTARTED in reasons(observed([outcome()] * ticks, again), again)) is bad
 
 
+@pytest.mark.parametrize(("ticks", "settled"), [(0, False), (599, False), (600, True)])
+def test_a_jump_that_was_followed_has_to_have_been_the_right_one(ticks: int, settled: bool) -> None:
+    """For 600 ticks: one that is taken for another is followed again within them."""
+    monitor = observed([outcome()] * 400)
+    assert monitor.judge(SETTLED).verdict is Verdict.TRUSTED
+    followed = replace(SETTLED, followed=1)
+    for index in range(400, 401 + ticks):
+        monitor.observe(tick(index), outcome(), followed)
+    trust = monitor.judge(followed)
+    assert trust.reasons == (() if settled else (Reason.NOT_SETTLED,))
+    assert trust.verdict is (Verdict.TRUSTED if settled else Verdict.CONVERGING)
+
+
 def test_an_estimator_that_starts_anew_is_judged_and_one_that_starts_first_is_not() -> None:
     starting = replace(SETTLED, phase=Phase.STARTING)
     monitor = observed([replace(outcome(), phase=Phase.STARTING)] * 3)

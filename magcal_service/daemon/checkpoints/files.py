@@ -5,8 +5,8 @@ all; a SHA-256 over its content detects a file that a failing disk has changed. 
 ``SCHEMA``: whose it is (craft, version of magcal, digest of the craft's configuration), what went into it, and plain
 data as ``snapshot`` has them.  It is restored only where craft, version and digest agree.
 
-    magcal-state 9\\n    SHA-256 of the rest, 32 bytes        msgpack
-    magcal-signed 8\\n   HMAC-SHA256 of the rest, 32 bytes    msgpack    where ``[state] key`` names a key
+    magcal-state 10\\n    SHA-256 of the rest, 32 bytes        msgpack
+    magcal-signed 9\\n   HMAC-SHA256 of the rest, 32 bytes    msgpack    where ``[state] key`` names a key
 
 The key is not that of the configuration but one made from it, so that a line's key may be used here too.
 """
@@ -39,8 +39,8 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.checkpoints.floor import Floor
 from magcal_service.wire.fields import NAME
 
-SIGNED_MAGIC: Final = b"magcal-signed 8\n"
-MAGIC: Final = b"magcal-state 9\n"  # 9: the way of a craft's positions
+SIGNED_MAGIC: Final = b"magcal-signed 9\n"
+MAGIC: Final = b"magcal-state 10\n"  # 10: since when a jump was followed
 _DIGEST_BYTES: Final = 32  # of SHA-256
 _LARGEST_BYTES: Final = 64 * 1024 * 1024
 """Far above any craft's state: 0.4 MB with 4096 samples collected towards a start."""
