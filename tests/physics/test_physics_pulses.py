@@ -9,6 +9,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.drivers.pulses import Beat, _swells
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.view import View
@@ -69,6 +70,16 @@ def test_a_wave_that_passes_through_none_is_no_coil(wave: bool, seen: bool) -> N
     within = np.where(ON, (TIME_S - FIRST_S) % CYCLE_S / (SHARE * CYCLE_S), 0.0)
     course = np.sin(np.pi * within) if wave else ON.astype(np.float64)
     assert (found(course[:, None] * levels()) is not None) is seen
+
+
+def test_pulses_of_one_row_have_no_middle_to_be_held_against() -> None:
+    """A row every 5 s, and pulses of a tenth of 45 s: each holds one, at its beginning."""
+    some, field = TIME_S % 5.0 == 0.0, scene().field_nt
+    time_s, field = TIME_S[some], field[some]
+    of = Scene(time_s, ORIGIN_NS, True, field, field, field, np.linalg.norm(field, axis=1), channels={})
+    beat = Beat(45.0, 0.0, 0.1)
+    fields = np.ones((int(of.time_s[-1] // 45.0), 3))
+    assert not _swells(View(of, np.zeros(len(of.time_s)), NOISE_NT), beat, fields)
 
 
 def _bursts() -> Array:

@@ -162,6 +162,8 @@ def _swells(view: View, beat: Beat, fields: Array) -> bool:
     expected = np.einsum("ni,ni->n", view.scene.unit[on], fields[pulse[on]])
     seen, at_ends = view.residual_nt[on] / view.noise_nt, np.abs(within[on] - 0.5) > 0.5 - _ENDS
     ends, middle = (_share(expected[rows], seen[rows]) for rows in (at_ends, ~at_ends))
+    if middle[0] <= 0.0:  # too few rows to tell
+        return False
     lacks, sigma = 1.0 - ends[0] / middle[0], float(np.hypot(ends[1], middle[1])) / abs(middle[0])
     return lacks > max(_SWELLS, _SWELLS_SIGMA * sigma)
 
