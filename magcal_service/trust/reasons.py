@@ -61,8 +61,8 @@ REMEDIES: Final = {
     Reason.STRUCTURED_RESIDUAL: "the residual is not white noise, so physics is missing: diagnose a recording",
     Reason.DRIFTING_RESIDUAL: "the residual wanders over minutes, so the errors change: diagnose a recording; set "
     "process_noise where no cause is found",
-    Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: record a session "
-    "([record]), magcal diagnose it, and name its physics.toml as physics under [[craft]]",
+    Reason.MODEL_DOUBTFUL: "the residual follows physics that is left out, the status says which: diagnose a "
+    "recording ([record] makes them), and name its physics.toml as physics under [[craft]]",
     Reason.LOCAL_DISTURBANCE: "the craft's other magnetometers do not see this disturbance, so its cause is near this "
     "sensor: use another one, and look for what is magnetic beside it",
     Reason.MANY_REJECTED: "look for spikes, a wrong noise_nt, or a step in the errors",
