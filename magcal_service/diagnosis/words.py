@@ -222,9 +222,14 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
         return entry.says
     names = [known.get(name, name) for name in (entry.effect, *alike)]
     says = f"{entry.says[:1].lower()}{entry.says[1:]}"
-    rival, probability = max(entry.rivals, key=lambda pair: pair[1], default=("", 0.0))
+    rival, probability = _likeliest(entry)
     likeliest = f" Likeliest is {known.get(rival, rival)}, {chance(probability)}." if probability > 0.5 else ""
     return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}.{likeliest} If the first: {says}"
+
+
+def _likeliest(entry: Entry) -> tuple[str, float]:
+    """The likeliest rival of an effect with its probability; none has 0."""
+    return max(entry.rivals, key=lambda pair: pair[1], default=("", 0.0))
 
 
 def share(entry: Entry) -> str:
@@ -238,7 +243,7 @@ def belief(entry: Entry) -> str:
     if entry.effect == UNLISTED:  # what it is has no name, and no probability: it may be a listed cause, too faint
         return something
     if entry.probability < SURE and entry.rivals:
-        rival, probability = max(entry.rivals, key=lambda pair: pair[1])
+        rival, probability = _likeliest(entry)
         return f"{something}, but its name is open: {chance(entry.probability)} this, {chance(probability)} {rival}"
     return f"{something}, {chance(entry.probability)} that it is this" + (
         " rather than a rival" if entry.rivals else ""

@@ -141,6 +141,7 @@ class Ukf(Stateful, UkfMemory):
         self._weights = UnscentedWeights.scaled(settings.alpha, settings.beta, settings.kappa)
         walk = np.array(settings.process_noise_bias_nt + settings.process_noise_D)
         self._walk = np.diag(walk**2) if walk.any() else None
+        self._gate = SampleGate.of(settings)
         self._prior = prior_sigma(settings)
         self._detector = ChangeDetector(self._walk) if settings.adaptive else None
         self.reset()
@@ -270,7 +271,6 @@ class Ukf(Stateful, UkfMemory):
 
     def _scalar_update(self, tick: Tick) -> tuple[TickOutcome, list[bool]]:
         """Equation (3), sample by sample; a sample beyond the gate is counted and left out: which were used (n,)."""
-        gate = SampleGate.of(self.config.filter)
         residuals: list[float] = []
         used: list[bool] = []
         squared = 0.0
@@ -281,7 +281,7 @@ class Ukf(Stateful, UkfMemory):
             )
             residuals.append(innovation.residual_nt)
             norm = innovation.squared_norm()
-            rejected = norm > gate.limit(innovation.variance, innovation.noise_variance)
+            rejected = norm > self._gate.limit(innovation.variance, innovation.noise_variance)
             used.append(not rejected)
             self._rejected_share += (float(rejected) - self._rejected_share) / REJECTED_MEMORY
             if rejected:

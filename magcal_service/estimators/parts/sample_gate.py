@@ -13,12 +13,14 @@ Original to this project.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
 from magcal_service.config.settings import FilterConfig
 from magcal_service.model import Array
+
+Share = TypeVar("Share", float, Array)
 
 _ALWAYS_TAKEN: Final = 3.0**2
 """Normalised innovation squared that is never left out: one sound sample in 370 is beyond."""
@@ -45,10 +47,12 @@ class SampleGate:
 
     def limit(self, variance: float, noise_variance: float) -> float:
         """The limit for an innovation of a variance, of which a part is the sample's own noise (the same unit)."""
-        own = noise_variance / variance
-        return max(self.squared * (own + (1.0 - own) / self.inflation), _ALWAYS_TAKEN)
+        return max(self.squared * self._before(noise_variance / variance), _ALWAYS_TAKEN)
 
     def limits(self, variance: Array, noise_variance: float) -> Array:
         """``limit`` of many runs (r,)."""
-        own = noise_variance / variance
-        return np.asarray(np.maximum(self.squared * (own + (1.0 - own) / self.inflation), _ALWAYS_TAKEN))
+        return np.asarray(np.maximum(self.squared * self._before(noise_variance / variance), _ALWAYS_TAKEN))
+
+    def _before(self, own: Share) -> Share:
+        """An innovation's variance before the inflation over that after it, where ``own`` of it is noise."""
+        return own + (1.0 - own) / self.inflation
