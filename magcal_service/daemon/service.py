@@ -351,7 +351,7 @@ class Service:
 
     def publish_status(self) -> None:
         """Send each craft's status, and put the rows written so far on disk."""
-        for pipeline in self.pipelines.values():
+        for pipeline in notify.asking_for_time(self.pipelines.values()):
             self._publish_status(pipeline)
         self._publish_daemon()
 

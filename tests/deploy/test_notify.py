@@ -113,10 +113,10 @@ def test_the_unit_gives_as_much_to_begin_with() -> None:
 
 
 def test_a_service_that_stops_asks_for_time(manager: socket.socket, tmp_path: Path) -> None:
-    """For its last checkpoints, and for closing its ticks."""
+    """For its last checkpoints, for closing its ticks, and for its last statuses."""
     crafts, stop = (CraftConfig("one"), CraftConfig("two")), threading.Event()
     stop.set()
     state = StateConfig(tmp_path / "state")
     with open_link("loop:stopping", Role.SERVICE) as link, Checkpoints(state, crafts) as checkpoints:
         Service(Config(link.address, crafts, state=state), link, checkpoints=checkpoints).run(stop)
-    assert [manager.recv(4096) for _ in range(2)] == [b"EXTEND_TIMEOUT_USEC=10000000"] * 2
+    assert [manager.recv(4096) for _ in range(3)] == [b"EXTEND_TIMEOUT_USEC=10000000"] * 3
