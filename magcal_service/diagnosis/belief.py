@@ -50,12 +50,20 @@ _INEXACT: Final = 0.03
 """Of a name's evidence, what the form it was fitted in may leave for others to take: no course, direction or lag of
 a cause is known to better than a tenth of it, whose square is 1 %.  What follows a record is held against that."""
 
+_OF_A_COURSE: Final = 0.005
+"""Of a name's evidence, what a course that is inferred loses by not being the true one: up to a tenth of it squared,
+half of that as a rule.  A rival behind by some times as much may be the cause: of six within 3 % one was."""
+
 _OF_A_FORM: Final = 0.3
 """Probability that a name within that leaves to a larger one's other form; choice: enough for it not to be acted on."""
 
 _NOT_FORETOLD: Final = 0.5
 """Probability that a name leaves to others where it does not foretell passes that took no part: anything that differs
 from pass to pass is fitted as well by as many numbers."""
+
+_OF_A_MEMORY: Final = 0.5
+"""Probability that what acts by how the samples follow one another leaves to noise with a memory, where that is there
+too: to a craft that turns little they are the same."""
 
 _FIELD_MODEL: Final = 2.0
 """Times the usual errors of a field model, beyond which a recording is doubted: one model in twenty errs so much."""
@@ -112,7 +120,11 @@ def posterior(explained: Explained, index: int) -> Posterior:
     """
     name = explained.fit.terms[index].hypothesis.effect
     ranked, own = explained.rivals[index], explained.own_nats(index)
-    weights = {c.hypothesis.effect: math.exp(float(np.clip(c.nats - own, -_MOST_NATS, _MOST_NATS))) for c in ranked}
+    ahead = [(c.nats - own) / _inexact_by(explained, index) for c in ranked]
+    weights = {
+        c.hypothesis.effect: math.exp(float(np.clip(one, -_MOST_NATS, _MOST_NATS)))
+        for c, one in zip(ranked, ahead, strict=True)
+    }
     weights[name] = 1.0
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
@@ -120,8 +132,14 @@ def posterior(explained: Explained, index: int) -> Posterior:
     total = sum(weights.values()) / (1.0 - unlisted)
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
-    close = [c.hypothesis.effect for c in ranked if c.nats > own - CLASS_NATS and c.hypothesis.effect != name]
-    return Posterior(weights[name] / total, tuple(rivals), (name, *close))
+    effects = [c.hypothesis.effect for c, one in zip(ranked, ahead, strict=True) if one > -CLASS_NATS]
+    return Posterior(weights[name] / total, tuple(rivals), (name, *(one for one in effects if one != name)))
+
+
+def _inexact_by(explained: Explained, index: int) -> float:
+    """What evidence beside a term's own is divided by: where its driver is inferred, its course is not exactly true."""
+    is_inferred = explained.fit.terms[index].hypothesis.driver.startswith("inferred")
+    return 1.0 + (_OF_A_COURSE * max(explained.own_nats(index), 0.0) if is_inferred else 0.0)
 
 
 def _least_unlisted(explained: Explained, index: int) -> float:
@@ -137,6 +155,8 @@ def _least_unlisted(explained: Explained, index: int) -> float:
         least = max(least, _OF_A_FORM)  # what settles, and follows no record, is as well any drift that relaxes
     if not foretells(fit, index):
         least = max(least, _NOT_FORETOLD)
+    if explained.has_memory and hypothesis.by_samples:
+        least = max(least, _OF_A_MEMORY)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
     return max(least, _ONE_WAVE) if is_part else least
 
@@ -232,6 +252,7 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
     held = sum(max(gain.nats, 0.0) for gain in explained.gains)  # through the noise's whitening, as shapes are
     return replace(
         explained,
+        has_memory=rest is None,
         shaped_nats=left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2),
         lasting_nats=share / (1.0 - share) * held,
     )

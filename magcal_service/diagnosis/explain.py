@@ -65,6 +65,7 @@ class Explained:
     gains: for each term, what it gains over the blocks.
     drivers: for each term, its own effect by each driver, at its best, best first.
     courses: for each term, whether another course of its effect, of other numbers, holds nearly as much.
+    has_memory: whether the noise that they are held against has one.
     shaped_nats, lasting_nats: what is seen beside all of them and has no name: in a shape of its own, and lasting.
     """
 
@@ -74,6 +75,7 @@ class Explained:
     gains: tuple[Gain, ...] = ()
     drivers: tuple[tuple[Candidate, ...], ...] = ()
     courses: tuple[bool, ...] = ()
+    has_memory: bool = False
     shaped_nats: float = 0.0
     lasting_nats: float = 0.0
 

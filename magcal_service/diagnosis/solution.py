@@ -10,7 +10,7 @@ equations in the metric of their own derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -40,6 +40,15 @@ _EASED, _TIGHTENED = 0.1, 10.0
 
 _NEAR: Final = 4.0
 """Square of the way that is left, in sigmas, up to which a fit has stalled near its end, not far from it."""
+
+_NO_LESS: Final = 0.25
+"""Noise variances by which the cost may be less to either side of a number that the model jumps with: half a sigma.
+No slope leads to its best value, at which many jumps may meet, as where a duty is a whole number of samples."""
+
+_SIDES: Final = (0.02, 0.005)
+"""Shares of a cycle that the last of a duty's cycles is moved by to either side; the first is that of its slope."""
+
+_MOST_ASIDE: Final = 8  # moves to a better side; the search before ends within one or two
 
 _DIFFERENCE: Final = 0.1  # of its sigma, by which an unknown is moved to either side: far above rounding, below a curve
 _DERIVED, _CHORDS = 3, 3
@@ -133,10 +142,11 @@ def ended(fit: Fit) -> Fit:
     and a skew at a steady spin, the residual's part in the score's derivative, which Gauss and Newton leave out, is no
     longer small, and their step leads nowhere.  So that derivative is taken by differences first.  Where even that
     leads nowhere, the number known least is held at values to either side, all others solved for, and the one with the
-    least left to go is taken.
+    least left to go is taken.  The period of a duty, at which the model jumps, has to leave least instead.
     """
+    fit = _between_jumps(fit, _variance(fit))
     here = _Step.of(fit, _variance(fit))
-    if here.to_go > _NEAR * here.sigma2:
+    if fit.converged or here.to_go > _NEAR * here.sigma2:
         return fit
     fit = _by_differences(fit, here)
     here = _Step.of(fit, here.sigma2)
@@ -147,8 +157,7 @@ def ended(fit: Fit) -> Fit:
     values = np.array([float(fit.terms[index].theta[number]) for index, number in numbers])
     index, number = numbers[int(np.argmax(sigma / np.maximum(np.abs(values), 1e-300)))]
     own = fit.terms[index].hypothesis
-    steady = [replace(one, role="held") if k == number else one for k, one in enumerate(own.nonlinear)]
-    held = replace(own, nonlinear=tuple(steady))
+    held = own.holding(number)
 
     def at(value: float) -> _Held:
         terms = [_with(term, held, number, value) if k == index else term for k, term in enumerate(fit.terms)]
@@ -173,6 +182,42 @@ def ended(fit: Fit) -> Fit:
         else:
             width *= 0.5
     return best.fit if best.fit.converged else _where_it_turns(at, inside, best)
+
+
+def _between_jumps(fit: Fit, sigma2: float) -> Fit:
+    """The fit with the periods of duties, which the model jumps with, where no side is better, all else solved for."""
+    own = [term.hypothesis for term in fit.terms]
+    periods = [[i for i, number in enumerate(one.nonlinear) if number.role == "period"] for one in own]
+    if fit.converged or not any(periods):
+        return fit
+
+    def solved(start: Fit, terms: Sequence[Term]) -> Fit:
+        held = [replace(term, hypothesis=one.holding(*its)) for term, one, its in zip(terms, own, periods, strict=True)]
+        rest = solve(start.problem, start.x, held)
+        whole = [replace(term, hypothesis=one) for term, one in zip(rest.terms, own, strict=True)]
+        return replace(evaluate(start.problem, rest.x, whole), converged=rest.converged)
+
+    found = solved(fit, fit.terms)
+    for _ in range(_MOST_ASIDE):
+        cost = float(found.white_residual @ found.white_residual)
+        sides = [evaluate(found.problem, found.x, terms) for terms in _to_either_side(found, periods)]
+        best = min(sides, key=lambda one: float(one.white_residual @ one.white_residual))
+        if float(best.white_residual @ best.white_residual) > cost - _NO_LESS * sigma2:
+            return found if found.converged else fit
+        found = solved(best, best.terms)
+    return fit
+
+
+def _to_either_side(fit: Fit, periods: Sequence[Sequence[int]]) -> Iterator[list[Term]]:
+    """The terms with one period after another a little shorter and longer."""
+    span_s = max(float(np.ptp(fit.problem.scene.time_s)), 1.0)
+    for index, its in enumerate(periods):
+        for number in its:
+            value = float(fit.terms[index].theta[number])
+            for share in (sign * size for size in _SIDES for sign in (-1.0, 1.0)):
+                theta = np.array(fit.terms[index].theta)
+                theta[number] = value + share * value**2 / span_s
+                yield [replace(term, theta=theta) if k == index else term for k, term in enumerate(fit.terms)]
 
 
 def _by_differences(fit: Fit, here: _Step) -> Fit:

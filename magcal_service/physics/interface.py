@@ -114,6 +114,7 @@ class Hypothesis:
     least_nt: rms that this form has at least [nT], whatever its numbers: a small residual rules it out.
     is_free: whether no recorded or computed driver holds its shape, so that it can follow what is not its own: it has
         to be likelier than a family without a name.
+    by_samples: whether it acts by how the samples follow one another, as noise with a memory does.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
     refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
@@ -134,6 +135,7 @@ class Hypothesis:
     largest_nt: float = math.inf
     least_nt: float = 0.0
     is_free: bool = False
+    by_samples: bool = False
     is_whole: bool = False
     proposals: Callable[[Sums], Array] | None = None
     refines: str = ""
@@ -154,6 +156,11 @@ class Hypothesis:
     def loosened(self) -> Hypothesis:
         """The same with nonlinear numbers that a refit moves, whatever their role."""
         return replace(self, nonlinear=loose(self.nonlinear))
+
+    def holding(self, *held: int) -> Hypothesis:
+        """The same with some nonlinear numbers, by their indices, that a refit leaves where they are."""
+        numbers = (replace(one, role="held") if index in held else one for index, one in enumerate(self.nonlinear))
+        return replace(self, nonlinear=tuple(numbers))
 
     def is_quickest(self, theta: Array) -> bool:
         """Whether, with numbers (m,), it is a change over a while as quick as any that is tried: that is a jump."""

@@ -165,6 +165,40 @@ def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: flo
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
 
 
+@pytest.mark.parametrize(
+    ("driver", "own_nats", "behind", "odds"),
+    [
+        ("none", 1000.0, 6.0, math.exp(6.0)),
+        ("channel:one", 1000.0, 6.0, math.exp(6.0)),
+        ("inferred:light", 1000.0, 6.0, math.exp(1.0)),
+        ("inferred:light", 1000.0, -6.0, math.exp(-1.0)),
+        ("inferred:light", 100.0, 6.0, math.exp(4.0)),
+    ],
+)
+def test_a_course_that_is_inferred_leaves_more_to_its_rivals(
+    driver: str, own_nats: float, behind: float, odds: float
+) -> None:
+    """It may lose 0.5 % of its evidence by not being the true one: of 1000 nats 5, so 6 behind are 1."""
+    named = explained([("bias_drift", own_nats - behind)], own_nats)
+    (term,) = named.fit.terms
+    driven = replace(term, hypothesis=replace(term.hypothesis, driver=driver))
+    found = posterior(replace(named, fit=replace(named.fit, terms=(driven,))), 0)
+    assert found.own / dict(found.rivals)["bias_drift"] == pytest.approx(odds)
+    assert found.members == (("bias_step", "bias_drift") if odds < math.exp(CLASS_NATS) else ("bias_step",))
+
+
+@pytest.mark.parametrize(
+    ("has_memory", "by_samples", "own"), [(True, True, 0.5), (True, False, 0.97), (False, True, 0.97)]
+)
+def test_what_acts_by_the_samples_order_is_not_told_from_noise_with_a_memory(
+    has_memory: bool, by_samples: bool, own: float
+) -> None:
+    named = with_left(explained([]), 0.0, None if has_memory else Rest(before=1e4, after=29.0, sigma=10.0), 1.0)
+    (term,) = named.fit.terms
+    acts = replace(term, hypothesis=replace(term.hypothesis, by_samples=by_samples))
+    assert posterior(replace(named, fit=replace(named.fit, terms=(acts,))), 0).own == pytest.approx(own)
+
+
 def test_a_term_that_is_not_among_its_own_rivals_has_its_own_evidence() -> None:
     """The screening may find it below what can be seen, once others are there."""
     named = explained([("bias_drift", 99.0)])

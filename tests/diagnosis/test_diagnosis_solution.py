@@ -11,9 +11,18 @@ import pytest
 
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.prepare import baseline_start
-from magcal_service.diagnosis.problem import Problem, evaluate
-from magcal_service.diagnosis.solution import _by_differences, _Held, _score_slopes, _Step, _where_it_turns, solve
+from magcal_service.diagnosis.problem import Problem, Term, evaluate
+from magcal_service.diagnosis.solution import (
+    _by_differences,
+    _Held,
+    _score_slopes,
+    _Step,
+    _where_it_turns,
+    ended,
+    solve,
+)
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
+from magcal_service.physics.catalogue import effect_named
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 FAR = np.array([40_000.0, -25_000.0, 30_000.0, 0.25, -0.2, 0.15, 0.1, -0.1, 0.05])
@@ -149,3 +158,28 @@ def test_without_a_zero_within_reach_a_fit_stays() -> None:
     assert _where_it_turns(endless, lambda value: value, nothing) is nothing.fit
     assert _where_it_turns(endless, lambda value: value, near) is near.fit
     assert _where_it_turns(lambda value: replace(endless(value), to_go=5.0), lambda value: value, near) is near.fit
+
+
+@pytest.mark.parametrize("period_s", [70.3, 90.0, 130.0], ids=["odd", "whole samples", "whole samples, longer"])
+@pytest.mark.parametrize("off", [0.0, 2e-4], ids=["at its period", "beside it"])
+def test_a_duty_arrives_though_the_model_jumps_with_its_period(period_s: float, off: float) -> None:
+    """No slope is zero at the best period; its field, which was solved for, is within 3 sigma of the truth."""
+    forms = effect_named("torquer").hypotheses(scene())
+    duty = next(one for one in forms if "period" in {number.role for number in one.nonlinear})
+    on_nt, share, phase = np.array([230.0, -210.0, -180.0]), 0.3, 0.5
+    on = (np.mod(scene().time_s / period_s - phase, 1.0) < share)[:, None]
+    noise = NOISE_NT * np.random.default_rng(71).normal(size=(len(scene()), 3))
+    problem = Problem(spoiled(measure(X, scene().calibrated_nt + on * on_nt + noise), scene()), NOISE_NT)
+    near = Term(duty, np.array([period_s * (1.0 + off), share, phase]), on_nt)
+    found = ended(solve(problem, X, [near]))
+    assert found.converged
+    (term,) = found.terms
+    assert term.hypothesis is duty
+    cycles = float(scene().time_s[-1]) / period_s
+    assert abs(term.theta[0] / period_s - 1.0) * cycles < 0.05  # of a cycle, at the end: its edges are sampled
+    sigma = np.sqrt(np.diagonal(found.covariance))[problem.size : problem.size + 3]
+    assert float(np.abs((term.amplitudes - on_nt) / sigma).max()) < 3.0
+    aside = [
+        evaluate(problem, found.x, [replace(term, theta=term.theta * [1.0 + side, 1.0, 1.0])]) for side in (-1e-4, 1e-4)
+    ]
+    assert found.white_rms_nt <= min(one.white_rms_nt for one in aside) + 1e-3

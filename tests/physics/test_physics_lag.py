@@ -77,6 +77,7 @@ def test_a_known_rate_has_the_low_pass_instead() -> None:
     rate = np.array([0.0, 0.0, 0.1])
     fitted = replace(scene, turning_rad_s=rate)  # a steady turn that was fitted need not be the craft's
     assert [one.variant for one in LAG.hypotheses(fitted)] == ["", *steps]
+    assert [one.by_samples for one in LAG.hypotheses(fitted)] == [False, True, True, False]
     gyro = {"gyro": Telemetry("gyro", "angular rate", np.tile(rate, (COUNT, 1)))}
     assert [one.variant for one in LAG.hypotheses(replace(scene, channels=gyro))] == [""]
     names = [[block.name for block in one.blocks] for one in LAG.hypotheses(fitted)]

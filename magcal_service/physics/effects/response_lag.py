@@ -138,13 +138,14 @@ def _by_steps(scene: Scene, turned2: Array, rate: Array, constants: Mapping[str,
 
     A second form frees what the low-pass held when the recording began.
     """
-    plain = _low_pass(
+    form = _low_pass(
         scene,
         turned2,
         lambda late_s, drive, steps: by_low_pass(drive, rate, steps, late_s),
         _BY_STEPS,
         constants,
     )
+    plain = replace(form, by_samples=True)
     yield plain
     begins = len(scene) >= FEWEST_FOR_MEANS and scene.memory is None and abs(float(scene.time_s[0])) < AT_START_S
 
