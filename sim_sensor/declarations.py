@@ -81,7 +81,7 @@ def _read_direction(table: Table, name: str, default: str | None) -> Vector:
     if isinstance(value, str) and value in _AXES:
         return _AXES[value]
     if isinstance(value, str) or value is None:
-        table.refuse(name, "missing" if value is None else value, '"x", "y", "z" or an array of 3 numbers is accepted')
+        table.refuse_or_lack(name, '"x", "y", "z" or an array of 3 numbers is accepted')
         return Z_AXIS
     x, y, z = table.numbers(name, 3, Z_AXIS) or Z_AXIS
     length = math.sqrt(x * x + y * y + z * z)

@@ -45,7 +45,7 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
 def read_scenario(top: Table, name: str) -> Scenario:
     """The scenario of one file; meaningless where ``top.faults`` is not empty afterwards."""
     if top.integer("version", 0, minimum=1, maximum=1) != 1 and not top.faults:
-        top.refuse("version", "missing", "required: version = 1")
+        top.lack("version", "required: version = 1")
     scenario = read_record(top, Scenario, {"name": name})
     if not top.faults:
         _check_lag(top, scenario)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from typing import Final
 
 __all__ = [
     "DISTRIBUTION",
+    "MISSING",
     "ConfigError",
     "DecodeError",
     "ExtraMissingError",
@@ -98,6 +100,10 @@ class FileFault(Fault):
 
     def __str__(self) -> str:
         return printable(f"{self.where}: {why_not(self.value)}; {self.accepted}")
+
+
+MISSING: Final = "missing"
+"""What ``Lacking`` says of a key or an option that is not given."""
 
 
 class Lacking(Fault):

@@ -7,7 +7,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
-from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.errors import MISSING, ConfigError, Fault, Lacking
 from magcal_service.base.typed_toml import nearest
 from magcal_service.cli.asking import LONGEST_SOURCE, Desk, NotReachedError, add_where, whom
 from magcal_service.cli.common import DONE, REFUSED, Parser
@@ -126,7 +126,7 @@ def request(name: str, given: list[str]) -> dict[str, str | int | float | bool]:
         else:
             _take(name, spec, key, value, found, faults)
     missing = [key for key, one in spec.arguments.items() if one.is_needed and key not in found]
-    faults += [Fault(f"{name}: {key}", "missing", f"{spec.arguments[key].accepted} is accepted") for key in missing]
+    faults += [Lacking(f"{name}: {key}", MISSING, f"{spec.arguments[key].accepted} is accepted") for key in missing]
     if faults:
         raise ConfigError(faults)
     return found
@@ -140,7 +140,7 @@ def _take(
     known = [*spec.arguments, WHICH]
     argument = spec.arguments.get(key)
     if key not in known:
-        faults.append(Fault(f"{name}: {key}", value, nearest(key, known)))
+        faults.append(Fault(name, key, f"unknown argument; {nearest(key, known)}"))
     elif argument is None or not argument.is_number:
         found[key] = value
     else:

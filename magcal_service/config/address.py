@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 from urllib.parse import unquote
 
-from magcal_service.base.errors import LinkAddressError
+from magcal_service.base.errors import MISSING, LinkAddressError
 from magcal_service.base.typed_toml import nearest
 
 SCHEMES: Final = ("zenoh", "serial", "loop", "recording", "ccsds")
@@ -48,6 +48,10 @@ class LinkAddress:
     def refuse(self, what: str, value: object, accepted: str) -> NoReturn:
         """Raise ``LinkAddressError`` about one part of this address."""
         raise LinkAddressError(f"link address {self.text!r}: {what} is {value!r}; {accepted}")
+
+    def lack(self, what: str, accepted: str) -> NoReturn:
+        """Raise ``LinkAddressError`` about a part that this address does not have."""
+        raise LinkAddressError(f"link address {self.text!r}: {what} is {MISSING}; {accepted}")
 
     def has(self, name: str) -> bool:
         """Whether the option is given (it still has to be read by a typed method)."""

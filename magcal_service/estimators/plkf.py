@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_service.base.errors import ConfigError, Fault
+from magcal_service.base.errors import MISSING, ConfigError, Fault, Lacking
 from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig, SpinConfig, SpinWindow
 from magcal_service.estimators.interface import Method, Phase, StateEstimate, TickOutcome
@@ -110,8 +110,9 @@ class Plkf(Stateful, PlkfMemory):
 
 def _spin_of(config: CraftConfig) -> SpinConfig:
     if config.spin is None or config.spin.window is SpinWindow.OFF:
-        given = "missing" if config.spin is None else 'window = "off"'
-        raise ConfigError([Fault("spin", given, "the method plkf needs [spin] with its axis and rate_rpm; add it")])
+        accepted = "the method plkf needs [spin] with its axis and rate_rpm; add it"
+        is_off = config.spin is not None
+        raise ConfigError([Fault("spin", 'window = "off"', accepted) if is_off else Lacking("spin", MISSING, accepted)])
     return config.spin
 
 

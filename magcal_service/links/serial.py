@@ -74,10 +74,10 @@ class SerialSettings:
     def read(cls, address: LinkAddress) -> SerialSettings:
         """Read the address; ``LinkAddressError`` where a part of it is refused."""
         if not address.rest:
-            address.refuse("device", "", "a device such as /dev/ttyUSB0 is required")
+            address.lack("device", "a device such as /dev/ttyUSB0 is required")
         key, counter = address.text_of("key", ""), address.text_of("counter", "")
         if bool(key) != bool(counter):
-            address.refuse("key" if counter else "counter", "missing", "key=FILE and counter=FILE go together")
+            address.lack("key" if counter else "counter", "key=FILE and counter=FILE go together")
         settings = cls(
             device=address.rest,
             baud=address.integer("baud", 115200, 50, 12_000_000),

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.errors import MISSING, Lacking, RecordingError
 from magcal_service.config.settings import DEFAULT_METHOD, CraftConfig
 from magcal_service.estimators import find_method
 from magcal_service.estimators.interface import Method, StartGate
@@ -189,7 +189,7 @@ def refuse_without_channel(recording: Recording, method: Method) -> None:
     quantities = {c.spec.quantity for c in recording.channels.values() if len(c.spec.columns) == 3}
     if method.needs and method.needs not in quantities:
         accepted = f"the method {method.name} needs a channel of three columns with a unit of {method.needs}; add it"
-        raise RecordingError([Fault(f"{recording.name}: channels", "missing", accepted)])
+        raise RecordingError([Lacking(f"{recording.name}: channels", MISSING, accepted)])
 
 
 def calibrate(

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.base.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.errors import MISSING, Fault, FileFault, InputRefusedError, Lacking
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.result_head import SCHEMAS, head, schema_of
@@ -214,8 +214,10 @@ class _Reading:
             found = np.zeros(0)
         if found.shape != shape or not np.all(np.abs(found) <= limit):
             accepted = f"numbers of shape {shape} up to {limit:g} are accepted; {ACCEPTED}"
-            shown = "missing" if key not in content else str(content[key])[:60]
-            self._faults.append(Fault(f"{self._path}: {key}", shown, accepted))
+            where = f"{self._path}: {key}"
+            is_there = key in content
+            fault = Fault(where, str(content[key])[:60], accepted) if is_there else Lacking(where, MISSING, accepted)
+            self._faults.append(fault)
             return np.zeros(shape)
         return found
 

@@ -6,7 +6,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.errors import MISSING, Fault, InputRefusedError, Lacking
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators import find_method, methods
 from magcal_service.estimators.parts.start_gates import handover_sigma, vector_sigma
@@ -49,7 +49,7 @@ def refuse_unfit(given: Given, recording: Recording, craft: CraftConfig) -> None
         faults.append(Fault(f"{given.name}: reasons", ", ".join(given.reasons) or "none given", accepted))
     noise_nt = noise_of(given, craft)
     if noise_nt is None:
-        faults.append(Fault(f"{given.name}: noise_floor", "missing", "state magnetometer.noise_nt in the descriptor"))
+        faults.append(Lacking(f"{given.name}: noise_floor", MISSING, "state magnetometer.noise_nt in the descriptor"))
     else:
         sigma = vector_sigma(given.covariance, recording.field_body_nt)
         limit = handover_sigma(noise_nt, float(np.nanmean(recording.reference.magnitude_nt)))

@@ -68,7 +68,7 @@ def _check_attitude(reading: Reading, name: str, to_axes: Axes | None) -> None:
         return
     for key in _ATTITUDE:
         if key not in given:
-            table.refuse(key, "missing", f"an attitude needs order, from and to; here only {', '.join(given)}")
+            table.lack(key, f"an attitude needs order, from and to; here only {', '.join(given)}")
     if len(values["columns"]) != _QUATERNION:
         table.refuse("columns", list(values["columns"]), "an attitude quaternion has 4 columns")
     if to_axes is not None and values["from_axes"] is to_axes:

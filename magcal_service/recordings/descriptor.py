@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.base.errors import Fault, RecordingError
+from magcal_service.base.errors import MISSING, Fault, Lacking, RecordingError
 from magcal_service.base.typed_toml import Table, open_toml
 from magcal_service.base.typed_toml.record import read_record
 from magcal_service.base.units import FieldUnit
@@ -59,7 +59,7 @@ def descriptor_of(top: Table, path: Path) -> Descriptor:
     """The descriptor of a table that stands, or would stand, in the file ``path``; raises ``RecordingError``."""
     top.integer("version", _VERSION, minimum=_VERSION, maximum=_VERSION)
     if not top.has("version"):
-        top.refuse("version", "missing", f"required: version = {_VERSION}")
+        top.lack("version", f"required: version = {_VERSION}")
     _list_magnetometers(top)
     section = top.table("samples", required=True) or Table({}, top.file, "samples", [])
     samples = read_record(section, SamplesSpec)
@@ -162,15 +162,15 @@ def _check_model(top: Table, descriptor: Descriptor) -> None:
     if not isinstance(descriptor.reference, ModelReference):
         return
     if descriptor.position is None and "position" not in top.content:
-        top.refuse("position", "missing", 'required with model = "igrf"; tle = "FILE" takes element sets of the craft')
+        top.lack("position", 'required with model = "igrf"; tle = "FILE" takes element sets of the craft')
     if descriptor.time.clock is not Clock.UTC:
-        top.faults.append(Fault(f"{top.file}: time.start", "missing", 'required with elapsed_s and model = "igrf"'))
+        top.faults.append(Lacking(f"{top.file}: time.start", MISSING, 'required with elapsed_s and model = "igrf"'))
 
 
 def _check_elements(top: Table, descriptor: Descriptor) -> None:
     """Elements say where the craft was at a date."""
     if isinstance(descriptor.position, ElementsPosition) and descriptor.time.clock is not Clock.UTC:
-        top.faults.append(Fault(f"{top.file}: time.start", "missing", "required with elapsed_s and position.tle"))
+        top.faults.append(Lacking(f"{top.file}: time.start", MISSING, "required with elapsed_s and position.tle"))
 
 
 def _check_joins(top: Table, descriptor: Descriptor) -> None:
@@ -183,4 +183,4 @@ def _check_joins(top: Table, descriptor: Descriptor) -> None:
             top.faults.append(Fault(f"{top.file}: samples.join[{number}].time", join.time.clock.value, accepted))
         if join.time is None and not descriptor.time.named:
             accepted = "required where the log's own rows come by rate_hz"
-            top.faults.append(Fault(f"{top.file}: samples.join[{number}].time", "missing", accepted))
+            top.faults.append(Lacking(f"{top.file}: samples.join[{number}].time", MISSING, accepted))

@@ -131,8 +131,11 @@ def _columns(reading: Reading, name: str) -> tuple[str, ...]:
         return ()
     columns = table.texts(name) or ()
     if form.kind == "gps" and len(columns) != _GPS_COLUMNS:
-        given = list(columns) if columns else reading.values["column"] or "missing"
-        table.refuse(name, given, f'{form.value} needs columns = ["week", "tow"]: the week, and the time within it')
+        accepted = f'{form.value} needs columns = ["week", "tow"]: the week, and the time within it'
+        if given := list(columns) or reading.values["column"]:
+            table.refuse(name, given, accepted)
+        else:
+            table.lack(name, accepted)
     elif columns and form.kind != "gps" and not table.has("pattern"):
         accepted = 'several columns go with pattern = "%Y-%m-%d %H:%M:%S" or format = "gps_week_s"'
         table.refuse(name, list(columns), accepted)

@@ -247,12 +247,12 @@ SPIN = "[craft.spin]\nrate_rpm = 7.5\n"
     ("text", "field", "value"),
     [
         (MINIMAL.replace("1", "2"), "daemon.toml: version", "2.0"),
-        (MINIMAL.replace("version = 1\n", ""), "daemon.toml: version", "'missing'"),
+        (MINIMAL.replace("version = 1\n", ""), "daemon.toml: version", "missing"),
         ("link = 7\n" + MINIMAL, "daemon.toml: link", "7"),
         ('link = "tcp/127.0.0.1"\n' + MINIMAL, "daemon.toml: link", "'tcp/127.0.0.1'"),
         ('link = "zenho:tcp/127.0.0.1:7447"\n' + MINIMAL, "daemon.toml: link", "'zenho:tcp/127.0.0.1:7447'"),
         ("version = 1\n", "daemon.toml: craft", "0"),
-        ("version = 1\n[[craft]]\n", "daemon.toml: craft[0].name", "'missing'"),
+        ("version = 1\n[[craft]]\n", "daemon.toml: craft[0].name", "missing"),
         ("version = 1\n[[craft]]\nname = 'a b'\n", "daemon.toml: craft[0].name", "'a b'"),
         ("version = 1\n[[craft]]\nname = ''\n", "daemon.toml: craft[0].name", "''"),
         (f"version = 1\n[[craft]]\nname = '{'a' * 33}'\n", "daemon.toml: craft[0].name", f"'{'a' * 33}'"),
@@ -262,7 +262,7 @@ SPIN = "[craft.spin]\nrate_rpm = 7.5\n"
         (MINIMAL + "[craft.sensor]\nnoise_nt = nan\n", "daemon.toml: craft[0].sensor.noise_nt", "nan"),
         (MINIMAL + "[craft.sensor]\nnoise_nt = inf\n", "daemon.toml: craft[0].sensor.noise_nt", "inf"),
         (MINIMAL + "[craft.sensor]\nstuck_samples = 10.5\n", "daemon.toml: craft[0].sensor.stuck_samples", "10.5"),
-        (MINIMAL + "[craft.spin]\n", "daemon.toml: craft[0].spin.rate_rpm", "'missing'"),
+        (MINIMAL + "[craft.spin]\n", "daemon.toml: craft[0].spin.rate_rpm", "missing"),
         (MINIMAL + "[craft.spin]\nrate_rpm = 0\n", "daemon.toml: craft[0].spin.rate_rpm", "0.0"),
         (MINIMAL + "[craft.spin]\nrate_rpm = 5000\n", "daemon.toml: craft[0].spin.rate_rpm", "5000"),
         (MINIMAL + SPIN + "axis = 'w'\n", "daemon.toml: craft[0].spin.axis", "'w'"),
@@ -289,14 +289,15 @@ SPIN = "[craft.spin]\nrate_rpm = 7.5\n"
         (MINIMAL + "[output]\ncsv = ''\n", "daemon.toml: output.csv", "''"),
         (MINIMAL + "[output]\ncsv = 5\n", "daemon.toml: output.csv", "5"),
         (MINIMAL + "[output]\nstatus_period_s = 0\n", "daemon.toml: output.status_period_s", "0"),
-        (MINIMAL + "[record]\n", "daemon.toml: record.directory", "'missing'"),
+        (MINIMAL + "[record]\n", "daemon.toml: record.directory", "missing"),
         (MINIMAL + "[record]\ndirectory = ' '\n", "daemon.toml: record.directory", "' '"),
         (MINIMAL + "[record]\ndirectory = 'd'\ntotal_mb = 100\n", "daemon.toml: record.total_mb", "100.0"),
         (MINIMAL + "[craft.ticks]\ntick_s = 1.0\n", "daemon.toml: craft[0].ticks.tick_s", "1.0"),
     ],
 )
 def test_a_refusal_names_the_field_and_the_value(tmp_path: Path, text: str, field: str, value: str) -> None:
-    assert [line for line in refusals(tmp_path, text) if line.startswith(f"{field}: {value} is refused; ")]
+    told = "missing; required: " if value == "missing" else f"{value} is refused; "
+    assert [line for line in refusals(tmp_path, text) if line.startswith(f"{field}: {told}")]
 
 
 @pytest.mark.parametrize(

@@ -92,12 +92,12 @@ def test_a_sealed_line_takes_what_is_sealed_alone(tmp_path: Path) -> None:
     [
         ("freez", [], "COMMAND: 'freez' is refused; did you mean 'freeze'?"),
         ("freeze", ["now"], "freeze: 'now' is refused; KEY=VALUE is accepted"),
-        ("process_noise", ["bias=1"], "process_noise: bias: '1' is refused; did you mean 'bias_nt'?"),
+        ("process_noise", ["bias=1"], "process_noise: 'bias' is refused; unknown argument; did you mean 'bias_nt'?"),
         ("process_noise", ["D=x"], "process_noise: D: 'x' is refused; 0 to 0.01 /sqrt(s) is accepted"),
         ("process_noise", ["D=0", "D=0"], "process_noise: D: '0' is refused; it is given twice"),
         ("process_noise", ["bias_nt=1e999"], "process_noise: bias_nt: '1e999' is refused; 0 to 1000 nT/sqrt(s)"),
         ("process_noise", ["bias_nt=1_0"], "process_noise: bias_nt: '1_0' is refused"),
-        ("checkpoint", [], "checkpoint: name: 'missing' is refused; 1 to 32 of A-Z a-z 0-9 _ - is accepted"),
+        ("checkpoint", [], "checkpoint: name: missing; 1 to 32 of A-Z a-z 0-9 _ - is accepted"),
     ],
 )
 def test_what_no_daemon_would_take_is_refused_before_it_is_asked(name: str, given: list[str], told: str) -> None:

@@ -205,5 +205,5 @@ def test_a_key_that_others_can_read_stops_the_link(line: Callable[[Role], Link],
 @pytest.mark.parametrize(("given", "missing"), [("key=k", "counter"), ("counter=c", "key")])
 def test_key_and_counter_go_together(given: str, missing: str) -> None:
     """One without the other is refused by the name of what is missing."""
-    with pytest.raises(LinkAddressError, match=f"{missing} is 'missing'"):
+    with pytest.raises(LinkAddressError, match=f"{missing} is missing"):
         open_link(f"serial:/dev/null?{given}", Role.SERVICE)

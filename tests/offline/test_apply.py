@@ -232,7 +232,7 @@ def test_what_is_read_is_not_written_over(flight: Path, result: Path) -> None:
     [
         ("[1]", "'list' is refused"),
         ("{", "'no JSON' is refused"),
-        ('{"D": [[1]]}', "bias_nt: 'missing' is refused; numbers of shape (3,)"),
+        ('{"D": [[1]]}', "bias_nt: missing; numbers of shape (3,)"),
         ('{"verdict": "not_started"}', "a result with an estimate is accepted"),
         ('{"recordings": []}', "the result of one recording is accepted"),
         ('{"effects": [{}], "fit": {}}', "give that file"),

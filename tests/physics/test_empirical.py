@@ -79,7 +79,7 @@ FAULTS = (
     ("range = [10.0, 30.0]", "range = [9.0, 30.0]", "range", "from 10.0 to 30.0"),
     ("range = [10.0, 30.0]", "range = [30.0, 10.0]", "range", "two rising numbers"),
     ("interpolating_only = true", "interpolating_only = false", "interpolating_only", "true is accepted"),
-    ("interpolating_only = true", "", "interpolating_only", "'missing' is refused; true is accepted"),
+    ("interpolating_only = true", "", "interpolating_only", "missing; true is accepted"),
     ("interpolating_only = true", "interpolating_only = true\ncolour = 1", "colour", "unknown key"),
 )
 

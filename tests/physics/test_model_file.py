@@ -241,7 +241,7 @@ def test_a_number_beyond_its_bounds_is_refused(where: str) -> None:
 
 
 def test_an_effect_without_amplitudes_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"effect\[0\]\.amplitudes: 'missing'"):
+    with pytest.raises(ModelError, match=r"effect\[0\]\.amplitudes: missing"):
         parse_model(GOOD.partition("[effect.amplitudes]\n")[0].encode())
 
 

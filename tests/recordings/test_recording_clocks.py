@@ -104,7 +104,7 @@ REFUSED = {
     "rollovers of no weeks": ('column = "a"\nformat = "unix_s"\ngps_rollovers = 1', "time.gps_rollovers"),
     "pattern beside a rate": ('rate_hz = 1.0\npattern = "%Y-%m-%d"', "time.pattern.*without rate_hz only"),
     "format": ('column = "a"\nformat = "excel_day"', "did you mean 'excel_days'"),
-    "no column": ('format = "unix_s"', "time.column: 'missing'.*columns ="),
+    "no column": ('format = "unix_s"', "time.column: missing.*columns ="),
 }
 
 

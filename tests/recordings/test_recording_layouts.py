@@ -189,7 +189,7 @@ REFUSED_JOINS = {
     "no such file": (JOIN.replace("gps.dat", "none.dat"), HEAT, "none.dat: there is no such file"),
     "another clock": (JOIN.replace("elapsed_ms", "unix_ms"), HEAT, r"samples.join\[0\].time: 'utc'"),
     "no such time": (JOIN.replace('"s"', '"q"'), HEAT, r"samples.join\[0\].time.column: 'q'"),
-    "no tolerance": (JOIN.replace("tolerance_s = 2.0", ""), HEAT, r"samples.join\[0\].tolerance_s: 'missing'"),
+    "no tolerance": (JOIN.replace("tolerance_s = 2.0", ""), HEAT, r"samples.join\[0\].tolerance_s: missing"),
     "twice a name": (JOIN + JOIN, HEAT, "a name of its own"),
 }
 

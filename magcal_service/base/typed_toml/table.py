@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Any, Final, TypeVar
 
-from magcal_service.base.errors import Fault
+from magcal_service.base.errors import MISSING, Fault, Lacking
 
 E = TypeVar("E", bound=StrEnum)
 
@@ -65,6 +65,17 @@ class Table:
         """Add a fault about ``key``."""
         self.faults.append(Fault(self.where(key), value, accepted))
 
+    def refuse_or_lack(self, key: str, accepted: str) -> None:
+        """Add a fault about the value of ``key``, or about its absence."""
+        if key in self.content:
+            self.refuse(key, self.content[key], accepted)
+        else:
+            self.lack(key, accepted)
+
+    def lack(self, key: str, accepted: str) -> None:
+        """Add a fault about a ``key`` that is not there."""
+        self.faults.append(Lacking(self.where(key), MISSING, accepted))
+
     def has(self, key: str) -> bool:
         """Whether the key stands in the file (it still has to be read by a typed method)."""
         self._known.add(key)
@@ -78,7 +89,7 @@ class Table:
         self._known.add(key)
         if key not in self.content:
             if required:
-                self.faults.append(Fault(self.where(key), "missing", f"required: {accepted}"))
+                self.lack(key, f"required: {accepted}")
             return None
         return self.content[key]
 

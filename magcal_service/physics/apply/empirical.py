@@ -92,7 +92,7 @@ def _array(reading: Reading, key: str, accepted: str) -> Array | None:
     table = reading.table
     found = array_of(table.content.get(key)) if table.has(key) else None
     if found is None:
-        table.refuse(key, table.content.get(key, "missing"), accepted)
+        table.refuse_or_lack(key, accepted)
     return found
 
 
@@ -142,10 +142,10 @@ def _check_span(reading: Reading, key: str, span: tuple[float, float]) -> None:
 
 
 def _only(reading: Reading, key: str) -> bool:
-    value = reading.table.content.get(key, "missing")
+    value = reading.table.content.get(key)
     reading.table.has(key)
     if value is not True:
-        reading.table.refuse(key, value, "true is accepted: nothing is known of the curve beyond its range")
+        reading.table.refuse_or_lack(key, "true is accepted: nothing is known of the curve beyond its range")
     return True
 
 

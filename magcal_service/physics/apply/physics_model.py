@@ -74,7 +74,7 @@ def _blocks(reading: Reading) -> Mapping[str, str] | None:
 def _amplitudes(reading: Reading, key: str) -> dict[str, Array]:
     amplitudes = named_arrays(reading.table, key, _blocks(reading))
     if not amplitudes and not reading.table.faults:
-        reading.table.refuse(key, "missing", "required: a table [effect.amplitudes] with at least one block")
+        reading.table.lack(key, "required: a table [effect.amplitudes] with at least one block")
     return amplitudes
 
 
@@ -183,7 +183,7 @@ def _origin(reading: Reading, key: str) -> int:
     reading.table.has(key)
     if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 1 << 63:
         accepted = "a whole number of nanoseconds is accepted"
-        reading.table.refuse(key, "missing" if value is None else value, accepted)
+        reading.table.refuse_or_lack(key, accepted)
         return 0
     return value
 
