@@ -18,6 +18,7 @@ from magcal_service.cli.view import replayed
 if TYPE_CHECKING:
     from magcal_service.cli.screen import Screen
     from magcal_service.views.picture import Frame
+    from magcal_service.views.result import ResultView
     from magcal_service.views.sources import Source
     from magcal_service.views.state import Magnetometer
 
@@ -69,7 +70,7 @@ class Watch:
     Parameters
     ----------
     source: reads already.
-    why_silent: what keeps results away, in words; may take a second.
+    why_silent: what keeps results away, in words, where the daemon has told its status or not; may take a second.
     crafts: whose results are wanted; of all that are heard where empty.
     served: craft that a daemon serves there, heard or not; may take a second.
 
@@ -79,7 +80,7 @@ class Watch:
     def __init__(
         self,
         source: Source,
-        why_silent: Callable[[], str] = lambda: "",
+        why_silent: Callable[[bool], str] = lambda heard: "",
         crafts: tuple[str, ...] = (),
         served: Callable[[], Iterable[str]] = tuple,
     ) -> None:
@@ -111,7 +112,7 @@ class Watch:
         if any(not one.craft.pulse.is_stale(now_s) for one in found):
             self._silence = ""
         elif now_s > self._why_s:
-            self._silence = self.why_silent()
+            self._silence = self.why_silent(any(one.result.status is not None for one in found))
             self._why_s = time.monotonic() + _WHY_S
         return found
 
@@ -174,7 +175,9 @@ def _live(options: argparse.Namespace) -> Iterator[Watch]:
             raise ConfigError([Fault(f"--{name}", value, "it goes with a recording; name one or leave it out")])
     address, crafts = whom(options, options.craft, "--craft")
     with open_link(address, Role.VIEWER, crafts=crafts) as link, _reading(LiveSource(link)) as source:
-        yield Watch(source, lambda: why_silent(link, crafts), tuple(crafts), lambda: link.served() or ())
+        yield Watch(
+            source, lambda heard: why_silent(link, crafts, heard=heard), tuple(crafts), lambda: link.served() or ()
+        )
 
 
 @contextmanager
@@ -210,7 +213,9 @@ def _once(watch: Watch, timeout_s: float) -> int:
     listened_s = None if watch.is_recorded else time.monotonic() - began_s
     if not found:
         where = watch.frame().where
-        raise NotReachedError(f"no result on {where}: {watch.why_silent() or watch.frame().silence or 'it has none'}")
+        raise NotReachedError(
+            f"no result on {where}: {watch.why_silent(False) or watch.frame().silence or 'it has none'}"
+        )
     for number, one in enumerate(found, 1):
         frame = watch.frame(number, len(found), listened_s=listened_s)
         print("\n".join(line.rstrip() for line in watch.picture(one, frame, (WIDTH, HEIGHT), colour=False)))
@@ -218,11 +223,17 @@ def _once(watch: Watch, timeout_s: float) -> int:
 
 
 def _gathered(watch: Watch, timeout_s: float) -> list[Magnetometer]:
-    """All of a recording; of a daemon when each has an estimate and a status, or after ``timeout_s`` [s]."""
+    """All of a recording; of a daemon when each has a status and what it counts, or after ``timeout_s`` [s]."""
     deadline_s, known = time.monotonic() + timeout_s, False
     while not watch.has_ended and (watch.is_recorded or time.monotonic() < deadline_s):
         time.sleep(_DRAW_S)
         results = [one.result for one in watch.magnetometers()]
-        if not known and results and all(one.estimate and one.status for one in results):
+        if not known and results and all(map(_is_whole, results)):
             known, deadline_s = True, min(deadline_s, time.monotonic() + _OTHERS_S)
     return watch.magnetometers()
+
+
+def _is_whole(result: ResultView) -> bool:
+    """Whether a status has come, and an estimate unless the status says that there is none yet."""
+    status = result.status
+    return status is not None and (result.estimate is not None or not status.counters.get("ticks"))

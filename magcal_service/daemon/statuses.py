@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from magcal_service.daemon.outputs import Outputs
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.rows import Rows
 from magcal_service.links import Link
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Status
 
@@ -67,7 +68,7 @@ class Statuses:
             counters[MAGNETOMETERS] = len(magnetometers.all)
         event = self._last_events.get(pipeline.label)
         remarks = [
-            *troubles,
+            *_in_words(troubles, pipeline.trust),
             *magnetometers.remarks(pipeline),
             *self._unserved(),
             *self._link.warnings,
@@ -95,3 +96,9 @@ class Statuses:
         if not strangers:
             return []
         return [f"messages of craft {strangers} are refused; served: {', '.join(self._magnetometers)}"]
+
+
+def _in_words(troubles: Iterable[str], trust: Trust) -> list[str]:
+    """What is amiss; in place of the reasons of a verdict, which the status has said by then, what to do."""
+    is_said = f"{trust.verdict}: "
+    return [f"to do: {trust.remedy}" if trust.remedy and one.startswith(is_said) else one for one in troubles]

@@ -131,11 +131,11 @@ def _top(one: Magnetometer, shown: Mapping[str, Any], frame: Frame, width: int) 
 
 
 def _reasons(shown: Mapping[str, Any], width: int) -> list[Line]:
-    """All reasons and the advice to the first; where there is no estimate yet, what the status says."""
+    """All reasons and the advice to the first; what the status says where there are none, or there is trouble."""
     if shown["reasons"]:
         codes, advice = ", ".join(reason for reason, _ in shown["reasons"]), shown["reasons"][0][1]
         return [*_entry("why", codes, width, 1), *_entry("do", advice or "look it up in docs/trust.md", width, 2)]
-    if shown["verdict"] == Verdict.TRUSTED:
+    if shown["verdict"] == Verdict.TRUSTED and not shown["counters"].get("troubles", 0):
         return [*_entry("why", "every question is answered well", width, 1), *_entry("do", "nothing", width, 1)]
     return _entry("status", shown["status"] or "awaited: the daemon sends one every output.status_period_s", width, 3)
 

@@ -126,6 +126,7 @@ def test_the_craft_that_are_served_are_named_at_the_other_end() -> None:
             until(lambda: node.served() == {"demo", "other"})
             assert why_silent(node, ["wrong"]) == "no daemon there serves craft wrong; served: demo, other"
             assert why_silent(node, ["demo"]).startswith("a daemon there serves demo, other and does not answer: ")
+            assert "demo, other and has sent nothing new: " in why_silent(node, ["demo"], heard=True)
             service = Service(Config(address, (CraftConfig("demo"), CraftConfig("other"))), link)
             node.send(stream(craft="wrong", seconds=1)[0])
             until(lambda: bool(link.receive(0.05) or link.strangers))

@@ -51,7 +51,7 @@ def test_the_screen_says_verdict_errors_field_residual_coverage_and_counters() -
         "demo  zenoh:here ",
         " live, troubles: 2 (magcal status)\n",
         "TRUSTED, protected to 209 nT (gain_step), ukf, tick 9\n",
-        "why       every question is answered well",
+        "status    trusted, 9 ticks\n",
         "bx   3000.0 +-    6.0 nT   D11  0.00000 +-",
         "    40.0 nT rms off |H|",
         "40000 to 40000 nT in 9 s",
@@ -62,6 +62,13 @@ def test_the_screen_says_verdict_errors_field_residual_coverage_and_counters() -
     ):
         assert said in text
     assert "doubled" not in text
+
+
+def test_nothing_is_to_be_done_only_where_the_daemon_tells_of_no_trouble() -> None:
+    troubled = replace(COUNTED, text="trusted, 9 ticks; no sample for 70 s")
+    assert "status    trusted, 9 ticks; no sample for 70 s\n" in shown(fed(TRUSTED, troubled))
+    text = shown(fed(TRUSTED, replace(COUNTED, counters={})))
+    assert "why       every question is answered well\ndo        nothing\n" in text
 
 
 def test_before_and_after_are_drawn_on_one_scale() -> None:
