@@ -38,7 +38,7 @@ class Given(NineErrors):
     name, sha256: of the file.
     x, covariance: state (9,) and covariance (9, 9) [nT, -].
     whole: whether the file has the covariance; where not, it is that of the sigmas alone.
-    noise_nt: white noise, 1 sigma per axis [nT]; None where the file does not say.
+    noise_nt: noise of a sample, 1 sigma per axis [nT]; None where the file does not say.
     trusted, reasons: as the result says.
     protection_nt, protection_by: the protection level of the estimate; None where the file has none.
     model: of a ``physics.toml``; None of a result.
@@ -119,7 +119,16 @@ def _of_model(name: str, digest: str, model: PhysicsModel) -> Given:
     doubts = (model.doubts,) if model.doubts else ()
     covariance = np.diag(np.square(model.sigma))
     return Given(
-        name, digest, model.x, covariance, False, model.noise_nt, not doubts, doubts, model=model, craft=model.craft
+        name,
+        digest,
+        model.x,
+        covariance,
+        False,
+        model.sample_noise_nt,
+        not doubts,
+        doubts,
+        model=model,
+        craft=model.craft,
     )
 
 

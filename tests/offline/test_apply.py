@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.given import read_given
 from magcal_service.offline.replay import craft_of
 from magcal_service.offline.result_head import CALIBRATION, schema
-from magcal_service.physics.apply.model_file import text_of
+from magcal_service.physics.apply.model_file import Note, text_of
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.reader import read_recording
@@ -99,6 +100,21 @@ def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
     blind = apply(given, inspect(replace(recording, channels={})))
     assert blind.missing == {"thermal_bias": 600, "thermal_scale": 600}
     assert {str(one.verdict) for one in blind.vectors} == {"doubtful"}
+
+
+@pytest.mark.parametrize(("level_nt", "trusted"), [(100.0, 600), (30.0, 0)])
+def test_noise_with_a_memory_counts_with_its_whole_level(level_nt: float, trusted: int, tmp_path: Path) -> None:
+    """Of noise with a memory ``noise_nt`` is the white part: vectors were doubtful on the recording they come from."""
+    scenario = hot()
+    path = record_simulation(Simulation(scenario, 4, 600.0), tmp_path)
+    path.write_text(re.sub("noise_nt = .*", "", path.read_text()))
+    note = Note("coloured_noise", "The noise has a memory.", {"level_nt": np.array(level_nt)})
+    model = model_of(*THERMAL, origin_ns=scenario.start_ns, noise_nt=30.0, notes=(note,))
+    given_path = tmp_path / "physics.toml"
+    given_path.write_text(text_of(model))
+    given = read_given(given_path)
+    assert given.noise_nt == level_nt
+    assert apply(given, inspect(read_recording(path))).trusted == trusted
 
 
 def _config(path: Path):  # type: ignore[no-untyped-def]

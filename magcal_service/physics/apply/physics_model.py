@@ -19,6 +19,7 @@ from magcal_service.base.typed_toml import nearest
 from magcal_service.base.typed_toml.keys import choice, number, numbers, section, sections, special, text
 from magcal_service.base.typed_toml.record import Reading, read_record
 from magcal_service.model import Array, d_matrix
+from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.empirical import MOST_CURVES, Empirical
 from magcal_service.physics.apply.named_arrays import named_arrays, named_numbers
 from magcal_service.physics.catalogue import catalogue
@@ -43,6 +44,10 @@ _LEAST_EIGENVALUE: Final = 0.1
 """Of I + D: the model divides by it, and below no real sensor is described."""
 
 _FASTEST_RAD_S: Final = 320.0  # just above the 3000 rpm that a configuration accepts
+
+
+_LEVEL: Final = "level_nt"
+"""What an effect on the noise calls the level of the whole."""
 
 
 class ModelError(InputRefusedError):
@@ -175,6 +180,13 @@ class PhysicsModel:
     doubts: str = ""
     empirical: tuple[Empirical, ...] = ()
     craft: str = ""
+
+    @property
+    def sample_noise_nt(self) -> float:
+        """Noise of a sample, 1 sigma per axis [nT]: as a note on it says, of which ``noise_nt`` is the white part."""
+        on_noise = {effect.name for effect in catalogue() if effect.acts_on is ActsOn.NOISE}
+        levels = [note.values[_LEVEL] for note in self.notes if note.effect in on_noise and _LEVEL in note.values]
+        return max([self.noise_nt, *(float(level) for level in levels if level.ndim == 0)])
 
 
 def _origin(reading: Reading, key: str) -> int:
