@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from magcal_service.base.errors import Fault, FileFault, RecordingError
 from magcal_service.base.progress import Work, counted
+from magcal_service.recordings.log_text import log_text
 from magcal_service.recordings.packed_cells import CellPacker, PackedCells
 from magcal_service.recordings.report import RowCount, RowFault, shown
 from magcal_service.recordings.row_form import PLAIN_ROWS, WHITESPACE, RowForm
@@ -109,7 +110,7 @@ def read_table(path: Path, form: RowForm = PLAIN_ROWS, limits: RowLimits | None 
     """
     limits = limits or RowLimits()
     raw, truncated = _read_bytes(path, limits)
-    text = raw.decode("utf-8-sig", errors="replace")
+    text = log_text(raw)
     del raw  # as large as the text
     lines = _lines(path, text, limits)
     del text

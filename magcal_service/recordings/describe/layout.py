@@ -110,6 +110,9 @@ def _refuse_marked_up(sample: Sample, body: Sequence[str]) -> None:
     marked = [line for line in body if line.lstrip()[:1] in {"{", "<"} or line.strip() in {"[", "]"}]
     if body and len(marked) * 2 > len(body):
         raise RecordingError([Fault(str(sample.path), marked[0][:80], of_marked_up(sample.path, marked[-1]))])
+    first = next((line.strip() for line in sample.head if line.strip()), "")
+    if first in {"{", "[", "[{", "[["} or first.startswith(('{"', "<?xml")):  # over many lines
+        raise RecordingError([Fault(str(sample.path), first[:80], of_marked_up(sample.path, ""))])
 
 
 def _cut_otherwise(path: Path, body: Sequence[str]) -> str:

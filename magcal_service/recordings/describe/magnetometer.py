@@ -35,6 +35,10 @@ _WORKED: Final = {"cal", "calib", "calibrated", "corrected", "comp", "compensate
 _ARDUPILOT: Final = {"timeus", "ofsx", "ofsy", "ofsz", "mox", "moy", "moz"}
 """Beside the axes in ArduPilot's message MAG: offsets and motor compensation, all in milligauss."""
 
+_SURE_SCALE: Final = 1.05
+"""Of whole numbers over a unit without a name; choice: counts of 0.92 mG (HMC5883L) are no mG, and a usual scale is
+within 5 % of 1."""
+
 _NOT_A_SOURCE: Final = re.compile(r"[^A-Za-z0-9_-]+")
 
 
@@ -132,9 +136,12 @@ def _with_unit(draft: Draft, triple: Triple, model_nt: FloatArray | None) -> tup
     by_model = unit_by_model(triple.unit, scale)
     said = triple.unit or _unit_by_maker(draft, triple)
     found = by_model or find_unit(size, said, whole=triple.whole, expected_nt=_usual(model_nt))
-    stated = stated_scales(draft.log) if by_model is None and triple.whole and said in {"", "counts"} else []
+    counts = triple.whole and said in {"", "counts"}
+    stated = stated_scales(draft.log) if counts else []
     if len(stated) == 1:
         found = _as_stated(size, stated[0], _usual(model_nt)) or found
+    elif counts and scale is not None and by_model is not None and by_model.sure:
+        found = _maybe_counts(by_model, scale)
     if said and not triple.unit and by_model is None:
         found = replace(
             found, why=f"the columns beside it are those of ArduPilot's MAG message, which is in {said}; {found.why}"
@@ -154,6 +161,15 @@ def _as_stated(size: Size | None, stated: StatedScale, expected_nt: float | None
     amount = scaled.best * FIELD_NT[FieldUnit(one.unit)] / 1e3
     why = f"whole numbers, and the log says {stated.words!r}: one is {one}, and {scaled.shown} is {amount:.3g} uT"
     return replace(found, why=why, factor=one.factor)
+
+
+def _maybe_counts(found: UnitFound, scale_nt: float) -> UnitFound:
+    """The unit of whole numbers by the field model: not sure where the scale is rather another one."""
+    ratio = scale_nt / FIELD_NT[FieldUnit(found.unit)]
+    if 1.0 / _SURE_SCALE <= ratio <= _SURE_SCALE:
+        return found
+    why = f"no name says it, and whole numbers may be raw counts: the length follows IGRF with {scale_nt:.3g} nT each"
+    return replace(found, unit="", sure=False, why=why)
 
 
 def _unit_by_maker(draft: Draft, triple: Triple) -> str:

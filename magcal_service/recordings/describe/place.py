@@ -191,6 +191,8 @@ def _by_motion(draft: Draft, times: Times | None) -> Place | None:
         asks = "no name says a position; are these its x, y, z, which go round the Earth in a plane?"
         candidates = ((value, f"as {frame} the plane of the orbit stands still"), (NO, "no position"))
         draft.ask(Question("position.columns", asks, candidates, value))
+        km = triple.values * LENGTH_KM[LengthUnit(_cartesian_unit(triple))]
+        return Place(tuple(column.number for column in triple.columns), True, cartesian_km=km, frame=frame)
     return None
 
 

@@ -12,6 +12,7 @@ from typing import BinaryIO, Final
 
 from magcal_service.base.errors import Fault, FileFault, RecordingError
 from magcal_service.recordings.describe.foreign import of_binary
+from magcal_service.recordings.log_text import log_text
 
 _WHOLE_BYTES: Final = 1 << 21
 """2 MiB: up to here a log is read whole, in well under a second."""
@@ -123,7 +124,7 @@ def _refuse_binary(path: Path, piece: bytes) -> None:
 def _stretches(path: Path, pieces: list[bytes], whole: bool) -> tuple[Stretch, ...]:
     stretches = []
     for number, piece in enumerate(pieces):
-        text = piece.decode("utf-8-sig" if number == 0 else "utf-8", errors="replace")
+        text = log_text(piece, begins=number == 0)
         lines = re.split("\r*\n|\r", text)
         if max(map(len, lines)) > _LONGEST_LINE:
             longest = next(line for line in lines if len(line) > _LONGEST_LINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -26,6 +27,8 @@ _FAST_RAD: Final = np.pi / 2.0  # turn between rows from which a faster one that
 _NEAR_DEG: Final = 10.0  # an axis this near to one of the sensor's is called by its letter
 _OTHER_DEG: Final = 20.0  # an answered axis further off is another one, and the rate about it was not measured
 _PARTS: Final = 8  # of a stretch, whose axes and rates show how well the whole has them
+_FIELD_RPM: Final = 0.02  # what the field itself turns along an orbit, at most
+_COARSEST: Final = 0.05  # of the rate, one unit of its last digit; choice: half of it is a quarter of what is noticed
 _LETTERS: Final = ("x", "y", "z")
 
 
@@ -83,11 +86,23 @@ def find_spin(draft: Draft, field_nt: FloatArray | None, times: Times | None) ->
     draft.put("spin", "axis", given if given in _LETTERS else [float(part) for part in axis])
     value = None if rate is None else _rate(rate)
     if seen is not None and value is None and _off_deg(seen.axis, axis) <= _OTHER_DEG:
-        value = float(f"{seen.rate_rpm * np.sign(seen.axis @ axis):.5g}")
-        draft.conclude("spin.rate_rpm", f"{value:g}", f"so the measured field turns, 1 sigma {seen.rate_sigma_rpm:.1g}")
+        value = _to_its_digits(seen.rate_rpm * float(np.sign(seen.axis @ axis)), seen.rate_sigma_rpm)
+        why = f"so the measured field turns, 1 sigma {seen.rate_sigma_rpm:.1g} beside its own turning along an orbit"
+        draft.conclude("spin.rate_rpm", f"{value:g}", why)
     if value is not None:
         draft.put("spin", "rate_rpm", value)
     draft.conclude("spin.axis", given, answered("spin.axis"))
+
+
+def _to_its_digits(rate_rpm: float, sigma_rpm: float) -> float:
+    """A rate [rpm] to the last digit that is sure, so that what it may be off is not taken for a change of the spin.
+
+    A slow one keeps three digits: the windows of the spin need it to a few percent.
+    """
+    unit = 10.0 ** math.ceil(math.log10(2.0 * (_FIELD_RPM + 3.0 * sigma_rpm)))
+    if unit > _COARSEST * abs(rate_rpm):
+        return float(f"{rate_rpm:.3g}")
+    return float(f"{round(rate_rpm / unit) * unit:.9g}")
 
 
 def _question(seen: SteadySpin) -> Question:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -38,6 +39,10 @@ _ZONE: Final = re.compile(r"Z|UTC|GMT|[+-]\d\d:?\d\d", re.ASCII)
 _GPS_EPOCH_S: Final = 315964800.0  # 1980-01-06 in Unix seconds
 
 _LAST_WEEK: Final = 4000.0  # of the year 2056
+_FULL_WEEKS: Final = (1024.0, 3250.0)
+"""From the first rollover of ten bits, 1999, to 2042, as long as Unix time is looked for."""
+
+_RANK_OF_WEEKS: Final = 7  # before seconds since some start without a name, after all that is named
 _WEEKS: Final = 1024  # a week counted in ten bits begins again after as many
 ROLLOVERS: Final = 2
 """How often such a count has begun again for weeks from April 2019 to November 2038."""
@@ -47,7 +52,7 @@ _WEEK_S: Final = 604800.0  # seconds in a week
 
 def forms(log: Log) -> list[Form]:
     """Every way in which columns of a log can be its time."""
-    found = [*_gps_week(log), *_calendar(log), *_date_and_clock(log)]
+    found = [*_gps_week(log), *_nameless_weeks(log), *_calendar(log), *_date_and_clock(log)]
     zones = zone_columns(log)
     for column in log.columns:
         if len(zones) == 1 and not column.numeric and not _states_zone(column):
@@ -186,13 +191,32 @@ def _gps_week(log: Log) -> list[Form]:
     found = []
     for week in weeks[:1]:
         for column in sorted(seconds, key=lambda c: not set(c.words) & _OF_WEEK):
-            milli = column.unit == "ms" or not within(column.values, 0.0, _WEEK_S)
-            if not within(column.values, 0.0, _WEEK_S * (1000.0 if milli else 1.0)):
-                continue
-            counted = week.values + _WEEKS * ROLLOVERS * (week.values < _WEEKS)
-            times = _GPS_EPOCH_S + counted * _WEEK_S + column.values * (1e-3 if milli else 1.0)
-            form = "gps_week_ms" if milli else "gps_week_s"
-            why = "the names say GPS week and time of week, and the numbers are those of such"
-            found.append(Form((week, column), form, times, True, why, rises(times), 0))
-            break
+            form = week_form(week, column, "the names say GPS week and time of week, and the numbers are those of such")
+            if form is not None:
+                found.append(form)
+                break
+    return found
+
+
+def week_form(week: Column, column: Column, why: str) -> Form | None:
+    """A GPS week and the time within it, in s or ms; None where the numbers cannot be that."""
+    if not (week.numeric and week.whole and column.numeric and within(week.values, 0.0, _LAST_WEEK)):
+        return None
+    milli = column.unit == "ms" or not within(column.values, 0.0, _WEEK_S)
+    if not within(column.values, 0.0, _WEEK_S * (1000.0 if milli else 1.0)):
+        return None
+    counted = week.values + _WEEKS * ROLLOVERS * (week.values < _WEEKS)
+    times = _GPS_EPOCH_S + counted * _WEEK_S + column.values * (1e-3 if milli else 1.0)
+    return Form((week, column), "gps_week_ms" if milli else "gps_week_s", times, True, why, rises(times), 0)
+
+
+def _nameless_weeks(log: Log) -> list[Form]:
+    """Neighbours without names of which the first keeps a full GPS week of a digital sensor's years: to be asked."""
+    found = []
+    for week, column in zip(log.columns, log.columns[1:], strict=False):
+        if week.name or column.name or not within(week.values, *_FULL_WEEKS) or np.nanmax(np.diff(week.values)) > 1.0:
+            continue
+        form = week_form(week, column, "the first is a GPS week of these years, and the other the time within it")
+        if form is not None and form.sure:
+            found.append(replace(form, sure=False, rank=_RANK_OF_WEEKS))
     return found

@@ -14,7 +14,7 @@ from magcal_service.recordings.describe import dates
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.draft import Draft, Question, answered
 from magcal_service.recordings.describe.time_check import agrees, stated_rates
-from magcal_service.recordings.describe.time_forms import NO_ZONE, ROLLOVERS, joined, of_columns
+from magcal_service.recordings.describe.time_forms import NO_ZONE, ROLLOVERS, joined, of_columns, week_form
 from magcal_service.recordings.describe.time_forms import forms as all_forms
 from magcal_service.recordings.describe.time_numbers import MANY_REPEATED, Form, in_form, is_named, repeated, rises
 from magcal_service.recordings.describe.times_found import Times
@@ -25,6 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 _FEW_SHARED: Final = 0.2  # of the shared stamps: a column that repeats so much less is the finer time
 _ZONES: Final = {"tz", "zone", "timezone", "utcoffset", "utc_offset", "gmtoffset", "tzoffset"}
 _TEN_BITS: Final = 1024  # weeks
+_OF_WEEKS: Final = {"gps_week_s", "gps_week_ms"}
 _SLOWEST_HZ: Final = 1e-4  # as a descriptor takes it
 
 
@@ -135,7 +136,8 @@ def _ask_form(draft: Draft, forms: Sequence[Form]) -> None:
     if len(columns) > 1:
         candidates = tuple((",".join(draft.names(columns)), "") for columns in dict.fromkeys(f.columns for f in best))
         asks = "which column is the time? several rise from row to row and no name decides"
-        draft.ask(Question("time.column", asks, candidates, candidates[0][0]))
+        key = "time.column" if all(len(one) == 1 for one in columns) else "time.columns"
+        draft.ask(Question(key, asks, candidates, candidates[0][0]))
         return
     label = " + ".join(column.label for column in best[0].columns)
     if best[0].pattern:
@@ -160,6 +162,10 @@ def _by_answer(draft: Draft) -> Times | None:
     if columns is not None:
         together = [one for one in forms if one.columns == tuple(columns) and len(columns) > 1]
         forms = together + of_columns(tuple(columns))
+        told = (
+            week_form(columns[0], columns[1], answered("time.columns")) if len(columns) == 2 and not together else None
+        )
+        forms += [told] if told is not None else []
     wanted = [f for f in forms if (form in {None, f.format}) and (pattern in {None, f.pattern})]
     wanted.sort(key=lambda one: (not one.sure, one.rank))
     key = next(k for k in ("time.pattern", "time.format", "time.column") if answers.get(k) or k == "time.column")
@@ -183,7 +189,10 @@ def _by_answer(draft: Draft) -> Times | None:
             return _take(draft, Form(tuple(columns), "", times, True, "", True, 0, pattern), answered("time.pattern"))
     given = pattern or form or ", ".join(column.label for column in columns or ())
     known = " ".join(dict.fromkeys(f.pattern or f.format for f in forms)) or "none that is known"
-    raise InputRefusedError([Fault(f"--answer {key}", given, f"the log's times can be read as: {known}")])
+    accepted = f"the log's times can be read as: {known}"
+    if form in _OF_WEEKS and answers.get("time.columns") is None:
+        accepted = "week and time of week are two columns: --answer time.columns=WEEK,SECONDS as well"
+    raise InputRefusedError([Fault(f"--answer {key}", given, accepted)])
 
 
 def _positive(key: str, text: str) -> float:

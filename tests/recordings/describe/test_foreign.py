@@ -6,6 +6,7 @@ import gzip
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,15 @@ def test_other_text_is_refused_with_a_command_that_makes_rows_of_it(
     answers = {question.key: question.form for question in asked.questions if question.needed}
     assert set(answers) <= {"time.format"}
     assert unit in (describe(tmp_path / "log.csv", PLACE | answers).text or "")
+
+
+@pytest.mark.parametrize("indent", [None, 1])
+@pytest.mark.parametrize("wrap", [lambda one: one, lambda one: [one]])
+def test_a_document_of_json_is_refused(indent: int | None, wrap: Callable[[object], object], tmp_path: Path) -> None:
+    """A result of ``calibrate`` was asked for its magnetometer."""
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(wrap({"trusted": False, "bias_nt": [1.5, 2.5, 3.5] * 30}), indent=indent) + "\n\n")
+    assert "write the values as CSV, a row a line" in refusal(path) or "one line" in refusal(path)
 
 
 @pytest.mark.parametrize("line", ["<a><b>1</b></a>", "{1, 2, 3}", "{}"])

@@ -34,6 +34,25 @@ class Way:
     height_km: FloatArray
 
 
+def test_names_in_windows_1252_are_known(tmp_path: Path) -> None:
+    """A spreadsheet of western Europe saves ``Länge`` and ``µT`` so."""
+    flight = maker_logs.orbit()
+    rows = [
+        f"{t:.0f};{lat:.5f};{lon:.5f};500,0;{x:.3f};{y:.3f};{z:.3f}".replace(".", ",")
+        for t, lat, lon, (x, y, z) in zip(
+            flight.time_s, flight.latitude_deg, flight.longitude_deg, flight.field_nt / 1e3, strict=True
+        )
+    ]
+    log = tmp_path / "log.csv"
+    head = "unix;Breite;Länge;Höhe [km];Mag x (µT);Mag y (µT);Mag z (µT)"
+    log.write_bytes("\n".join([head, *rows]).encode("cp1252"))
+    text = describe(log, {}).text
+    assert text is not None
+    assert 'columns = ["Breite", "Länge"]' in text
+    (tmp_path / "RECORDING.toml").write_text(text, encoding="utf-8")
+    assert len(read_recording(tmp_path / "RECORDING.toml")) == len(rows)
+
+
 def orbit(inclination: float, node: float, start: float, minutes: float, step_s: float = 2.0) -> Way:
     """A round orbit 500 km high over the turning Earth."""
     elapsed = np.arange(0.0, 60.0 * minutes, step_s)

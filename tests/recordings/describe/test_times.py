@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.recordings.describe.columns import read_log
 from magcal_service.recordings.describe.describe import describe
 from magcal_service.recordings.describe.draft import Answers, Draft
@@ -113,6 +114,33 @@ def test_gps_weeks_are_columns_together(tmp_path: Path) -> None:
     assert times is not None
     assert draft.sections["time"] == ['columns = ["gps_week", "tow"]', 'format = "gps_week_s"']
     assert times.seconds[7] == pytest.approx(unix(7), abs=1e-3)
+
+
+def weeks(row: int) -> tuple[int, float]:
+    week, of_week = divmod(unix(row) - 315964800, 604800)
+    return int(week), of_week
+
+
+def test_a_week_that_no_name_says_is_asked_about_and_taken_by_an_answer(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    log.write_text("\n".join("{} {:.1f} {}.5".format(*weeks(row), row % 7) for row in range(ROWS)))
+    (question,) = [one for one in describe(log, {}).questions if one.key.startswith("time.")]
+    assert (question.key, question.form) == ("time.format", "gps_week_s")
+    for answers in ({"time.format": "gps_week_s"}, {"time.columns": "1,2", "time.format": "gps_week_s"}):
+        said = describe(log, answers).said
+        assert any(line.startswith("time = column 1 + column 2 as gps_week_s: by your answer") for line in said)
+
+
+def test_a_week_in_columns_of_other_names_is_taken_by_an_answer_alone(tmp_path: Path) -> None:
+    def cell(row: int) -> str:
+        return "{};{:.1f}".format(*weeks(row))
+
+    times, draft = times_of("a;b", cell, tmp_path, columns="a,b", format="gps_week_s")
+    assert times is not None
+    assert times.seconds[7] == pytest.approx(unix(7), abs=1e-3)
+    assert draft.sections["time"] == ['columns = ["a", "b"]', 'format = "gps_week_s"']
+    with pytest.raises(InputRefusedError, match=r"time\.columns=WEEK,SECONDS as well"):
+        times_of("a;b", cell, tmp_path, format="gps_week_s")
 
 
 ASKED: dict[str, tuple[str, Callable[[int], str], str]] = {

@@ -62,6 +62,14 @@ def test_a_steady_spin_is_offered_with_its_rate_and_taken_by_an_answer(
     assert "rate_rpm = -3.0" in other
 
 
+def test_a_measured_rate_has_no_more_digits_than_are_sure(tmp_path: Path) -> None:
+    """The field of an orbit turns by up to 0.02 rpm: 3.1205 of a craft at 3.1 was diagnosed as another rate."""
+    told = describe(log_of(tmp_path, spinning(3.1205, 2)), REFERENCE | {"spin.axis": "z"}).text or ""
+    assert tomllib.loads(told)["spin"]["rate_rpm"] == 3.1
+    slow = describe(log_of(tmp_path, spinning(0.3141, 2)), REFERENCE | {"spin.axis": "z"}).text or ""
+    assert tomllib.loads(slow)["spin"]["rate_rpm"] == pytest.approx(0.314, abs=2e-3)
+
+
 @pytest.mark.parametrize("field", [maker_logs.ground(), maker_logs.orbit().field_nt, spinning(2.0, 1, 600, 5.0)])
 def test_no_spin_is_offered_of_a_hand_a_tumble_or_a_rate_that_changes(field: FloatArray, tmp_path: Path) -> None:
     assert not asked(describe(log_of(tmp_path, field), REFERENCE), "spin.axis")

@@ -12,6 +12,7 @@ import pytest
 from magcal_service.base.errors import InputRefusedError
 from magcal_service.recordings.describe.describe import Described, describe
 from magcal_service.recordings.reader import read_recording
+from tests.recordings.describe import maker_logs
 
 COUNT_NT = 150.0
 HEADER = "t_s,mx,my,mz,bus current [dA],temp [dC]"
@@ -58,6 +59,30 @@ def test_a_stated_size_that_makes_no_field_is_offered_only(tmp_path: Path) -> No
     (question,) = described(written(tmp_path, "# 0.4 nT/LSB", count_nt=6.0)).needed
     assert question.key == "magnetometer.unit"
     assert ("0.4 nT", "the log says '0.4 nT/LSB'") in question.candidates
+
+
+def in_orbit(folder: Path, count_nt: float, stated: str = "") -> Path:
+    """Counts along an orbit, with positions and instants."""
+    flight = maker_logs.orbit()
+    rows = [
+        f"{t:.0f},{lat:.5f},{lon:.5f},500,{x:.0f},{y:.0f},{z:.0f}"
+        for t, lat, lon, (x, y, z) in zip(
+            flight.time_s, flight.latitude_deg, flight.longitude_deg, flight.field_nt / count_nt, strict=True
+        )
+    ]
+    log = folder / "log.csv"
+    log.write_text("\n".join([*([stated] if stated else []), "unix,lat,lon,alt_km,mx,my,mz", *rows]))
+    return log
+
+
+def test_counts_beside_a_unit_are_not_taken_for_it(tmp_path: Path) -> None:
+    """1090 counts per gauss are 0.92 mG each: the field model's scale is nearest to mG."""
+    (question,) = describe(in_orbit(tmp_path, 1e5 / 1090), {}).needed
+    assert (question.key, question.candidates[0][0]) == ("magnetometer.unit", "mG")
+    stated = describe(in_orbit(tmp_path, 1e5 / 1090, "# HMC5983, 1090 LSB per Gauss"), {}).text
+    assert tomllib.loads(stated or "")["magnetometer"]["factor"] == pytest.approx(1 / 1090)
+    plain = describe(in_orbit(tmp_path, 100.0), {}).text
+    assert tomllib.loads(plain or "")["magnetometer"] == {"columns": ["mx", "my", "mz"], "unit": "mG"}
 
 
 def test_two_stated_sizes_are_asked_about(tmp_path: Path) -> None:
