@@ -20,7 +20,7 @@ from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
-from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
 from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.model import Array
@@ -188,17 +188,19 @@ class Search(Screen):
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
         present = {term.hypothesis.effect for term in fit.terms} | without
         tried: set[str] = set()
-        for candidate in self._ranked(fit, floor_nt, sorted(present)):
+        ranked = self._ranked(fit, floor_nt, sorted(present))
+        for candidate in ranked:
             if candidate.nats < ACCEPTED_NATS:
                 break
             full = len(tried) >= _MOST_TRIED and not is_recorded(candidate.hypothesis)
             if candidate.hypothesis.effect in tried or candidate.hypothesis.in_place or full:
                 continue
             tried.add(candidate.hypothesis.effect)
-            term = Term(candidate.hypothesis, candidate.theta, candidate.gain.amplitudes)
-            trial = solve(self.problem, fit.x, (*fit.terms, term))
-            if self._agrees(fit, trial) and self._is_sized(trial):
-                return trial
+            for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
+                term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
+                trial = solve(self.problem, fit.x, (*fit.terms, term))
+                if self._agrees(fit, trial) and self._is_sized(trial):
+                    return trial
         return None
 
     def _ranked(self, fit: Fit, floor_nt: float, skip: Sequence[str]) -> list[Candidate]:
@@ -364,19 +366,21 @@ class Search(Screen):
         by_nats: float = CLASS_NATS,
         may_cost: float | None = None,
     ) -> Fit | None:
-        """The fit with the first of ``ranked`` in a term's place, where that beats it and held-out blocks speak
-        against it by less, or by no more than ``may_cost`` [nats]."""
+        """The fit with the first of ``ranked``, or a simpler form of it, in a term's place, where that beats it and
+        held-out blocks speak against it by less, or by no more than ``may_cost`` [nats]."""
         own = next((c.nats for c in ranked if c.hypothesis is fit.terms[index].hypothesis), -math.inf)
         if not ranked or ranked[0].nats < own + by_nats:
             return None
-        best = ranked[0]
-        trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
         noise = fit.white_rms_nt / fit.noise_gain
-        gained = best.nats - own if math.isfinite(own) else 0.0
-        most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
-        if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
-            return None
-        return trial if _held_out(trial) <= _held_out(fit) + most else None
+        for best in with_simpler(ranked[0], ranked, own + by_nats):
+            trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
+            gained = best.nats - own if math.isfinite(own) else 0.0
+            most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
+            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
+                continue
+            if _held_out(trial) <= _held_out(fit) + most:
+                return trial
+        return None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
