@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.linear import BLOCKS, Workspace
+from magcal_service.diagnosis.linear import BLOCKS, Gain, Workspace
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.screen import Candidate, hypotheses_of
+from magcal_service.diagnosis.screen import Candidate, hypotheses_of, with_simpler
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
@@ -299,3 +299,24 @@ def test_a_record_stays_where_a_free_shape_holds_hardly_more() -> None:
         found = search._exchanged(begun, FLOOR_NT)
         assert [term.hypothesis.effect for term in found.terms] == [kept]
         assert fit.rms_nt > found.rms_nt
+
+
+@pytest.mark.parametrize(("least_nats", "tried"), [(0.0, ["whole", "plain"]), (8.5, ["whole"])])
+def test_where_the_largest_form_of_an_effect_fails_its_best_simpler_one_is_tried(
+    least_nats: float, tried: list[str]
+) -> None:
+    """By the same driver, with fewer amplitudes, and with evidence enough; neither a larger form nor another effect."""
+
+    def candidate(effect: str, variant: str, size: int, nats: float, driver: str = "none") -> Candidate:
+        form = Hypothesis(effect, driver, lambda _: along_axes(SLOW), (Block("nt", "nT", (size,)),), variant)
+        return Candidate(form, np.zeros(0), Gain(nats, 0.0, 0.0, np.zeros(size)), nats)
+
+    ranked = [
+        candidate("one", "whole", 9, 10.0),
+        candidate("two", "other", 3, 9.5),
+        candidate("one", "by another", 3, 9.0, "channel:other"),
+        candidate("one", "as large", 9, 9.0),
+        candidate("one", "plain", 6, 8.0),
+        candidate("one", "plainest", 3, 7.0),
+    ]
+    assert [one.hypothesis.variant for one in with_simpler(ranked[0], ranked, least_nats)] == tried

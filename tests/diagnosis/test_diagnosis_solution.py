@@ -183,3 +183,20 @@ def test_a_duty_arrives_though_the_model_jumps_with_its_period(period_s: float, 
         evaluate(problem, found.x, [replace(term, theta=term.theta * [1.0 + side, 1.0, 1.0])]) for side in (-1e-4, 1e-4)
     ]
     assert found.white_rms_nt <= min(one.white_rms_nt for one in aside) + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("half_width", "seed"), [(0.3, 1), (0.3, 4), (0.5, 3)], ids=["by steps", "at a kink", "at another"]
+)
+def test_a_faint_hysteresis_arrives_though_its_answer_bends_with_its_width(half_width: float, seed: int) -> None:
+    """Damped steps stall at where samples change sides; its width is within 3 sigma of the truth there."""
+    form = effect_named("hysteresis").hypotheses(scene())[0]
+    width, share = np.array([half_width]), np.array([0.004, -0.006, 0.002])
+    noise = NOISE_NT * np.random.default_rng(seed).normal(size=(len(scene()), 3))
+    spoilt = spoiled(measure(X, scene().calibrated_nt + form.columns(width).field(share) + noise), scene())
+    stalled = solve(Problem(spoilt, NOISE_NT), X, [Term(form, 1.1 * width, share)])
+    assert not stalled.converged
+    found = ended(stalled)
+    assert found.converged
+    sigma = float(np.sqrt(np.diagonal(found.covariance))[-1])
+    assert abs(found.terms[0].theta[0] - half_width) < 3.0 * sigma
