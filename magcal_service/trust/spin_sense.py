@@ -50,9 +50,6 @@ _RATE: Final = 0.1
 _ORBIT_RPM: Final = 0.03
 """What the field's own turn along the orbit adds to a rate [rpm]: 0.18 deg/s."""
 
-_NEARLY_HALF: Final = 2.0
-"""Turn in a step [rad] from which on a rate half as large again looks like the other sense."""
-
 _UNEVEN: Final = 0.03
 """Share by which the two steps of a pair may differ in length."""
 
@@ -140,15 +137,15 @@ class SpinSense(Stateful, SpinSenseMemory):
             axis = ", ".join(f"{-sense * one / sine:.2f}" for one in (x, y, z))
             return f"the field shows a spin about ({axis}), which is {_degrees(abs(along) / length)} degrees aside"
         if along < 0.0:
-            what = "in the other sense" if stated < _NEARLY_HALF else "in the other sense or at another rate"
-            return f"the field turns {what} than stated"
+            return f"the field turns in the other sense than stated, or by more than half a turn in {step_s:.3g} s"
         found = math.atan2(sine, cosine)
         allowed = _RATE * stated + _ORBIT_RPM / 60.0 * step_s * math.tau
         if abs(found - expected) <= allowed or sine < _CLEAN * total:
             return ""
         turn = stated + (found - expected if stated % math.tau <= math.pi else expected - found)
         rpm = turn / math.tau / step_s * 60.0
-        return f"the field turns at {rpm:.2f} rpm, stated are {abs(self._spin.rate_rpm):g} rpm"
+        stated_rpm = f"stated are {abs(self._spin.rate_rpm):g} rpm"
+        return f"the field turns at {rpm:.2f} rpm, or whole turns in {step_s:.3g} s faster; {stated_rpm}"
 
 
 def _degrees(cosine: float) -> int:

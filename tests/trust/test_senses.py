@@ -103,14 +103,25 @@ def test_changes_are_said_by_their_axes() -> None:
         (-7.5, (0.0, 0.0, 1.0), "other sense"),
         (7.5, (1.0, 0.0, 0.0), "about (-0.00, -0.00, 1.00), which is 90 degrees aside"),
         (6.0, (0.0, 0.0, 1.0), "at 7.5"),
+        (1.5, (0.0, 0.0, 1.0), "at 0.83 rpm, or whole turns in 9 s faster; stated are 1.5 rpm"),
+        (2.4, (0.0, 0.0, 1.0), "other sense than stated, or by more than half a turn in 6 s"),
         (7.2, (0.0, 0.0, 1.0), ""),
         (30.0, (0.0, 0.0, 1.0), ""),
     ],
-    ids=["right", "sign", "axis", "rate", "a little off", "half a turn in a step"],
+    ids=[
+        "right",
+        "sign",
+        "axis",
+        "rate",
+        "a turn and more in a step",
+        "more than half",
+        "a little off",
+        "half a turn in a step",
+    ],
 )
 def test_a_spin_that_is_not_as_stated_is_said(stated_rpm: float, axis: tuple[float, float, float], says: str) -> None:
     sense = SpinSense(SpinConfig(axis=axis, rate_rpm=stated_rpm))
-    for second, (x, y, z) in enumerate(spinning(7.5).tolist()):
+    for second, (x, y, z) in enumerate(spinning(7.5, seconds=600).tolist()):
         sense.push(float(second), (x, y, z))
     assert says.replace("-0.00", "0.00") in sense.said.replace("-0.00", "0.00")
     assert bool(says) is bool(sense.said)
