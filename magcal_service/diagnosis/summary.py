@@ -91,7 +91,7 @@ def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for one in against:
         about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
         lift = f"; {one['remedy']}" if one["remedy"] else ""
-        yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ")
+        yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ", most=4)
 
 
 def _states_noise(diagnosis: Diagnosis) -> bool:
@@ -100,7 +100,7 @@ def _states_noise(diagnosis: Diagnosis) -> bool:
 
 def _of(entry: Entry) -> Iterator[str]:
     yield from wrapped(f"{entry.effect}: {share(entry)}; {belief(entry)}")
-    yield from wrapped(entry.says, "    ")
+    yield from wrapped(entry.says, "    ", most=4)
     yield from wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:
         yield from wrapped(

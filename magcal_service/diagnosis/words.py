@@ -180,7 +180,7 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     """The verdict where most has no name: the share without one, how large that is, and what has a name besides."""
     besides = f" besides {listed(titles)}" if titles else ""
     return (
-        f"Something without a name{sized} makes {percent(unexplained)} of the mismatch{besides}: "
+        f"Something without a name makes {percent(unexplained)} of the mismatch{besides}{sized}: "
         "no effect of the catalogue explains it, but where it sits is known."
     )
 
@@ -271,7 +271,7 @@ def expected(one: Separation) -> str:
 
 def _sized(found: Sequence[Entry]) -> str:
     rms_nt = next((entry.where.get("rms_nt") for entry in found if entry.effect == UNLISTED), None)
-    return "" if rms_nt is None else f", {rms_nt:.1f} nT rms in the shape that fits best,"
+    return "" if rms_nt is None else f", {rms_nt:.1f} nT rms of it in the shape that fits best"
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -351,8 +351,10 @@ def remaining(diagnosis: Ended) -> str:
     if diagnosis.verdict is Verdict.UNKNOWN:
         return f"{percent(diagnosis.unexplained)} of the mismatch, which no effect of the catalogue explains"
     if diagnosis.unexplained > 0.0:
-        much = "too much to act on" if "unexplained_structure" in diagnosis.reasons else "little"
-        return f"{percent(diagnosis.unexplained)} of the mismatch, more than noise but {much} beside what was named"
+        much = "too much to act on" if {"unexplained_structure", "mismatch_lasts"} & {*diagnosis.reasons} else "little"
+        told, left = percent(diagnosis.unexplained), percent(diagnosis.left_share)
+        shaped = "" if told == left else f" ({told} in a shape that could be told)"
+        return f"{left} of the mismatch{shaped}, more than noise but {much} beside what was named"
     if diagnosis.left_share > 0.0:
         much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else "little"
         return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"

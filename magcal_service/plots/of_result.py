@@ -53,7 +53,8 @@ def of_diagnosis(content: dict[str, Any]) -> Sheet:
         held.bar_label(bars, fmt="%.0f", fontsize=8)
         held.axhline(fit["noise_floor_nt"], color=QUIET, ls="--", label="noise floor")
         held.set(title="held-out residual rms [nT]")
-        held.legend()
+        held.set_ylim(top=1.3 * held.get_ylim()[1])  # the legend above the bars
+        held.legend(loc="upper right")
         _draw_shares(share, effects)
 
     return Sheet(draw, height_in=2.8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -171,16 +172,23 @@ def _reliability(content: dict[str, Any]) -> Sheet:
     return _sheet([partial(_draw_claims, name, own) for name, own in rows.items()])
 
 
+_CLOSE: Final = 1.6  # in log odds: two numbers of three digits that are nearer are drawn over each other
+
+
 def _draw_claims(name: str, rows: Sequence[Sequence[Any]], axes: Any) -> None:
     claimed, true = [_logit(row[3]) for row in rows], np.array([row[4] for row in rows], dtype=np.float64)
     low, high = (np.array([row[place] for row in rows], dtype=np.float64) for place in (5, 6))
-    steps = np.linspace(_logit(_PROBABILITIES[0]) - 1.0, _logit(_PROBABILITIES[-1]) + 0.5, 100)
+    ends = min(_logit(_PROBABILITIES[0]) - 1.0, min(claimed) - 0.5), max(_logit(_PROBABILITIES[-1]), max(claimed)) + 0.5
+    steps = np.linspace(*ends, 100)
     axes.plot(steps, 1.0 / (1.0 + np.exp(-steps)), color=QUIET, ls="--", lw=0.9)
     axes.errorbar(claimed, true, (true - low, high - true), fmt="o", ms=4, capsize=3, color=AFTER)
-    for x, top, row in zip(claimed, high, rows, strict=True):
-        axes.annotate(f"{row[2]}", (x, top), (0, 5), textcoords="offset points", ha="center", fontsize=7, color=QUIET)
+    raised, before = False, -math.inf
+    for x, top, row in sorted(zip(claimed, high, rows, strict=True), key=itemgetter(0)):
+        raised, before = x - before < _CLOSE and not raised, x
+        above = (0, 13 if raised else 5)  # points: a line of numbers, or the one over it
+        axes.annotate(f"{row[2]}", (x, top), above, textcoords="offset points", ha="center", fontsize=7, color=QUIET)
     axes.set_xticks([_logit(p) for p in _PROBABILITIES], [f"{p:g}" for p in _PROBABILITIES], rotation=45)
-    axes.set(xlim=(steps[0], steps[-1]), ylim=(-0.05, 1.12), xlabel="claimed probability", ylabel="share true")
+    axes.set(xlim=(steps[0], steps[-1]), ylim=(-0.05, 1.18), xlabel="claimed probability", ylabel="share true")
     axes.set_title(f"{name} ({sum(row[2] for row in rows)} names)")
 
 

@@ -64,7 +64,7 @@ class RowCount:
     shows: str = ""
 
     def __str__(self) -> str:
-        fate = "kept" if self.kept else "refused"
+        fate = "read all the same" if self.kept else "refused"
         shows = f" ({self.shows})" if self.shows else ""
         return f"{self.part}: {self.fault.value} x {self.count}, first on {self.place} {self.first_line}{shows}, {fate}"
 

@@ -15,9 +15,10 @@ from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.separation import Separation
-from magcal_service.diagnosis.summary import summary
+from magcal_service.diagnosis.summary import reason_lines, summary
 from magcal_service.diagnosis.words import (
     REASONS,
+    advice,
     belief,
     cause_sentence,
     chance,
@@ -287,9 +288,9 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
     tail = "no effect of the catalogue explains it, but where it sits is known."
     alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
     assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
-    makes = f"makes 61 % of the mismatch besides currents: {tail}"
+    makes = "makes 61 % of the mismatch besides currents, 310.4 nT rms of it in the shape that fits best"
     beside = verdict_sentence(unknown, [entry("unknown", rms=310.44), entry("b")], HELD_OUT)
-    assert beside == f"Something without a name, 310.4 nT rms in the shape that fits best, {makes}"
+    assert beside == f"Something without a name {makes}: {tail}"
 
 
 @pytest.mark.parametrize(
@@ -311,6 +312,22 @@ def test_what_lasts_without_a_shape_remains_too() -> None:
     assert verdict_sentence(much, [entry("a")], HELD_OUT).endswith("86 % of the mismatch is explained.")
     little = diagnosis(Verdict.NAMED, terms=1, lasting=0.01)
     assert remaining(little).endswith("in no shape that could be told: little")
+
+
+def test_what_remains_is_what_the_names_do_not_explain() -> None:
+    """64.4 % explained stood beside 2.65 % left."""
+    both = diagnosis(Verdict.NAMED, terms=1, unexplained=0.0265, lasting=0.356, reasons=("mismatch_lasts",))
+    assert verdict_sentence(both, [entry("a")], HELD_OUT).endswith("64.4 % of the mismatch is explained.")
+    assert remaining(both) == (
+        "35.6 % of the mismatch (2.65 % in a shape that could be told), more than noise but too much to act on beside "
+        "what was named"
+    )
+
+
+def test_no_remedy_is_cut_off() -> None:
+    """It was, at two lines of the terminal, where it said what to do."""
+    lines = [line for reason in REASONS for line in reason_lines(advice([reason], {reason: ("thermal_scale",)}))]
+    assert not any(line.endswith(" ...") for line in lines)
 
 
 def test_a_name_beside_a_cause_in_no_catalogue_says_so() -> None:
@@ -411,12 +428,12 @@ def test_without_terms_no_bias_is_said_to_have_moved() -> None:
     assert not [line for line in summary(diagnosis(Verdict.NONE), [], HELD_OUT, []) if line.startswith("bias")]
 
 
-def test_what_is_long_takes_two_lines_of_118_and_no_more() -> None:
+def test_what_is_long_takes_four_lines_of_118_and_no_more() -> None:
     lines = summary(diagnosis(Verdict.NAMED, terms=1), [entry("a", says="word " * 100)], HELD_OUT, [])
     words = [line for line in lines if line.startswith("    word")]
-    assert [len(line) for line in words] == [118, 117]
+    assert [len(line) for line in words] == [118, 118, 118, 117]
     assert words[0] == "    " + " ".join(["word"] * 23)
-    assert words[1].endswith(" ...")
+    assert words[3].endswith(" ...")
 
 
 @pytest.mark.parametrize(

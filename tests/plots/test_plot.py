@@ -140,6 +140,14 @@ def test_concealed_cases_are_a_reliability_diagram() -> None:
     assert ticks["0.9"] == pytest.approx(np.log(9.0))
 
 
+def test_no_claim_lies_off_the_axis_and_no_number_over_its_neighbours() -> None:
+    rows = [["all", "", n, claim, 0.5, 0.1, 0.9] for n, claim in ((8, 0.05), (220, 0.97), (17, 0.99))]
+    (axes,) = drawn(of_study({"study": "concealed", "tables": [{"title": "Reliability: x", "rows": rows}]}))
+    assert axes.get_xlim()[0] < axes.containers[0].lines[0].get_xdata().min()
+    heights = {text.get_text(): text.xyann[1] for text in axes.texts}
+    assert heights["220"] != heights["17"]
+
+
 @pytest.mark.parametrize("suffix", [".svg", ".png"])
 def test_the_same_figure_has_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     sheet = Sheet(lambda made: made.subplots().plot([1, 2]), 1.0, 1.0)
