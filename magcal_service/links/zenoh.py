@@ -7,7 +7,10 @@ and is never taken by a callback, since zenoh may call back from inside a declar
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
+import re
 import threading
 import time
 from collections.abc import Sequence
@@ -15,7 +18,7 @@ from functools import partial
 
 import zenoh
 
-from magcal_service.base.errors import LinkError
+from magcal_service.base.errors import LinkError, why_not
 from magcal_service.config.address import LinkAddress
 from magcal_service.links.base import Link, Role
 from magcal_service.links.fair_inbox import TURN, FairInbox
@@ -255,8 +258,7 @@ class ZenohLink(Link):
         try:
             self._open()
         except zenoh.ZError as error:
-            reason = str(error).partition(" at /")[0]
-            raise LinkError(f"link {self.address!r} cannot listen: {reason}; free the port or choose another") from None
+            raise LinkError(f"link {self.address!r} cannot listen: {_why_not_listening(error)}") from None
 
     def _keep_trying(self) -> threading.Event:
         """Have a keeper open the session; the event is set once its first attempt is over."""
@@ -319,3 +321,14 @@ class ZenohLink(Link):
         for other in tuple(self._transports):
             self._connection(other, up=False)
         self._board.clear()
+
+
+def _why_not_listening(error: zenoh.ZError) -> str:
+    """What kept zenoh from listening, and what to do; it says where in its own sources, and the system's number."""
+    told = str(error).partition(" at /")[0].rstrip(".")
+    number = re.search(r"\(os error (\d+)\)", told)
+    if number is None:
+        return f"{told}; give an address of this machine, with what its protocol needs"
+    system = OSError(int(number[1]), os.strerror(int(number[1])))
+    to_do = "free it or choose another" if system.errno == errno.EADDRINUSE else "give another address or port"
+    return f"{why_not(system)}; {to_do}"

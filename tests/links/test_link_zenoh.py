@@ -241,7 +241,7 @@ def test_a_session_that_dies_is_opened_again(ends: ZenohEnds) -> None:
 
 
 def test_a_port_that_is_taken_is_an_error_at_once(ends: ZenohEnds) -> None:
-    with pytest.raises(LinkError, match="free the port or choose another"):
+    with pytest.raises(LinkError, match="another process has this port; free it or choose another"):
         open_link(ends.address(Role.SERVICE), Role.SERVICE)
 
 
@@ -258,6 +258,13 @@ def test_a_key_that_disagrees_with_its_payload_is_refused(ends: ZenohEnds, key: 
     ends.put(key, encode(sample(1)))
     assert settle(lambda: bool(ends.service.receive(0.0)) or ends.service.counters[reason] == 1)
     assert ends.service.counters[reason] == 1
+
+
+def test_an_address_that_this_machine_has_not_is_said_in_words() -> None:
+    with pytest.raises(
+        LinkError, match=r"cannot listen: this machine has no such address; give another address or port$"
+    ):
+        open_link("zenoh:tcp/198.51.100.1:7447", Role.SERVICE)
 
 
 def test_an_oversized_payload_is_refused_before_it_is_queued(ends: ZenohEnds) -> None:
