@@ -11,10 +11,10 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Final
 
 from magcal_service.base.errors import ConfigError, Fault, FileFault
+from magcal_service.watch.diagnosing import of_recording
 
 if TYPE_CHECKING:
     from magcal_service.many.executor import Executor
@@ -261,7 +261,7 @@ def verdict_text(verdict: str, reasons: Sequence[str], remedy: str, model: str, 
 
     The command that diagnoses is that of this ``recording``.
     """
-    model = model.replace("magcal diagnose RECORDING", f"magcal diagnose {quote(str(recording))}")
+    model = of_recording(model, str(recording))
     text = f"verdict: {verdict}"
     if reasons:
         text += f" ({', '.join(reasons)})"

@@ -24,6 +24,7 @@ from magcal_service.daemon.own_reference import NOT_USED, reference_at, watch_he
 from magcal_service.estimators.interface import Phase
 from magcal_service.ticks.time_window import is_usable
 from magcal_service.trust.vector_gate import strays
+from magcal_service.watch.diagnosing import doubt
 from magcal_service.wire.codec import encode
 from magcal_service.wire.kinds import kind_of
 from magcal_service.wire.messages import (
@@ -266,7 +267,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         if found is None and hazard is None:
             return ""
         what = f"not named yet, goes as with {hazard}" if found is None else f"{found}"
-        return f"model doubtful: {what}; run: magcal diagnose RECORDING"
+        return doubt(what)
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:
         """Health of this craft; ``counters`` are the link's, added to the craft's."""

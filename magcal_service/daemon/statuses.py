@@ -17,6 +17,7 @@ from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.rows import Rows
 from magcal_service.links import Link
 from magcal_service.trust.verdict import Trust
+from magcal_service.watch.diagnosing import of_recording
 from magcal_service.wire.fields import fitting
 from magcal_service.wire.messages import Status
 
@@ -75,7 +76,17 @@ class Statuses:
             *([f"last event: {event}"] if event is not None else []),
         ]
         status = pipeline.status(self._health.uptime_s, counters)
-        return replace(status, text=fitting("; ".join((status.text, *remarks))))
+        said = self._for_its_recording(status.text, pipeline, magnetometers)
+        return replace(status, text=fitting("; ".join((said, *remarks))))
+
+    def _for_its_recording(self, text: str, pipeline: Pipeline, magnetometers: Magnetometers) -> str:
+        """A status' text whose command is for the session that is being recorded, of this craft and magnetometer."""
+        path = None if self._recorder is None else self._recorder.path
+        if path is None:
+            return text
+        craft = ["--craft", pipeline.config.name] if len(self._magnetometers) > 1 else []
+        source = ["--source", pipeline.config.source] if magnetometers.several and pipeline.config.source else []
+        return of_recording(text, str(path), [*craft, *source])
 
     def _troubles(self, pipeline: Pipeline, magnetometers: Magnetometers) -> list[str]:
         troubles = [*self._health.troubles(pipeline), *magnetometers.troubles(pipeline)]

@@ -88,6 +88,12 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
+    @property
+    def path(self) -> Path | None:
+        """The file that is being written; None while there is none."""
+        file = self._file
+        return None if file is None else file.path
+
     def begin_with(self, craft: str, source: str, state: dict[str, Any]) -> None:
         """Note the state that a magnetometer begins with where it is not nothing; before the craft's first message.
 

@@ -77,7 +77,7 @@ class ResultView:
     def _finding(self) -> dict[str, str] | None:
         if self.status is None or self._open:
             return None
-        found = finding_of(self.status.text, "RECORDING" if self.recording is None else self.recording.path)
+        found = finding_of(self.status.text, None if self.recording is None else self.recording.path)
         return None if found is None else {"what": found.what, "command": found.command}
 
     def _advice(self) -> list[list[str]]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shlex
 from dataclasses import dataclass
 from typing import Final
 
-_FINDING: Final = re.compile(r"model doubtful: (?P<what>.+?); run: (?P<command>magcal diagnose RECORDING)")
+from magcal_service.watch.diagnosing import found_in, of_recording
+
 _EVENT: Final = re.compile(r"last event: (?P<event>.+)$", re.DOTALL)
 
 
@@ -19,13 +19,10 @@ class Finding:
     command: str
 
 
-def finding_of(text: str, recording: str = "RECORDING") -> Finding | None:
-    """The finding that a status' text tells, None where it tells none; ``recording`` is put into the command."""
-    found = _FINDING.search(text)
-    if found is None:
-        return None
-    name = recording if recording == "RECORDING" else shlex.quote(recording)
-    return Finding(found["what"], found["command"].replace("RECORDING", name))
+def finding_of(text: str, recording: str | None = None) -> Finding | None:
+    """The finding that a status' text tells, None where it tells none; its command is for a ``recording`` at a path."""
+    found = found_in(text if recording is None else of_recording(text, recording))
+    return None if found is None else Finding(*found)
 
 
 def event_of(text: str) -> str:

@@ -36,7 +36,7 @@ class Session:
 
     def __init__(self, link: Link, node: Link) -> None:
         self.now_s, self.recorded = 100.0, list[Message]()
-        recorder: Any = SimpleNamespace(add=self.recorded.append, trouble="", counters=Counter())
+        recorder: Any = SimpleNamespace(add=self.recorded.append, trouble="", path=None, counters=Counter())
         self.service, self.node = Service(Config(link.address, CRAFTS), link, recorder=recorder), node
         self.service.limit = CommandLimit(CommandsConfig(30.0, 3), self.service.counters, lambda: self.now_s)
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import shlex
+import time
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from magcal_service.base.snapshot import SnapshotError
 from magcal_service.cli.status import as_text, is_healthy
+from magcal_service.config.daemon_settings import RecordConfig
 from magcal_service.config.settings import Config, TrustConfig
 from magcal_service.daemon.health.report import Health
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.daemon.service import Service
 from magcal_service.links import Role, open_link
 from magcal_service.physics.apply.model_file import ModelTerm
+from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recorder import Recorder, open_recorder
 from magcal_service.trust.reasons import Reason
+from magcal_service.views.words import finding_of
 from magcal_service.wire.messages import Command, Message, Status, TelemetrySample, Verdict
 from tests.physics.live_models import ZERO, physics
 from tests.watch.watch_runs import craft, flight, fly, stream
@@ -119,3 +127,35 @@ def test_status_metrics_and_log_say_what_it_looks_like() -> None:
     assert "model doubtful: looks like torquer (channel torquer), " in text
     assert "run: magcal diagnose RECORDING" in text
     assert 'magcal_model_doubt_nats{craft="paper",effect="torquer"} ' in metrics
+
+
+def test_where_the_session_is_recorded_the_command_is_for_its_file(tmp_path: Path) -> None:
+    """Which can be read while it is being written."""
+    config = craft()
+    record = RecordConfig(tmp_path / "my sessions", flush_s=0.1)
+    with (
+        open_link("loop:watch-recorded", Role.SERVICE, crafts=["paper"]) as link,
+        open_link("loop:watch-recorded", Role.VIEWER) as viewer,
+        open_recorder(record, (config,)) as recorder,
+    ):
+        assert recorder.path is None or recorder.path.parent == record.directory
+        service = Service(Config("loop:watch-recorded", (config,), record=record), link, None, recorder)
+        for number, message in enumerate(stream(COIL, COIL_S)):
+            service.handle(message)
+            if number % 2000 == 0:
+                _wait_until_written(recorder, number)
+        _wait_until_written(recorder, number)
+        viewer.receive(0.0)
+        service.publish_status()
+        told = [message for message in viewer.receive(1.0) if isinstance(message, Status)]
+        finding = finding_of(told[-1].text)
+        assert finding is not None
+        program, command, path = shlex.split(finding.command)
+        assert (program, command, path) == ("magcal", "diagnose", str(recorder.path))
+        assert len(read_recording(path)) > 1000
+
+
+def _wait_until_written(recorder: Recorder, count: int) -> None:
+    deadline_s = time.monotonic() + 20.0
+    while recorder.counters["record.written"] < count and time.monotonic() < deadline_s:
+        time.sleep(0.01)
