@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from magcal_service.base.errors import ConfigError, Fault
-from magcal_service.base.typed_toml import Table, nearest, open_toml
+from magcal_service.base.typed_toml import Table, TomlKind, nearest, open_toml, refuse_another
 from magcal_service.base.typed_toml.record import read_record
 from sim_sensor.scenario import Channel, Scenario
 from sim_sensor.sensor import Effects, symmetric
@@ -36,6 +36,7 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
         accepted = f"give a file ending in .toml or a shipped scenario; {nearest(str(name_or_file), known)}"
         raise ConfigError([Fault("scenario", str(name_or_file), accepted)])
     table = open_toml(path, ConfigError)
+    refuse_another(table, TomlKind.SCENARIO, ConfigError)
     scenario = read_scenario(table, path.stem)
     if table.faults:
         raise ConfigError(table.faults)

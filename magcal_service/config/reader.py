@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from magcal_service.base.errors import ConfigError
-from magcal_service.base.typed_toml import Table, open_toml
+from magcal_service.base.typed_toml import Table, TomlKind, open_toml, refuse_another
 from magcal_service.base.typed_toml.record import read_record
 from magcal_service.config.physics_file import physics_of
 from magcal_service.config.settings import Config
@@ -41,6 +41,7 @@ def _list_sensors(top: Table) -> None:
 
 def read_config(top: Table, methods: Collection[str] = ()) -> Config:
     """Build a ``Config`` from a parsed file; parameters and errors as for ``load_config``."""
+    refuse_another(top, TomlKind.CONFIG, ConfigError)
     version = top.number("version", required=True)
     if version not in (None, VERSION):
         top.refuse("version", version, f"{VERSION} is accepted")

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.base.errors import ConfigError, Fault
-from magcal_service.base.typed_toml import Table, nearest, open_toml
+from magcal_service.base.typed_toml import Table, TomlKind, nearest, open_toml, refuse_another
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.model import Array
 
@@ -26,6 +26,7 @@ def simulation_errors(name_or_file: str) -> Array:
     """
     path = simulation_file(name_or_file)
     top = open_toml(path, ConfigError)
+    refuse_another(top, TomlKind.SCENARIO, ConfigError)
     magnetometer = top.table("magnetometer", required=True)
     bias = D = None
     if magnetometer is not None:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.base.errors import MISSING, Fault, Lacking, RecordingError
-from magcal_service.base.typed_toml import Table, open_toml
+from magcal_service.base.typed_toml import Table, TomlKind, open_toml, refuse_another
 from magcal_service.base.typed_toml.record import read_record
 from magcal_service.base.units import FieldUnit
 from magcal_service.recordings.specs import (
-    DESCRIPTOR_NAME,
     SESSION_SUFFIX,
     Descriptor,
     ElementsPosition,
@@ -39,19 +38,12 @@ _NAMES_COLUMNS: Final = ("column", "columns", "magnitude")
 SAMPLES_IN_MEMORY: Final = "rows.csv"
 """Stands for the file of samples where there is none: rows that a program holds."""
 
-_OTHERS: Final = {"errors": "a model of physics", "orbit": "a scenario of sim-sensor", "craft": "a configuration"}
-"""What other TOML files of ours are, by a section that a description does not have."""
-
 
 def load_descriptor(path: Path | str) -> Descriptor:
     """Read and check a descriptor; raises ``RecordingError`` with every fault of the file."""
     path = Path(path)
     top = open_toml(path, RecordingError)
-    if "samples" not in top.content and (others := [words for key, words in _OTHERS.items() if key in top.content]):
-        accepted = (
-            f"the description of a log is accepted, {DESCRIPTOR_NAME} by its usual name (docs/recording-format.md)"
-        )
-        raise RecordingError([Fault(str(path), others[0], accepted)])
+    refuse_another(top, TomlKind.RECORDING, RecordingError)
     return descriptor_of(top, path)
 
 

@@ -73,6 +73,39 @@ def test_rows_are_replayed_as_the_craft_that_is_chosen_of_a_configuration(descri
     assert "craft: 'spare' is refused; only a recorded session" in run(*asked[:2], "--craft", "spare").err
 
 
+WORDS = {
+    "RECORDING.toml": "the description of a log",
+    "physics.toml": "a model of physics",
+    "magcal.toml": "a configuration",
+    "scenario.toml": "a scenario of sim-sensor",
+}
+
+
+@pytest.mark.parametrize("name", WORDS)
+@pytest.mark.parametrize(
+    ("own", "command"),
+    [
+        ("RECORDING.toml", "inspect {0}"),
+        ("physics.toml", "apply {1} --with {0} --out {2}"),
+        ("physics.toml", "export {0} --format csv"),
+        ("magcal.toml", "run --check --config {0}"),
+        ("scenario.toml", "diagnose {1} --simulation {0} --out {2}"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused_in_one_line(described: Path, name: str, own: str, command: str) -> None:
+    """Each of its keys was, or it was taken: of a RECORDING.toml as a simulation the bias was 0."""
+    if name == own:
+        pytest.skip("it is of this kind")
+    (described / "physics.toml").write_text("version = 1\n[recording]\n[errors]\n")
+    (described / "magcal.toml").write_text(CONFIG)
+    (described / "scenario.toml").write_text('version = 1\ndescription = "x"\ncraft = "a"\n')
+    paths = (described / name, described / "RECORDING.toml", described / "out.csv")
+    done = run(*(word.format(*map(str, paths)) for word in command.split()))
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"{name}: '{WORDS[name]}' is refused; {WORDS[own]} is accepted, ")
+    assert done.err.count("\n") == 1
+
+
 def test_an_interrupted_command_says_so(described: Path) -> None:
     """Ctrl-C: one line and exit code 130, and no result that looks like one."""
     (described / "log.csv").write_text(log_rows(20_000), encoding="utf-8")

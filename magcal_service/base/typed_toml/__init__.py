@@ -5,7 +5,8 @@
 Imports ``base.errors`` alone.
 """
 
+from magcal_service.base.typed_toml.kind import TomlKind, refuse_another
 from magcal_service.base.typed_toml.parse import open_toml, parse_toml
 from magcal_service.base.typed_toml.table import Table, nearest
 
-__all__ = ["Table", "nearest", "open_toml", "parse_toml"]
+__all__ = ["Table", "TomlKind", "nearest", "open_toml", "parse_toml", "refuse_another"]

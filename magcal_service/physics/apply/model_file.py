@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.base.typed_toml import Table, open_toml, parse_toml
+from magcal_service.base.typed_toml import Table, TomlKind, open_toml, parse_toml, refuse_another
 from magcal_service.base.typed_toml.record import read_record
 from magcal_service.model import BIAS, D_ALL
 from magcal_service.physics.apply.empirical import Empirical
@@ -55,6 +55,7 @@ def parse_model(raw: bytes, name: str = "physics.toml") -> PhysicsModel:
 
 
 def _model(top: Table) -> PhysicsModel:
+    refuse_another(top, TomlKind.MODEL, ModelError)
     if top.number("version", required=True) not in (None, float(VERSION)):
         top.refuse("version", top.content["version"], f"{VERSION} is accepted")
     sections = read_record(top, ModelSections)

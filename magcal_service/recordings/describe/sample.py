@@ -64,7 +64,11 @@ def read_sample(path: Path) -> Sample:
     if path.is_dir():
         raise RecordingError([FileFault.of_folder(str(path), "give the log itself, a text file of rows")])
     if path.suffix.lower() in _DESCRIBED:
-        raise _refused(path, path.suffix, "a raw log is described; magcal calibrate takes this file as it is")
+        raise _refused(
+            path,
+            path.suffix,
+            "a raw log is described; magcal calibrate takes a session, or the description of a log, as it is",
+        )
     try:
         size = path.stat().st_size
         if not path.is_file():
