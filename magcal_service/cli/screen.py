@@ -10,6 +10,7 @@ import sys
 import termios
 import tty
 from collections.abc import Iterable
+from contextlib import suppress
 from types import FrameType, TracebackType
 from typing import Any, Final, Self
 
@@ -66,7 +67,8 @@ class Screen:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        termios.tcsetattr(self._stdin, termios.TCSADRAIN, self._mode)
+        with suppress(termios.error):  # of a terminal that is gone there is nothing to restore
+            termios.tcsetattr(self._stdin, termios.TCSADRAIN, self._mode)
         for one, handler in self._handlers.items():
             signal.signal(one, handler)
         self._write(_LEAVE)
@@ -93,10 +95,16 @@ class Screen:
             self._write(out)
 
     def keys(self, wait_s: float = 0.0) -> str:
-        """What was typed since the last look; waits at most so long [s] for the first key.  A closed input is ``q``."""
+        """What was typed since the last look; waits at most so long [s] for the first key.
+
+        An input that is closed, and a terminal that is gone, are ``q``.
+        """
         pressed = ""
         while select.select([self._stdin], [], [], 0.0 if pressed else wait_s)[0]:
-            typed = os.read(self._stdin, 64)
+            try:
+                typed = os.read(self._stdin, 64)
+            except OSError:
+                typed = b""
             pressed += typed.decode("ascii", "ignore") or ("" if typed else "q")
             if not typed:
                 break
@@ -106,5 +114,10 @@ class Screen:
         self.is_ended = True
 
     def _write(self, text: str) -> None:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        try:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        except OSError:
+            self.is_ended = True  # the terminal is gone
+            with open(os.devnull, "wb") as nowhere:  # where what is still to be flushed at the end goes
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())

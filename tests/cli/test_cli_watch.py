@@ -6,6 +6,7 @@ import fcntl
 import os
 import re
 import select
+import signal
 import struct
 import subprocess
 import sys
@@ -202,6 +203,33 @@ def test_a_terminal_shows_the_picture_until_q_and_is_left_as_it_was(recording: P
     assert "\x1b[?25h" in seen
     assert "q quit" in seen
     assert "\x1b[33mCONVERGING\x1b[0m" in seen
+
+
+@pytest.mark.parametrize("hangs_up", [True, False], ids=["with a signal", "without one"])
+def test_a_terminal_that_goes_away_ends_it_without_a_word(recording: Path, hangs_up: bool) -> None:
+    """A window that is closed, an ssh session that is cut; ``nohup`` and other sessions send no signal."""
+    ours, theirs = os.openpty()
+    environment = os.environ | {"TERM": "xterm", "PYTHONUTF8": "1"}
+    command = [sys.executable, "-m", "magcal_service.cli", "watch", str(recording), "--speed", "60"]
+    started = subprocess.Popen(
+        command,
+        stdin=theirs,
+        stdout=theirs,
+        stderr=subprocess.PIPE,
+        env=environment,
+        preexec_fn=(lambda: _with_terminal(theirs)) if hangs_up else None,
+    )
+    os.close(theirs)
+    read_until(ours, "q quit")
+    os.close(ours)
+    assert started.communicate(timeout=20.0)[1] == b""
+    assert started.returncode in ((0, -signal.SIGHUP) if hangs_up else (0,))
+
+
+def _with_terminal(terminal: int) -> None:
+    """A session whose terminal that is: it is told by a signal when the terminal is gone."""
+    os.setsid()
+    fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
 
 def read_until(file: int, told: str) -> str:
