@@ -17,6 +17,7 @@ from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.signals import UNLISTED, said
 from magcal_service.diagnosis.sized import has_size, numbers_of
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 
@@ -120,7 +121,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     """
     name = explained.fit.terms[index].hypothesis.effect
     ranked, own = explained.rivals[index], explained.own_nats(index)
-    ahead = [(c.nats - own) / _inexact_by(explained, index) for c in ranked]
+    ahead = [(c.nats - own) / _inexact_by(explained, index, c.hypothesis) for c in ranked]
     weights = {
         c.hypothesis.effect: math.exp(float(np.clip(one, -_MOST_NATS, _MOST_NATS)))
         for c, one in zip(ranked, ahead, strict=True)
@@ -136,10 +137,15 @@ def posterior(explained: Explained, index: int) -> Posterior:
     return Posterior(weights[name] / total, tuple(rivals), (name, *(one for one in effects if one != name)))
 
 
-def _inexact_by(explained: Explained, index: int) -> float:
-    """What evidence beside a term's own is divided by: where its driver is inferred, its course is not exactly true."""
-    is_inferred = explained.fit.terms[index].hypothesis.driver.startswith("inferred")
-    return 1.0 + (_OF_A_COURSE * max(explained.own_nats(index), 0.0) if is_inferred else 0.0)
+def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
+    """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true.
+
+    A rival by the same driver errs along with it.
+    """
+    mine = explained.fit.terms[index].hypothesis
+    if not mine.driver.startswith("inferred") or rival.driver == mine.driver:
+        return 1.0
+    return 1.0 + _OF_A_COURSE * max(explained.own_nats(index), 0.0)
 
 
 def _least_unlisted(explained: Explained, index: int) -> float:

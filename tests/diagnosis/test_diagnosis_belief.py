@@ -166,20 +166,26 @@ def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: flo
 
 
 @pytest.mark.parametrize(
-    ("driver", "own_nats", "behind", "odds"),
+    ("driver", "by", "own_nats", "behind", "odds"),
     [
-        ("none", 1000.0, 6.0, math.exp(6.0)),
-        ("channel:one", 1000.0, 6.0, math.exp(6.0)),
-        ("inferred:light", 1000.0, 6.0, math.exp(1.0)),
-        ("inferred:light", 1000.0, -6.0, math.exp(-1.0)),
-        ("inferred:light", 100.0, 6.0, math.exp(4.0)),
+        ("none", "none", 1000.0, 6.0, math.exp(6.0)),
+        ("channel:one", "none", 1000.0, 6.0, math.exp(6.0)),
+        ("inferred:light", "none", 1000.0, 6.0, math.exp(1.0)),
+        ("inferred:light", "inferred:sun", 1000.0, -6.0, math.exp(-1.0)),
+        ("inferred:light", "none", 100.0, 6.0, math.exp(4.0)),
+        ("inferred:light", "inferred:light", 1000.0, 6.0, math.exp(6.0)),
     ],
 )
 def test_a_course_that_is_inferred_leaves_more_to_its_rivals(
-    driver: str, own_nats: float, behind: float, odds: float
+    driver: str, by: str, own_nats: float, behind: float, odds: float
 ) -> None:
-    """It may lose 0.5 % of its evidence by not being the true one: of 1000 nats 5, so 6 behind are 1."""
+    """It may lose 0.5 % of its evidence by not being the true one: of 1000 nats 5, so 6 behind are 1.
+
+    A rival by the same course loses as much.
+    """
     named = explained([("bias_drift", own_nats - behind)], own_nats)
+    first, other = named.rivals[0]
+    named = replace(named, rivals=((first, replace(other, hypothesis=replace(other.hypothesis, driver=by))),))
     (term,) = named.fit.terms
     driven = replace(term, hypothesis=replace(term.hypothesis, driver=driver))
     found = posterior(replace(named, fit=replace(named.fit, terms=(driven,))), 0)
