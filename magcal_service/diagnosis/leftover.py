@@ -144,14 +144,19 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
 
 
-def largest_product(search: Search, fit: Fit, floor_nt: float) -> float:
-    """Drop in squares [nT^2] by the best product of two components of the field, on one axis, alone."""
+def largest_product(search: Search, fit: Fit, floor_nt: float, axes: int = 1) -> float:
+    """Drop in squares [nT^2] by the best product of two components of the field, alone, on an axis or in a direction.
+
+    Parameters
+    ----------
+    axes: 1, or 3 for a direction, whose three amplitudes are free.
+    """
     if search.problem.is_vector:
         return 0.0
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
     rows = search.white(products_of_two(search.problem).along(fit.unit))
-    return max(space.gain(rows[:, [column]], sigma).squares for column in range(rows.shape[1]))
+    return max(space.gain(rows[:, at : at + axes], sigma).squares for at in range(0, rows.shape[1], axes))
 
 
 def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | None:

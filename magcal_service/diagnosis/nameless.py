@@ -81,14 +81,15 @@ def _all_together(
 ) -> Explained:
     """Without names that a family without a name outdoes: it holds clearly more than they do.
 
-    One product of two components, with one amplitude, is enough to do so if it holds more than all of them; where
-    nothing is left beside the names, nothing else is.
+    One product of two components, with one amplitude, is enough to do so if it holds more than all of them, or with one
+    direction where no name has a driver; where nothing is left beside the names, nothing else is.
     One name may fall short of the family by a quarter, for it is a model; several have to come close.  Those that came
     first stay if they pass without the later ones.
     """
     fit, before, gain2 = explained.fit, _squares(search, baseline), baseline.noise_gain**2
     nameless = replace(search, problem=baseline.problem)
-    product = largest_product(nameless, baseline, floor_nt)
+    undriven = all(term.hypothesis.driver == "none" for term in fit.terms)
+    product = largest_product(nameless, baseline, floor_nt, axes=3 if undriven else 1)
     if not is_left and before - _squares(search, fit) > product / gain2:
         return explained
     best = structures(nameless, baseline, phase, floor_nt)[0]
