@@ -143,7 +143,7 @@ def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
     A rival by the same driver errs along with it.
     """
     mine = explained.fit.terms[index].hypothesis
-    if not mine.driver.startswith("inferred") or rival.driver == mine.driver:
+    if not mine.is_inferred or rival.driver == mine.driver:
         return 1.0
     return 1.0 + _OF_A_COURSE * max(explained.own_nats(index), 0.0)
 
@@ -181,7 +181,7 @@ def _is_along_inferred(fit: Fit, index: int) -> bool:
     others = [
         _directions(term)
         for term in fit.terms
-        if term.hypothesis.driver.startswith("inferred") and any(b.unit == "nT" for b in term.hypothesis.blocks)
+        if term.hypothesis.is_inferred and any(b.unit == "nT" for b in term.hypothesis.blocks)
     ]
     return any(float(np.abs(own @ other.T).max(initial=0.0)) > _ALONG for other in others)
 

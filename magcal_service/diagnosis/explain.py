@@ -252,9 +252,7 @@ class Search(Screen):
             sigma = max(fit.white_rms_nt, floor_nt)
             nats = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
             weakest = int(np.argmin(nats))
-            inexact = [
-                n for n, term in zip(nats, fit.terms, strict=True) if term.hypothesis.driver.startswith("inferred")
-            ]
+            inexact = [n for n, term in zip(nats, fit.terms, strict=True) if term.hypothesis.is_inferred]
             if nats[weakest] > max(ACCEPTED_NATS, _INEXACT * max(inexact, default=0.0)):
                 return fit
             terms = tuple(term for index, term in enumerate(fit.terms) if index != weakest)
@@ -286,7 +284,7 @@ class Search(Screen):
         An inferred driver has no sensor noise, and so fits a little better than its record.
         """
         for index, term in enumerate(fit.terms):
-            if not term.hypothesis.driver.startswith("inferred"):
+            if not term.hypothesis.is_inferred:
                 continue
             recorded = [
                 hypothesis

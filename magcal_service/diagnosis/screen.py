@@ -335,7 +335,7 @@ def search_cost(number: Nonlinear, problem: Problem) -> float:
 
 def _under_sun(hypothesis: Hypothesis, ahead_deg: float) -> Hypothesis:
     """A hypothesis that says under which Sun it was found, where its driver is inferred from that."""
-    if not hypothesis.driver.startswith("inferred"):
+    if not hypothesis.is_inferred:
         return hypothesis
     return replace(hypothesis, constants={**hypothesis.constants, SUN_AHEAD: ahead_deg})
 
@@ -348,7 +348,7 @@ def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesi
     if scene.sun_ahead_deg:
         found = [_under_sun(hypothesis, scene.sun_ahead_deg) for hypothesis in found]
     if not scene.in_orbit:  # what is inferred is inferred from an orbit: light, torquers that unload momentum
-        found = [hypothesis for hypothesis in found if not hypothesis.driver.startswith("inferred")]
+        found = [hypothesis for hypothesis in found if not hypothesis.is_inferred]
     if not problem.is_vector:
         return found
     of_reference = {effect.name for effect in effects if effect.acts_on.is_reference}

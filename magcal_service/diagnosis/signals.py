@@ -114,7 +114,7 @@ class _Place:
         """Whether a signal is only the term's own driver, a little later or smoother."""
         if self.term is None:
             return False
-        inferred = self.term.driver.startswith("inferred") and signal.driver.startswith("inferred")
+        inferred = self.term.is_inferred and signal.driver.startswith("inferred")
         return signal.made.startswith(_SLOW) and (inferred or signal.driver == self.term.driver)
 
 

@@ -89,7 +89,7 @@ class _Step:
         score = with_residual - tie * fit.unknowns / scale
         whole = np.linalg.lstsq(normal, score, rcond=1e-13)[0]
         free = ~_blocked(fit, whole / scale)
-        cost = float(fit.white_residual @ fit.white_residual) + float(tie @ fit.unknowns**2)
+        cost = _squares(fit) + float(tie @ fit.unknowns**2)
         step = cls(normal, score, scale, free, cost, sigma2, 0.0)
         full = step.damped(0.0)
         return replace(step, to_go=float(full @ normal @ full))
@@ -205,10 +205,9 @@ def _between_jumps(fit: Fit, sigma2: float) -> Fit:
 
     found = solved(fit, fit.terms)
     for _ in range(_MOST_ASIDE):
-        cost = float(found.white_residual @ found.white_residual)
         sides = [evaluate(found.problem, found.x, terms) for terms in _to_either_side(found, periods)]
-        best = min(sides, key=lambda one: float(one.white_residual @ one.white_residual))
-        if float(best.white_residual @ best.white_residual) > cost - _NO_LESS * sigma2:
+        best = min(sides, key=_squares)
+        if _squares(best) > _squares(found) - _NO_LESS * sigma2:
             return found if found.converged else fit
         found = solved(best, best.terms)
     return fit
@@ -217,13 +216,12 @@ def _between_jumps(fit: Fit, sigma2: float) -> Fit:
 def _to_either_side(fit: Fit, periods: Sequence[Sequence[int]]) -> Iterator[list[Term]]:
     """The terms with one period after another a little shorter and longer."""
     span_s = max(float(np.ptp(fit.problem.scene.time_s)), 1.0)
-    for index, its in enumerate(periods):
+    for index, (term, its) in enumerate(zip(fit.terms, periods, strict=True)):
         for number in its:
-            value = float(fit.terms[index].theta[number])
+            value = float(term.theta[number])
             for share in (sign * size for size in _SIDES for sign in (-1.0, 1.0)):
-                theta = np.array(fit.terms[index].theta)
-                theta[number] = value + share * value**2 / span_s
-                yield [replace(term, theta=theta) if k == index else term for k, term in enumerate(fit.terms)]
+                moved = _with(term, term.hypothesis, number, value + share * value**2 / span_s)
+                yield [*fit.terms[:index], moved, *fit.terms[index + 1 :]]
 
 
 def _by_differences(fit: Fit, here: _Step) -> Fit:
@@ -297,6 +295,10 @@ def _with(term: Term, hypothesis: Hypothesis, number: int, value: float) -> Term
     theta = np.array(term.theta)
     theta[number] = value
     return replace(term, hypothesis=hypothesis, theta=theta)
+
+
+def _squares(fit: Fit) -> float:
+    return float(fit.white_residual @ fit.white_residual)
 
 
 def _variance(fit: Fit) -> float:

@@ -153,6 +153,11 @@ class Hypothesis:
         """Number of amplitudes."""
         return sum(block.size for block in self.blocks)
 
+    @property
+    def is_inferred(self) -> bool:
+        """Whether its driver was computed, not recorded: its course is not exactly true."""
+        return self.driver.startswith("inferred")
+
     def loosened(self) -> Hypothesis:
         """The same with nonlinear numbers that a refit moves, whatever their role."""
         return replace(self, nonlinear=loose(self.nonlinear))
