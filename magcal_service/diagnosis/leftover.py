@@ -15,7 +15,8 @@ from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
-from magcal_service.diagnosis.shapes import Shape, body_shape, products_of_two, shapes
+from magcal_service.diagnosis.shapes import Shape, body_shape, plain_shape, products_of_two, shapes
+from magcal_service.diagnosis.sweeps import tracks
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes, oscillation
 
@@ -35,6 +36,8 @@ _TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
 Choice: factors of about three, since a stretch half or twice as long as the cause still finds most of it; more widths
 cost evidence by their number.
 """
+
+_WANDERS: Final = "a body-fixed oscillation whose frequency wanders between"
 
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
@@ -142,6 +145,23 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     )
     found = _structure(shape, beside.products(shape), beside, sigma, cost)
     return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
+
+
+def with_wandering(search: Search, fit: Fit, found: list[Structure], floor_nt: float) -> list[Structure]:
+    """The structures of a residual, and in their order the tones whose frequency wanders: those are sought once only,
+    beside what stands."""
+    if search.problem.is_vector:
+        return found
+    space = search.workspace(fit)
+    sigma = max(math.sqrt(space.squares / space.count), floor_nt)
+    beside = _Beside(replace(search, hypotheses=()), fit, space)
+    clipped = space.clipped(_TAIL * sigma).residual
+    cost = math.log(len(found) + 1.0)
+    for one in tracks(search.problem.scene, clipped, fit.unit, search.spin_hz):
+        says = f"{_WANDERS} {one.from_hz:.3g} and {one.to_hz:.3g} Hz"
+        shape = plain_shape("wandering", says, one.rows)
+        found = [*found, _structure(shape, beside.products(shape), beside, sigma, cost + one.cost)]
+    return sorted(found, key=lambda structure: -structure.nats)
 
 
 def largest_product(search: Search, fit: Fit, floor_nt: float, axes: int = 1) -> float:

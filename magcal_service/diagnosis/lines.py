@@ -25,7 +25,7 @@ _PEAK: Final = 2.0
 _MOST_SLOTS: Final = 1 << 18
 """Places of an even grid beyond which pauses are cut: three days at 1 Hz, a transform of 2^19 points."""
 
-_ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
+ORBIT_SIDE_HZ: Final = 1.2e-3  # half a dozen turns of the orbit: what is fixed in space has side lines there
 
 
 def strongest(
@@ -43,8 +43,8 @@ def strongest(
     power[frequency > 0.5 / scene.period_s - 3.0 / span] = 0.0
     if spin_hz is not None and not all_lines:
         for multiple in (1, 2):
-            line = _folded(multiple * spin_hz, 1.0 / scene.period_s)
-            power[np.abs(frequency - line) < max(6.0 / span, _ORBIT_SIDE_HZ)] = 0.0
+            line = folded(multiple * spin_hz, 1.0 / scene.period_s)
+            power[np.abs(frequency - line) < max(6.0 / span, ORBIT_SIDE_HZ)] = 0.0
     found: list[float] = []
     for _ in range(count):
         best = int(np.argmax(power))
@@ -110,7 +110,7 @@ def is_red(scene: Scene, residual: Array, unit: Array) -> bool:
     return best < 2 * width or float(smooth[best]) < _PEAK * float(np.mean(below))
 
 
-def _folded(line_hz: float, rate_hz: float) -> float:
+def folded(line_hz: float, rate_hz: float) -> float:
     """Where a line appears when sampled at a rate."""
     folded = abs(line_hz) % rate_hz
     return min(folded, rate_hz - folded)

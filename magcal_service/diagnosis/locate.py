@@ -51,6 +51,7 @@ class Place:
 
 _KINDS: Final = {
     "line": "frequency",
+    "wandering": "frequency",
     "slow": "time",
     "time": "time",
     "transients": "time",

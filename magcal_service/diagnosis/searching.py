@@ -17,7 +17,7 @@ from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError
 from magcal_service.diagnosis.field_level import at_scale, needed_scale
-from magcal_service.diagnosis.leftover import Structure, significant, structures
+from magcal_service.diagnosis.leftover import Structure, significant, structures, with_wandering
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
@@ -184,7 +184,9 @@ def _standing(
 ) -> tuple[Explained, list[Structure]]:
     """What stands beside the structure that is left, and that structure."""
     left = structures(search, explained.fit, phase, floor)
-    if not explained.fit.terms:
-        return explained, left
-    stands = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
-    return stands, left if stands.fit is explained.fit else structures(search, stands.fit, phase, floor)
+    if explained.fit.terms:
+        stands = standing(search, baseline, explained, phase, floor, is_left=significant(left[0]))
+        if stands.fit is not explained.fit:
+            left = structures(search, stands.fit, phase, floor)
+        explained = stands
+    return explained, with_wandering(search, explained.fit, left, floor)

@@ -117,6 +117,11 @@ def _body(problem: Problem, name: str, says: str, make: Callable[[], Array], ter
     return Shape(name, says, columns, terms)
 
 
+def plain_shape(name: str, says: str, rows: Array) -> Shape:
+    """A family of columns along the field (n, k)."""
+    return _plain(name, says, lambda: rows)
+
+
 def _plain(name: str, says: str, make: Callable[[], Array]) -> Shape:
     return Shape(name, says, lambda _: make())
 

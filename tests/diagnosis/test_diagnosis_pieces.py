@@ -13,7 +13,7 @@ import pytest
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import _best_of_each
 from magcal_service.diagnosis.handover import model_term, terms_of
-from magcal_service.diagnosis.lines import _folded, _slots
+from magcal_service.diagnosis.lines import _slots, folded
 from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
 from magcal_service.diagnosis.screen import Candidate, _grid, _product, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
@@ -151,8 +151,8 @@ def test_of_each_effect_the_best_form_is_kept_in_order() -> None:
 @pytest.mark.parametrize(
     ("line_hz", "seen_hz"), [(0.1, 0.1), (0.5, 0.5), (0.6, 0.4), (0.9, 0.1), (1.0, 0.0), (1.3, 0.3), (-0.2, 0.2)]
 )
-def test_a_line_appears_folded_by_the_rate(line_hz: float, seen_hz: float) -> None:
-    assert _folded(line_hz, 1.0) == pytest.approx(seen_hz)
+def test_a_line_appearsfolded_by_the_rate(line_hz: float, seen_hz: float) -> None:
+    assert folded(line_hz, 1.0) == pytest.approx(seen_hz)
 
 
 def test_samples_stand_on_an_even_grid_and_long_pauses_are_cut() -> None:

@@ -333,6 +333,7 @@ def test_every_family_has_its_kind_of_place() -> None:
     search, fit = searched(flown())
     kinds = {
         "line": "frequency",
+        "wandering": "frequency",
         "slow 40": "time",
         "time 24": "time",
         "transients": "time",
