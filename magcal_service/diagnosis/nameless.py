@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -59,7 +59,8 @@ def standing(
         index = _weakest_failing(baseline, explained, floor_nt)
         if index is None:
             break
-        explained = against_signals(search, _without(search, explained, index, floor_nt), floor_nt)
+        fewer = _Less(solve(search.problem, explained.fit.x, _others(explained.fit, index)))
+        explained = against_signals(search, _without(search, fewer, floor_nt), floor_nt)
     return explained
 
 
@@ -107,23 +108,39 @@ def _all_together(
 def _each_its_own(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> Explained:
     """Without effects in whose place a family without a name would do better, one after another."""
     while explained.fit.terms:
-        index = _first_outdone(search, explained, phase, floor_nt)
-        if index is None:
+        outdone = _first_outdone(search, explained, phase, floor_nt)
+        if outdone is None:
             break
-        explained = _without(search, explained, index, floor_nt)
+        explained = _without(search, outdone, floor_nt)
     return explained
 
 
-def _first_outdone(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> int | None:
-    """The faintest name, if a fit without one leaves hardly more; the weakest of several, if a family holds more than
-    it does; a free form, if a family is likelier than it; a line or a beat, if a family of the attitude holds half as
-    much: a craft's own turning has lines, too."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Less:
+    """A fit without one of the names, and, where that was made, the search and the fit that ``refreshed`` leads to."""
+
+    fit: Fit
+    beside: Search | None = None
+    refreshed: Fit | None = None
+
+    def on(self, search: Search, fit: Fit) -> Fit:
+        """What a search's ``refreshed`` makes of a fit, which may be this one."""
+        if fit is not self.fit or self.beside is None or self.refreshed is None:
+            return search.refreshed(fit)
+        search.look_at(self.beside.problem, self.beside.hypotheses)
+        return self.refreshed
+
+
+def _first_outdone(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> _Less | None:
+    """Without the faintest name, if a fit without one leaves hardly more; the weakest of several, if a family holds
+    more than it does; a free form, if a family is likelier than it; a line or a beat, if a family of the attitude holds
+    half as much: a craft's own turning has lines, too."""
     fit, several = explained.fit, len(explained.fit.terms) > 1
     without = [solve(search.problem, fit.x, _others(fit, index)) for index in range(len(fit.terms))]
     held = [_held_by_refit(search, explained, index, one, floor_nt) for index, one in enumerate(without)]
     needed = [max(ACCEPTED_NATS, _BY_REFIT * nats) for nats in explained.nats]
     if any(one < least for one, least in zip(held, needed, strict=True)):
-        return int(np.argmin(held))
+        return _Less(without[int(np.argmin(held))])
     weakest = int(np.argmin(explained.nats))
     for index, term in enumerate(fit.terms):
         is_weakest = several and index == weakest
@@ -132,16 +149,17 @@ def _first_outdone(search: Search, explained: Explained, phase: Array | None, fl
             continue
         beside = replace(search)
         less = beside.refreshed(without[index])
+        outdone = _Less(without[index], beside, less)
         families = structures(beside, less, phase, floor_nt)
         best = families[0]
         own = _squares(search, less) - _squares(search, fit)
         turning = max((f.squares for f in families if f.shape.of_attitude and significant(f)), default=0.0)
         if is_line and turning / less.noise_gain**2 > _OF_ATTITUDE * own:
-            return index
+            return outdone
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
-            return index
+            return outdone
         if term.hypothesis.is_free and explained.nats[index] * explained.gains[index].dispersion < best.nats:
-            return index
+            return outdone
     return None
 
 
@@ -162,10 +180,8 @@ def _held_by_refit(search: Search, explained: Explained, index: int, without: Fi
     return (held - cost) / gain.dispersion
 
 
-def _without(search: Search, explained: Explained, index: int, floor_nt: float) -> Explained:
-    fit = explained.fit
-    fewer = solve(search.problem, fit.x, _others(fit, index))
-    return search.compared(search.refreshed(_from_known(search, fewer, floor_nt)), floor_nt)
+def _without(search: Search, less: _Less, floor_nt: float) -> Explained:
+    return search.compared(less.on(search, _from_known(search, less.fit, floor_nt)), floor_nt)
 
 
 def _from_known(search: Search, fit: Fit, floor_nt: float) -> Fit:

@@ -13,7 +13,7 @@ residual's noise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -123,9 +123,9 @@ class Problem:
         """Times a sensor's noise per axis, what errors (size,) make of it along the field's directions (n, 3)."""
         return float(np.sqrt(np.mean(((unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2).sum(axis=1))))
 
-    def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
+    def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float = np.inf) -> Fit:
         """What ``evaluate`` gives."""
-        return _evaluated(self, x, terms, derivatives)
+        return _evaluated(self, x, terms, derivatives, most_nt2)
 
     @cached_property
     def passes(self) -> NDArray[np.intp] | None:
@@ -179,6 +179,11 @@ class Fit:
     def white_residual(self) -> Array:
         """(m,) residual through the whitening of its noise [nT]."""
         return self.problem.white(self.residual)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squares of the white residual [nT^2]."""
+        return float(self.white_residual @ self.white_residual)
 
     @cached_property
     def white_columns(self) -> Array:
@@ -235,12 +240,10 @@ class Fit:
         Block sums of the score stand for its variance (Liang & Zeger 1986); never smaller than for white noise.
         """
         sigma2 = max(self.white_rms_nt**2, 1e-12)
-        scale = np.linalg.norm(self.white_columns, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = self.white_columns / scale
-        inverse = np.linalg.pinv(scaled.T @ scaled + np.diag(sigma2 * self.tie / scale**2), rcond=1e-12)
+        scale, products, _ = self.normal_equations
+        inverse = np.linalg.pinv(products + np.diag(sigma2 * self.tie / scale**2), rcond=1e-12)
         white = sigma2 * inverse
-        score = scaled * self.white_residual[:, None]
+        score = self.white_columns / scale * self.white_residual[:, None]
         count = max(30, len(score) // 400)
         sums = np.add.reduceat(score, np.arange(0, len(score), max(1, len(score) // count)))
         robust = inverse @ (sums.T @ sums) @ inverse
@@ -321,12 +324,14 @@ def _added(terms: Sequence[Term], made: Sequence[Columns], scene: Scene) -> tupl
     return body, magnitude
 
 
-def evaluate(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool = True) -> Fit:
-    """Residual and derivatives at given unknowns."""
-    return problem.evaluated(x, terms, derivatives)
+def evaluate(
+    problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool = True, most_nt2: float = np.inf
+) -> Fit:
+    """Residual and derivatives at given unknowns; these may be left out where the white squares exceed ``most_nt2``."""
+    return problem.evaluated(x, terms, derivatives, most_nt2)
 
 
-def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
+def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float) -> Fit:
     scene = problem.scene
     made = [term.hypothesis.columns(term.theta) for term in terms]
     body, magnitude = _added(terms, made, scene)
@@ -340,8 +345,9 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         target_length = scene.magnitude_nt + magnitude
         residual = length - target_length - problem.noise_nt**2 / scene.magnitude_nt
         clean = w
-    if not derivatives:
-        return Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
+    bare = Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
+    if not derivatives or bare.squares > most_nt2:
+        return bare
     if not problem.is_vector:  # all of it, for the columns of effects are made of such vectors too
         clean = w * (target_length / length)[:, None]
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
@@ -360,7 +366,9 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         slopes += number_slopes(term.hypothesis.nonlinear, term.theta, added, span_s)
     columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
     tie = np.concatenate([*ties, np.zeros(len(slopes))])
-    return Fit(problem, x, tuple(terms), residual, columns, unit, w, tie)
+    fit = replace(bare, columns=columns, unit=unit, tie=tie)
+    fit.__dict__["white_residual"] = bare.white_residual  # known already
+    return fit
 
 
 def _required(rows: Array | None) -> Array:

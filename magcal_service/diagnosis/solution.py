@@ -89,7 +89,7 @@ class _Step:
         score = with_residual - tie * fit.unknowns / scale
         whole = np.linalg.lstsq(normal, score, rcond=1e-13)[0]
         free = ~_blocked(fit, whole / scale)
-        cost = _squares(fit) + float(tie @ fit.unknowns**2)
+        cost = fit.squares + float(tie @ fit.unknowns**2)
         step = cls(normal, score, scale, free, cost, sigma2, 0.0)
         full = step.damped(0.0)
         return replace(step, to_go=float(full @ normal @ full))
@@ -120,9 +120,8 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
             return replace(fit, converged=True)
         trial = _moved(fit, here.damped(damping) / here.scale)
         if not (problem.is_collapsed(trial[0]) and not problem.is_collapsed(fit.x)):
-            there = evaluate(problem, *trial)
-            next_ = _Step.of(there, here.sigma2)
-            if _is_better(here, next_):
+            there = evaluate(problem, *trial, most_nt2=here.cost + _MAY_COST * here.sigma2)
+            if there.tie.size and _is_better(here, _Step.of(there, here.sigma2)):
                 fit, damping = there, damping * _EASED if damping > _LEAST_DAMPING else 0.0
                 here = _Step.of(fit, _variance(fit))
                 continue
@@ -206,8 +205,8 @@ def _between_jumps(fit: Fit, sigma2: float) -> Fit:
     found = solved(fit, fit.terms)
     for _ in range(_MOST_ASIDE):
         sides = [evaluate(found.problem, found.x, terms) for terms in _to_either_side(found, periods)]
-        best = min(sides, key=_squares)
-        if _squares(best) > _squares(found) - _NO_LESS * sigma2:
+        best = min(sides, key=lambda side: side.squares)
+        if best.squares > found.squares - _NO_LESS * sigma2:
             return found if found.converged else fit
         found = solved(best, best.terms)
     return fit
@@ -295,10 +294,6 @@ def _with(term: Term, hypothesis: Hypothesis, number: int, value: float) -> Term
     theta = np.array(term.theta)
     theta[number] = value
     return replace(term, hypothesis=hypothesis, theta=theta)
-
-
-def _squares(fit: Fit) -> float:
-    return float(fit.white_residual @ fit.white_residual)
 
 
 def _variance(fit: Fit) -> float:

@@ -143,8 +143,8 @@ class JointProblem(Problem):
                 any_rows = True
         return found if any_rows else None
 
-    def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool) -> Fit:
-        """What ``evaluate`` gives: each recording's own, put together."""
+    def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float = np.inf) -> Fit:
+        """What ``evaluate`` gives: each recording's own, put together, and always with its derivatives if wanted."""
         fits = self.fits(x, terms, derivatives)
         residual = np.concatenate([fit.residual for fit in fits])
         calibrated = np.concatenate([fit.calibrated_nt for fit in fits])
