@@ -51,6 +51,13 @@ def field_jacobian(field_nt: Array) -> Array:
     return jacobian
 
 
+def magnitude_jacobian(field_nt: Array, unit: Array) -> Array:
+    """d|w|/dx (n, 9), each column in one piece, at measured vectors B (n, 3) [nT], w along ``unit`` (n, 3)."""
+    (b1, b2, b3), (u1, u2, u3) = np.ascontiguousarray(field_nt.T), np.ascontiguousarray(unit.T)
+    shear = b2 * u1 + b1 * u2, b3 * u1 + b1 * u3, b3 * u2 + b2 * u3
+    return np.stack([-u1, -u2, -u3, b1 * u1, b2 * u2, b3 * u3, *shear]).T
+
+
 def vector_jacobian(b1: float, b2: float, b3: float) -> Array:
     """J(B) = dw/dx, shape (3, 9), at one measured vector [nT]; ``field_jacobian`` for the hot path."""
     return np.array(

@@ -101,13 +101,11 @@ class Lines:
         return result
 
     def less(self, rows: Array, values: Array) -> Array:
-        """Rows (n, k) less values (q, k) carried on."""
-        result = np.empty(rows.shape)
+        """Rows (n, k) less values (q, k) carried on, each column in one piece."""
+        result, turned = np.empty(rows.shape[::-1]), np.ascontiguousarray(values.T)
         for stretch in self._stretches:
-            part = result[stretch.rows]
-            np.matmul(stretch.weights, values[stretch.values], out=part)
-            np.subtract(rows[stretch.rows], part, out=part)
-        return result
+            np.matmul(turned[:, stretch.values], stretch.weights.T, out=result[:, stretch.rows])
+        return np.subtract(rows.T, result, out=result).T
 
     def gathered(self, rows: Array) -> Array:
         """The transpose: rows (n, k) to (q, k)."""
@@ -175,6 +173,13 @@ class FieldError:
         table = rows.reshape(len(rows), -1)
         inside = self.courses.T @ self.lines.gathered(table)
         return self.lines.less(table, self.courses @ (shrink[:, None] * inside)).reshape(rows.shape)
+
+    def products(self, rows: Array) -> Array:
+        """(k, k) products with one another of what ``whitened`` makes of rows (n, k), without making it."""
+        inside = self.courses.T @ self.lines.gathered(rows)
+        share = self.variance / (self.variance + self.noise_nt**2)
+        found: Array = rows.T @ rows - inside.T @ (share[:, None] * inside)
+        return found
 
     @property
     def rms_nt(self) -> float:

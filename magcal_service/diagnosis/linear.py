@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,16 @@ class Products:
         return evidence(self.normal, self.right, self.scale, sigma_nt, self.smallest)
 
 
+class Whitening(Protocol):
+    """What makes rows (m, k) white, by a symmetric matrix, or gives the products (k, k) of what it would make."""
+
+    def white(self, rows: Array) -> Array:
+        """Rows in which the noise is white."""
+
+    def white_products(self, rows: Array) -> Array:
+        """Their products with one another."""
+
+
 class Workspace:
     """A residual with the model's columns projected out.
 
@@ -95,10 +105,12 @@ class Workspace:
         self.residual: Array = residual - self._basis @ (self._basis.T @ residual)
         self.count = len(residual)
         self.squares = float(self.residual @ self.residual)
+        self._before: Array | None = None
 
     def clipped(self, limit: float) -> Workspace:
         """The same with no sample of the residual beyond a limit [nT]."""
         result = copy(self)
+        result._before = None
         held = np.clip(self.residual, -limit, limit)
         result.residual = held - self._basis @ (self._basis.T @ held)
         result.squares = float(result.residual @ result.residual)
@@ -115,22 +127,37 @@ class Workspace:
 
     def products(self, columns: Array) -> Products:
         """Of columns (m, k), for their evidence at any noise."""
-        scale = self._scale(columns)
+        return self._products(columns.T @ columns, self._basis.T @ columns, columns.T @ self.residual)
+
+    def products_before(self, rows: Array, problem: Whitening) -> Products:
+        """Of columns that a problem would still have to make white from rows (m, k), without making them.
+
+        Its whitening is a symmetric matrix: that of what they are multiplied by will do.
+        """
+        if self._before is None:
+            self._before = problem.white(np.concatenate([self._basis.T, self.residual[None]]).T)
+        beside = self._before.T @ rows
+        return self._products(problem.white_products(rows), beside[:-1], beside[-1])
+
+    def _products(self, whole: Array, inside: Array, right: Array) -> Products:
+        """Of columns Z, from Z'Z (k, k), Q'Z (p, k) and Z'r (k,), Q being the model's basis."""
         # Q'Z is small: G = Z'Z - (Q'Z)'(Q'Z), and Z'r needs no projection because r is projected
-        inside = self._basis.T @ columns
-        normal = (columns.T @ columns - inside.T @ inside) / np.outer(scale, scale)
-        return Products(normal, columns.T @ self.residual / scale, scale, _ROUNDING * len(columns))
+        scale = _rms(np.diagonal(whole) / self.count)
+        normal = (whole - inside.T @ inside) / np.outer(scale, scale)
+        return Products(normal, right / scale, scale, _ROUNDING * self.count)
 
     def segments(self, columns: Array, first_rows: NDArray[np.intp]) -> Segments:
         """Sums over the stretches that begin at each of the rows (g,), rising; what comes before the first is left out.
 
         Columns (m, k) count in units of their rms.
         """
-        scaled = columns / self._scale(columns)
-        parts = np.concatenate([self._basis, scaled, self.residual[:, None]], axis=1)
+        width, size = self._basis.shape[1], columns.shape[1]
+        parts = np.empty((len(columns), width + size + 1))
+        scaled = parts[:, width : width + size]
+        parts[:, :width], parts[:, -1] = self._basis, self.residual
+        np.divide(columns, _scale(columns), out=scaled)
         ends = np.append(first_rows[1:], len(columns))
         sums = np.stack([parts[i:j].T @ scaled[i:j] for i, j in zip(first_rows.tolist(), ends.tolist(), strict=True)])
-        width, size = self._basis.shape[1], scaled.shape[1]
         normal, inside, right = sums[:, width : width + size], sums[:, :width], sums[:, width + size]
         return Segments(normal, inside, right, self.squares, self.count)
 
@@ -141,13 +168,16 @@ class Workspace:
             np.cumsum(part[::-1], axis=0)[::-1] for part in (parts.normal, parts.inside, parts.right)
         )
         left = normal - np.swapaxes(inside, 1, 2) @ inside
-        scale, smallest = self._scale(columns), _ROUNDING * len(columns)
-        return [evidence(left[at], right[at], scale, sigma_nt, smallest) for at in range(len(first_rows))]
+        return evidences(left, right, _scale(columns), sigma_nt, _ROUNDING * len(columns))
 
-    @staticmethod
-    def _scale(columns: Array) -> Array:
-        scale = np.sqrt(np.einsum("mk,mk->k", columns, columns) / len(columns))
-        return np.where(scale > 0.0, scale, 1.0)
+
+def _scale(columns: Array) -> Array:
+    return _rms(np.einsum("mk,mk->k", columns, columns) / len(columns))
+
+
+def _rms(mean_squares: Array) -> Array:
+    """Roots of mean squares (k,), 1 for zeros."""
+    return np.sqrt(np.where(mean_squares > 0.0, mean_squares, 1.0))
 
 
 def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float, smallest: float = 0.0) -> Gain:
@@ -155,20 +185,28 @@ def evidence(normal: Array, right: Array, scale: Array, sigma_nt: float, smalles
 
     Directions with an eigenvalue below ``smallest`` lie in the model's columns up to rounding and hold no information.
     """
+    return evidences(normal[None], right[None], scale, sigma_nt, smallest)[0]
+
+
+def evidences(normal: Array, right: Array, scale: Array, sigma_nt: float, smallest: float) -> list[Gain]:
+    """As ``evidence``, of each of normal matrices (g, k, k) and right sides (g, k)."""
     values, vectors = np.linalg.eigh(normal)
-    useful = values > max(smallest, 1e-10 * float(values[-1]))
+    useful = values > np.maximum(smallest, 1e-10 * values[:, -1:])
     values = np.where(useful, values, 0.0)
-    turned = np.where(useful, vectors.T @ right, 0.0)
+    turned = np.where(useful, (right[:, None] @ vectors)[:, 0], 0.0)
     variance = sigma_nt**2
-    ratio = _SPREADS * float((turned[useful] ** 2 / values[useful] ** 2).sum() + 1e-12) / len(right)
-    added = variance / ratio[:, None]
-    terms = turned**2 / variance / (values + added) - np.log1p(values / added)
-    total = 0.5 * terms.sum(axis=1)
-    best = int(np.argmax(total))
-    solution = vectors @ (turned / (values + added[best]))
-    squares = float(2.0 * solution @ right - solution @ normal @ solution)
-    effective = float((values / (values + added[best])).sum())
-    return Gain(float(total[best]), squares, effective, solution / scale)
+    size2 = (np.divide(turned, values, out=np.zeros_like(turned), where=useful) ** 2).sum(axis=1)
+    added = variance / (_SPREADS * (size2[:, None] + 1e-12) / right.shape[1])
+    terms = (turned**2 / variance)[:, None] / (values[:, None] + added[:, :, None])
+    total = 0.5 * (terms - np.log1p(values[:, None] / added[:, :, None])).sum(axis=2)
+    best = np.argmax(total, axis=1)
+    rows = np.arange(len(best))
+    ridge = values + added[rows, best][:, None]
+    solutions = (vectors @ (turned / ridge)[:, :, None])[:, :, 0]
+    squares = (solutions * (2.0 * right - (solutions[:, None] @ normal)[:, 0])).sum(axis=1)
+    effective = (values / ridge).sum(axis=1)
+    each = zip(total[rows, best].tolist(), squares.tolist(), effective.tolist(), solutions / scale, strict=True)
+    return [Gain(*one) for one in each]
 
 
 def folds(time_s: Array) -> NDArray[np.intp]:

@@ -25,8 +25,8 @@ from magcal_service.diagnosis.blocks import numbered, pass_numbers
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.linear import fold_solutions, folds, held_out
-from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes
-from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, calibrate, d_matrix, field_jacobian
+from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes, unknown_slopes
+from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
@@ -107,6 +107,13 @@ class Problem:
             return self.aimed.weighed(rows)
         return rows if self.field_error is None else self.field_error.whitened(rows)
 
+    def white_products(self, rows: Array) -> Array:
+        """(k, k) products of rows (m, k) with one another once they are white."""
+        if self.field_error is not None and self.aimed is None:
+            return self.field_error.products(rows)
+        white = self.white(rows)
+        return np.asarray(white.T @ white)
+
     def target(self, x: Array) -> Array:
         """(n, 3) what w should be in the vector form [nT], free of the samples' noise."""
         if self.aimed is not None:
@@ -114,6 +121,13 @@ class Problem:
         assert self.room_from_body is not None, "the scalar form has no vector to compare with"
         towards = x[STATE_SIZE:] / np.linalg.norm(x[STATE_SIZE:])
         return np.asarray(np.einsum("nji,j->ni", self.room_from_body, towards) * self.scene.magnitude_nt[:, None])
+
+    def target_slopes(self, x: Array) -> Array | None:
+        """d target / d what turns it (n, 3, 3); None in the scalar form."""
+        if self.aimed is not None:
+            return self.aimed.slopes(x[STATE_SIZE:])
+        room = self.room_from_body
+        return None if room is None else room_slopes(room, x[STATE_SIZE:], self.scene.magnitude_nt)
 
     def is_collapsed(self, x: Array) -> bool:
         """Whether the nine errors among the unknowns (size,) are no sensor's."""
@@ -193,10 +207,10 @@ class Fit:
     @cached_property
     def normal_equations(self) -> tuple[Array, Array, Array]:
         """Norms of the white columns (p,), 1 for zeros; products of them so scaled (p, p) and with the residual."""
-        scale = np.linalg.norm(self.white_columns, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = self.white_columns / scale
-        return scale, scaled.T @ scaled, scaled.T @ self.white_residual
+        found = self.problem.white_products(np.concatenate([self.columns.T, self.residual[None]]).T)
+        products, right = found[:-1, :-1], found[:-1, -1]
+        scale = np.sqrt(np.where(np.diagonal(products) > 0.0, np.diagonal(products), 1.0))
+        return scale, products / np.outer(scale, scale), right / scale
 
     @cached_property
     def noise_gain(self) -> float:
@@ -299,26 +313,15 @@ class Fit:
         return float(np.sqrt(np.mean(self.held_out_residual**2)))
 
 
-def _tie(problem: Problem) -> Array:
-    tie = np.zeros(problem.size)
-    tie[BIAS], tie[D_ALL] = PRIOR_BIAS_NT**-2, PRIOR_D**-2
-    return tie
-
-
 def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
     """(k,) inverse prior variances of a term's amplitudes: what cancels could be of any size otherwise."""
     return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2)
 
 
-def disturbances(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
-    """Additive body field d (n, 3) and growth of the magnitude m (n,) of all terms [nT]."""
-    return _added(terms, [term.hypothesis.columns(term.theta) for term in terms], scene)
-
-
-def _added(terms: Sequence[Term], made: Sequence[Columns], scene: Scene) -> tuple[Array, Array]:
-    """The same from the columns of each term."""
+def disturbances(terms: Sequence[Term], scene: Scene, made: Sequence[Columns] = ()) -> tuple[Array, Array]:
+    """Additive body field d (n, 3) and growth of the magnitude m (n,) of all terms [nT], of columns ``made`` if any."""
     body, magnitude = np.zeros((len(scene), 3)), np.zeros(len(scene))
-    for term, columns in zip(terms, made, strict=True):
+    for term, columns in zip(terms, made or [term.hypothesis.columns(term.theta) for term in terms], strict=True):
         body += columns.field(term.amplitudes)
         magnitude += columns.growth(term.amplitudes)
     return body, magnitude
@@ -334,26 +337,23 @@ def evaluate(
 def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float) -> Fit:
     scene = problem.scene
     made = [term.hypothesis.columns(term.theta) for term in terms]
-    body, magnitude = _added(terms, made, scene)
+    body, magnitude = disturbances(terms, scene, made)
     w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
-    length = np.linalg.norm(w, axis=1)
     if problem.is_vector:
-        target = problem.target(x)
-        residual = (w - target).reshape(-1)
-        clean = target
+        clean = problem.target(x)
+        residual = (w - clean).reshape(-1)
     else:
-        target_length = scene.magnitude_nt + magnitude
-        residual = length - target_length - problem.noise_nt**2 / scene.magnitude_nt
-        clean = w
+        length, wanted = _lengths(w), scene.magnitude_nt + magnitude
+        residual = length - wanted - problem.noise_nt**2 / scene.magnitude_nt
+        clean = w * (wanted / length)[:, None]  # all of it, for the columns of effects are made of such vectors too
     bare = Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
     if not derivatives or bare.squares > most_nt2:
         return bare
-    if not problem.is_vector:  # all of it, for the columns of effects are made of such vectors too
-        clean = w * (target_length / length)[:, None]
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
-    jacobian = field_jacobian(scene.field_nt + (clean - w) @ inverse.T)
-    unit = clean / np.linalg.norm(clean, axis=1)[:, None]
-    parts, ties = [-_model_rows(problem, x, jacobian, unit)], [_tie(problem)]
+    measured = scene.field_nt + (clean - w) @ inverse.T
+    unit = clean / _lengths(clean)[:, None]
+    parts = [-unknown_slopes(measured, unit, problem.target_slopes(x))]
+    ties = [np.repeat([PRIOR_BIAS_NT**-2, PRIOR_D**-2, 0.0], [3, 6, problem.size - STATE_SIZE])]
     slopes: list[Array] = []
     span_s = float(np.ptp(scene.time_s))
     for term, own in zip(terms, made, strict=True):
@@ -364,27 +364,20 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
             return _required(problem.rows(term.hypothesis.columns(theta), unit)) @ term.amplitudes
 
         slopes += number_slopes(term.hypothesis.nonlinear, term.theta, added, span_s)
-    columns = np.concatenate([*parts, *[slope[:, None] for slope in slopes]], axis=1)
+    columns = np.concatenate([*[part.T for part in parts], *[slope[None] for slope in slopes]]).T  # each in one piece
     tie = np.concatenate([*ties, np.zeros(len(slopes))])
     fit = replace(bare, columns=columns, unit=unit, tie=tie)
     fit.__dict__["white_residual"] = bare.white_residual  # known already
     return fit
 
 
+def _lengths(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", vectors, vectors)))
+
+
 def _required(rows: Array | None) -> Array:
     assert rows is not None, "a term that says nothing in this form was fitted"
     return rows
-
-
-def _model_rows(problem: Problem, x: Array, jacobian: Array, unit: Array) -> Array:
-    """d residual / d unknowns (m, 9 or 12)."""
-    if problem.aimed is not None:
-        slopes = problem.aimed.slopes(x[STATE_SIZE:])
-    elif problem.room_from_body is not None:
-        slopes = room_slopes(problem.room_from_body, x[STATE_SIZE:], problem.scene.magnitude_nt)
-    else:
-        return np.asarray(np.einsum("ni,nij->nj", unit, jacobian))
-    return np.concatenate([jacobian, -slopes], axis=2).reshape(-1, STATE_SIZE + 3)
 
 
 def amplitude_columns(fit: Fit, index: int) -> slice:

@@ -34,7 +34,7 @@ def refined(
 
     ``near``: they were at their best for another residual, not on a grid; so the steps begin small.
     """
-    theta = np.array(theta)
+    theta, tried = np.array(theta), {np.asarray(theta, dtype=np.float64).tobytes()}
     for _ in range(_PASSES if len(grids) > 1 and not near else 1):
         for index, number in enumerate(hypothesis.nonlinear):
             step = _first_step(number, float(theta[index]), grids[index], problem)
@@ -44,8 +44,9 @@ def refined(
                 for sign in (1.0, -1.0):
                     trial = np.array(theta)
                     trial[index] += sign * step
-                    if not _allowed(number, float(trial[index])):
-                        continue
+                    if not _allowed(number, float(trial[index])) or trial.tobytes() in tried:
+                        continue  # what was tried before was no better
+                    tried.add(trial.tobytes())
                     other = gain(trial)
                     if other is not None and other.nats > best.nats:
                         theta, best = trial, other

@@ -229,6 +229,10 @@ class Screen:
         self._known[hypothesis.label] = [*self._known.get(hypothesis.label, [])[1 - _MOST_KNOWN :], theta]
 
     def _gain(self, hypothesis: Hypothesis, theta: Array, space: Workspace, fit: Fit, sigma_nt: float) -> Gain | None:
+        if hypothesis.nonlinear and not len(self.whitening) and self.problem.field_error is not None:
+            rows = self.problem.rows(hypothesis.columns(theta), fit.unit)
+            products = None if rows is None else space.products_before(rows, self.problem)
+            return products.gain(sigma_nt) if products is not None and np.isfinite(products.normal).all() else None
         rows = self.rows_of(hypothesis, theta, fit)
         return None if rows is None else space.gain(rows, sigma_nt)
 

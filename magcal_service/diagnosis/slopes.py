@@ -1,4 +1,4 @@
-"""Derivatives of the residual by what is not linear in it: nonlinear numbers, and the direction of a room's field."""
+"""Derivatives of the residual by its unknowns and by nonlinear numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.model import Array
+from magcal_service.model import STATE_SIZE, Array, field_jacobian, magnitude_jacobian
 from magcal_service.physics.interface import Nonlinear
 
 HELD: Final = ("instant", "edge", "held")
@@ -19,6 +19,19 @@ def room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Arr
     size = float(np.linalg.norm(field))
     across = (np.eye(3) - np.outer(field, field) / size**2) / size
     return np.asarray(np.transpose(room_from_body, (0, 2, 1)) @ across * magnitude_nt[:, None, None])
+
+
+def unknown_slopes(measured_nt: Array, unit: Array, of_target: Array | None) -> Array:
+    """d residual / d unknowns (m, 9 or 12), for measured vectors (n, 3) [nT].
+
+    Parameters
+    ----------
+    unit: direction of the field in the body (n, 3).
+    of_target: in a vector form, d target / d what turns it (n, 3, 3).
+    """
+    if of_target is None:
+        return magnitude_jacobian(measured_nt, unit)
+    return np.concatenate([field_jacobian(measured_nt), -of_target], axis=2).reshape(-1, STATE_SIZE + 3)
 
 
 def number_slopes(

@@ -31,7 +31,7 @@ RADIUS_KM = (6300.0, 60000.0)  # below the surface, and beyond synchronous orbit
 
 _J2000_NS = 946_728_000 * 10**9  # 2000-01-01T12:00:00Z
 _CENTURY_NS = 36525 * 86400 * 10**9  # Julian century, the unit of time of the sidereal polynomial
-_ROWS = 8192  # positions per call of the model: bounds its memory to about 100 MB
+_ROWS = 4096  # positions per call of the model: bounds its memory to 50 MB; twice as many take twice as long each
 _POLE_DEG = 1e-7  # the model divides by sin(colatitude); 1e-7 deg is 11 mm on the ground
 
 

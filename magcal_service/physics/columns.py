@@ -29,22 +29,26 @@ class Columns:
     magnitude: Array | None = None
 
     def along(self, unit: Array) -> Array:
-        """Columns of the scalar residual (n, k) for field directions ``unit`` (n, 3) in the body."""
+        """Columns of the scalar residual (n, k), each in one piece, for directions ``unit`` (n, 3) of the field."""
         if self.axes is not None:
-            return np.concatenate([part * unit for part in self.axes], axis=1)
+            rows = np.empty((len(self.axes), 3, len(unit)))
+            for each, part in zip(rows, self.axes, strict=True):
+                for i in range(3):
+                    np.multiply(part[:, i], unit[:, i], out=each[i])
+            return rows.reshape(-1, len(unit)).T
         if self.body is not None:
-            return np.ascontiguousarray(np.einsum("kni,ni->nk", self.body, unit))
+            return np.asarray(np.einsum("kni,ni->kn", self.body, unit)).T
         assert self.magnitude is not None
-        return np.ascontiguousarray(self.magnitude.T)
+        return self.magnitude.T
 
     def components(self) -> Array | None:
-        """Columns of a vector residual (3 n, k); None for a magnitude, which has no direction."""
+        """Columns of a vector residual (3 n, k), as ``along``; None for a magnitude, which has no direction."""
         body = self.body
         if self.axes is not None:
             body = np.zeros((3 * len(self.axes), *self.axes.shape[1:]))
             for i in range(3):
                 body[i::3, :, i] = self.axes[:, :, i]
-        return None if body is None else np.ascontiguousarray(body.reshape(len(body), -1).T)
+        return None if body is None else body.reshape(len(body), -1).T
 
     def field(self, amplitudes: Array) -> Array:
         """The body field (n, 3) of amplitudes (k,) [nT]; zeros (n, 3) for a magnitude."""
@@ -58,7 +62,8 @@ class Columns:
     def sizes(self) -> Array:
         """rms over the recording of what one unit of each amplitude adds (k,) [nT per unit]."""
         if self.axes is not None:
-            return np.asarray(np.sqrt(np.mean(self.axes**2, axis=1)).reshape(-1))
+            squares = np.einsum("jni,jni->ji", self.axes, self.axes)
+            return np.asarray(np.sqrt(squares / self.axes.shape[1]).reshape(-1))
         if self.body is not None:
             return np.asarray(np.sqrt(np.einsum("kni,kni->k", self.body, self.body) / self.body.shape[1]))
         assert self.magnitude is not None
@@ -72,7 +77,7 @@ class Columns:
 def along_axes(signals: Array) -> Columns:
     """Every signal of (n,) or (n, s) along each body axis."""
     each = signals[None] if signals.ndim == 1 else signals.T
-    return Columns(axes=np.repeat(each[:, :, None], 3, axis=2))
+    return Columns(axes=np.broadcast_to(each[:, :, None], (*each.shape, 3)))
 
 
 def oscillation(time_s: Array, frequency_hz: float) -> Columns:

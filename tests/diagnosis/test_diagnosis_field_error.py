@@ -9,6 +9,8 @@ import pytest
 from numpy.polynomial import legendre
 
 from magcal_service.diagnosis.field_error import FieldError, Lines, degree_variances
+from magcal_service.diagnosis.linear import Workspace
+from magcal_service.diagnosis.problem import Problem
 from tests.physics.scenes import scene
 
 NOISE_NT = 5.0
@@ -123,3 +125,17 @@ def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose(knots: int
     assert lines.carried_on(values) == pytest.approx(expected)
     assert lines.less(rows, values) == pytest.approx(rows - expected)
     assert float((expected * rows).sum()) == pytest.approx(float((values * lines.gathered(rows)).sum()))
+
+
+def test_products_of_white_rows_need_no_white_rows(error: FieldError) -> None:
+    """Smooth rows, which the errors absorb, and rough ones; and the evidence that comes of them beside a model."""
+    time_s, rng = scene().time_s, np.random.default_rng(4)
+    smooth = np.stack([np.cos(k * time_s / 900.0) for k in range(4)], axis=1)
+    rows = 30.0 * np.concatenate([smooth, rng.normal(size=(len(time_s), 3))], axis=1)
+    white = error.whitened(rows)
+    assert error.products(rows) == pytest.approx(white.T @ white, rel=1e-9, abs=1e-6)
+    problem = Problem(scene(), NOISE_NT, field_error=error)
+    space = Workspace(problem.white(rng.normal(size=len(time_s)) + smooth[:, 1]), problem.white(rows[:, 4:6]))
+    expected, found = space.gain(white[:, :4], NOISE_NT), space.products_before(rows[:, :4], problem).gain(NOISE_NT)
+    assert found.nats == pytest.approx(expected.nats, rel=1e-9)
+    assert found.amplitudes == pytest.approx(expected.amplitudes, rel=1e-7)

@@ -172,7 +172,7 @@ def test_a_covariance_grows_only_by_what_block_sums_do_not_do_by_chance(excess: 
     level_nt, ups = 7.0, (400 + excess) // 2
     block = np.repeat([level_nt, -level_nt], [ups, 400 - ups])
     residual = np.concatenate([sign * block for sign in np.tile([1.0, -1.0], 15)])
-    problem: Any = SimpleNamespace(white=lambda rows: rows)
+    problem: Any = SimpleNamespace(white=lambda rows: rows, white_products=lambda rows: rows.T @ rows)
     none = np.zeros((0, 3))
     fit = Fit(problem, np.zeros(1), (), residual, np.ones((12_000, 1)), none, none, np.zeros(1))
     assert np.sqrt(fit.covariance) == pytest.approx(growth * level_nt / np.sqrt(12_000))
@@ -200,3 +200,13 @@ def test_what_a_recording_begins_in_is_told_by_its_beginning_alone(name: str, lo
     first = fit.held_out_residual[: len(time_s) // 50]
     left = float(np.sqrt(np.mean(first**2))) / NOISE_NT
     assert low < left < high
+
+
+def test_derivatives_are_left_out_where_too_much_is_left() -> None:
+    """The squares of the white residual decide, and what is left is the same either way."""
+    problem = Problem(scene(NOISE_NT), NOISE_NT)
+    whole = evaluate(problem, X, [])
+    bare, kept = (evaluate(problem, X, [], most_nt2=share * whole.squares) for share in (0.999, 1.001))
+    assert bare.columns.size == bare.tie.size == 0
+    assert np.array_equal(bare.residual, whole.residual)
+    assert np.array_equal(kept.columns, whole.columns)

@@ -141,3 +141,16 @@ def test_the_first_step_is_half_the_gap_below_or_a_quarter_of_a_line(
 )
 def test_the_last_step_is_what_cannot_be_told_apart(role: str, value: float, step: float) -> None:
     assert _last_step(number(role), value, PROBLEM) == pytest.approx(step)
+
+
+def test_no_numbers_are_tried_twice() -> None:
+    """Not even where two numbers are moved in two passes, and the second passes the same places again."""
+    seen: list[bytes] = []
+
+    def nats(at: Array) -> float:
+        seen.append(at.tobytes())
+        return -float((at[0] - 3.3) ** 2 + (at[1] - 5.0) ** 2)
+
+    theta, _, asked = moved(nats, [4.0, 4.0], number(), number())
+    assert theta == pytest.approx([3.3, 5.0], rel=0.03)
+    assert len(set(seen)) == asked

@@ -17,6 +17,7 @@ from magcal_service.model import (
     d_matrix,
     field_jacobian,
     largest_variance,
+    magnitude_jacobian,
     mean_of_v,
     measure,
     scalar_innovation_value,
@@ -111,6 +112,13 @@ def test_a_sensitivity_at_projected_vectors_does_not_correlate_with_the_residual
 @given(fields)
 def test_the_jacobian_of_one_vector_is_that_of_many(field: np.ndarray) -> None:
     assert np.array_equal(vector_jacobian(*field.tolist()), field_jacobian(field))
+
+
+def test_a_magnitudes_jacobian_is_the_vectors_along_its_direction() -> None:
+    rng = np.random.default_rng(8)
+    fields, unit = rng.uniform(-60_000.0, 60_000.0, size=(20, 3)), directions(rng, 20)
+    expected = np.einsum("ni,nij->nj", unit, field_jacobian(fields))
+    assert np.allclose(magnitude_jacobian(fields, unit), expected, rtol=1e-12, atol=1e-9)
 
 
 X = np.array([1000.0, -2000.0, 3000.0, 0.1, -0.2, 0.3, 0.04, -0.05, 0.06])

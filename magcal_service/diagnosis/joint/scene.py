@@ -14,7 +14,7 @@ from magcal_service.physics.scene.scene import KEPT, Scene, Warmed
 _BETWEEN_S: Final = 3600.0
 """Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
 
-_SAME_UNDER_CONSTANTS: Final = tuple(name for name in KEPT if name not in ("memo", "_warmed", "eclipses"))
+_SAME_UNDER_CONSTANTS: Final = tuple(name for name in KEPT if name not in ("memo", "_warmed", "_skins", "eclipses"))
 """Results of a scene that no constant of a model changes."""
 
 

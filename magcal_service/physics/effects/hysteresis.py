@@ -45,16 +45,17 @@ def play(values: Array, half_width: float, start: Array | float = 0.0) -> Array:
     before = np.broadcast_to(start, values.shape[1:])
     if len(values) < _MANY:
         return np.stack([_stepped(*each, half_width) for each in zip(values.T, before.tolist(), strict=True)], axis=1)
-    low, high = values - half_width, values + half_width
-    span = 1
+    edges = values - half_width, values + half_width
+    spare, span = (np.empty_like(values), np.empty_like(values)), 1
     while span < len(values):  # maps x -> min(max(x, low), high) of 1, 2, 4 ... samples one after another
-        lower, upper = low[span:], high[span:]
-        if np.array_equal(lower, upper):  # what was before no longer matters
+        low, high = edges
+        if np.array_equal(low[span:], high[span:]):  # what was before no longer matters
             break
-        found = [np.minimum(np.maximum(edge[:-span], lower), upper) for edge in (low, high)]
-        low[span:], high[span:] = found
-        span *= 2
-    return np.asarray(np.clip(before, low, high))
+        for edge, found in zip(edges, spare, strict=True):
+            found[:span], later = edge[:span], found[span:]
+            np.minimum(np.maximum(edge[:-span], low[span:], out=later), high[span:], out=later)
+        edges, spare, span = spare, edges, 2 * span
+    return np.asarray(np.clip(before, *edges))
 
 
 def _stepped(values: Array, state: float, half_width: float) -> Array:

@@ -32,6 +32,7 @@ KEPT = (
     "lit",
     "sun_body",
     "_warmed",
+    "_skins",
     "eclipses",
     "dipole_eci",
     "knots",
@@ -47,6 +48,9 @@ BEND_S: Final = 120.0
 
 MOST_WARMED: Final = 96
 """Answers to light that are kept: more than the pairs of time constants on a grid, which are tried again and again."""
+
+MOST_SKINS: Final = 16
+"""Answers of a skin alone that are kept: those of a grid, and of one number about its best while the other is tried."""
 
 Warmed = Recent[tuple[float, float], tuple[Array, Array]]
 """Answers to light with their decays, by time constant and skin."""
@@ -316,11 +320,10 @@ class Scene:
 
     def _warm(self, tau_s: float, skin_s: float) -> tuple[Array, Array]:
         assert self.lit is not None
-        drive = self.lit - self.mean_light
+        drive = lit = self.lit - self.mean_light
         if skin_s > 0.0:
-            drive = sunlight.first_order(
-                self.time_s, drive, skin_s, self.begin("skin", self.constant("skin_start", 0.0))
-            )
+            start = self.begin("skin", self.constant("skin_start", 0.0))
+            drive = self._skins.once(skin_s, lambda: sunlight.first_order(self.time_s, lit, skin_s, start))
             self.keep("skin", drive)
         answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
         self.keep("answer", answer)
@@ -340,6 +343,10 @@ class Scene:
     @cached_property
     def _warmed(self) -> Warmed:
         return Warmed(MOST_WARMED)
+
+    @cached_property
+    def _skins(self) -> Recent[float, Array]:
+        return Recent(MOST_SKINS)
 
     @cached_property
     def eclipses(self) -> bool:

@@ -113,7 +113,8 @@ def _in_stretches(aged: Array, pushed: Array, value: Array) -> Array:
         if last == first + 1:  # one gap may be longer than a stretch
             found[first] = np.exp(-since[0]) * value + pushed[first]
         else:
-            found[first:last] = np.exp(-since) * (value + np.cumsum(np.exp(since) * pushed[first:last], axis=0))
+            grown = np.exp(since)
+            found[first:last] = (value + np.cumsum(grown * pushed[first:last], axis=0)) / grown
         value, before, first = found[last - 1], float(aged[last - 1]), last
     return found
 
