@@ -353,6 +353,16 @@ def test_what_has_no_unit_may_go_along_with_a_current() -> None:
     assert added(forms("current_loop", given)["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
 
 
+def followed_by_hand(drive: Array, tau_s: float) -> Array:
+    """dy/dt = (drive - y) / tau in a hundred small steps from one sample to the next."""
+    value, found = float(drive[0]), [float(drive[0])]
+    for first, last, step_s in zip(drive[:-1], drive[1:], np.diff(TIME_S), strict=True):
+        for into in (np.arange(100) + 0.5) / 100.0:
+            value += (first + (last - first) * into - value) * step_s / 100.0 / tau_s
+        found.append(value)
+    return np.array(found)
+
+
 def test_panels_that_were_not_recorded_follow_the_sun() -> None:
     """Light alone, each face by the cosine of the Sun on it, pairs, the sum, and every face for itself."""
     assert scene().sun_body is not None
@@ -362,6 +372,10 @@ def test_panels_that_were_not_recorded_follow_the_sun() -> None:
     found = {variant: form for (driver, variant), form in forms("current_loop").items() if driver.startswith("inf")}
     k = np.array([1.0, 2.0, 3.0])
     assert added(found["lit or not"], k) == pytest.approx(lit * k)
+    late = found["lit or not, late"]
+    assert late.refines == found["lit or not"].label
+    tau_s, light = 30.0, lit[:, 0]
+    assert added(late, k, tau_s) == pytest.approx(np.outer(followed_by_hand(light, tau_s), k), abs=0.02 * k.max())
     lit_faces = [index for index in range(6) if np.std(faces[:, index]) > 0.02]
     names = ("+x", "+y", "+z", "-x", "-y", "-z")
     assert {name for name in found if name.startswith("panel ")} == {f"panel {names[index]}" for index in lit_faces}

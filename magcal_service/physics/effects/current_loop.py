@@ -31,6 +31,10 @@ _MOST_GUESSED_NT: Final = 2000.0
 _LAGS: Final = np.array([0.5, 1.0, 2.0, 4.0])
 """Time constants that are tried, in samples: drivers of sensors average over a few."""
 
+_REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
+"""Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
+the point of most power tens; a sensor's warmth takes at least 120 (``TIME_CONSTANTS_S``)."""
+
 _MOST_TOGETHER: Final = 12
 """Circuits that are tried all at once: 36 amplitudes; more of them explain one another."""
 
@@ -125,11 +129,11 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
         )
 
 
-def _lagged(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
+def _lagged(scene: Scene, signal: Array, key: str = "lagging") -> Callable[[Array], Columns]:
     def columns(theta: Array) -> Columns:
         tau_s = max(float(theta[0]), 1e-3 * scene.period_s)
-        found = first_order(scene.time_s, signal, tau_s, scene.begin("lagging", float(signal[0])))
-        scene.keep("lagging", found)
+        found = first_order(scene.time_s, signal, tau_s, scene.begin(key, float(signal[0])))
+        scene.keep(key, found)
         return along_axes(found)
 
     return columns
@@ -160,7 +164,11 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
         return
     block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
     if scene.eclipses:
-        yield Hypothesis("current_loop", driver, _fixed(scene.lit[:, None]), (block,), "lit or not")
+        lit = Hypothesis("current_loop", driver, _fixed(scene.lit[:, None]), (block,), "lit or not")
+        yield lit
+        number = Nonlinear("lag_s", "s", _REGULATED_S)
+        late = _lagged(scene, scene.lit, "regulated")
+        yield replace(lit, columns=late, variant="lit or not, late", nonlinear=(number,), refines=lit.label)
     if scene.sun_body is None:
         return
     faces = np.concatenate([np.maximum(scene.sun_body, 0.0), np.maximum(-scene.sun_body, 0.0)], axis=1)
@@ -212,6 +220,7 @@ EFFECT = Effect(
         "{lag_s.signed} late.",
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
+        "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}, {lag_s.signed} late.",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
