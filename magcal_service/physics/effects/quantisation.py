@@ -16,8 +16,8 @@ _ON_LATTICE: Final = 0.04
 """Distance from whole multiples of the step, in steps, that 95 % of the values keep; by chance they have 0.475."""
 
 _LEAST_SIGMAS: Final = 1.0
-"""Step in noise sigmas from which on it counts: 8 % of the variance, 4 % of the noise.  What finer rounding adds is white
-and independent of the field to a few parts in 10^9 (Widrow & Kollar 2008): a part of the sensor's noise, no mismatch."""
+"""Step in noise sigmas from which on it counts: 8 % of the variance, 4 % of the noise.  What finer rounding adds is
+white and independent of the field to a few parts in 10^9 (Widrow & Kollar 2008): it is a part of the noise."""
 
 _LEAST_DETECTABILITY: Final = 10.0
 """Least detectability of its noise in the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
