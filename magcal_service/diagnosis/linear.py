@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
@@ -111,6 +112,7 @@ class Workspace:
         """The same with no sample of the residual beyond a limit [nT]."""
         result = copy(self)
         result._before = None
+        result.__dict__.pop("_fixed", None)
         held = np.clip(self.residual, -limit, limit)
         result.residual = held - self._basis @ (self._basis.T @ held)
         result.squares = float(result.residual @ result.residual)
@@ -135,7 +137,7 @@ class Workspace:
         Its whitening is a symmetric matrix: that of what they are multiplied by will do.
         """
         if self._before is None:
-            self._before = problem.white(np.concatenate([self._basis.T, self.residual[None]]).T)
+            self._before = problem.white(self._fixed)
         beside = self._before.T @ rows
         return self._products(problem.white_products(rows), beside[:-1], beside[-1])
 
@@ -151,15 +153,17 @@ class Workspace:
 
         Columns (m, k) count in units of their rms.
         """
-        width, size = self._basis.shape[1], columns.shape[1]
-        parts = np.empty((len(columns), width + size + 1))
-        scaled = parts[:, width : width + size]
-        parts[:, :width], parts[:, -1] = self._basis, self.residual
-        np.divide(columns, _scale(columns), out=scaled)
+        scaled = columns / _scale(columns)
         ends = np.append(first_rows[1:], len(columns))
-        sums = np.stack([parts[i:j].T @ scaled[i:j] for i, j in zip(first_rows.tolist(), ends.tolist(), strict=True)])
-        normal, inside, right = sums[:, width : width + size], sums[:, :width], sums[:, width + size]
-        return Segments(normal, inside, right, self.squares, self.count)
+        each = [slice(first, end) for first, end in zip(first_rows.tolist(), ends.tolist(), strict=True)]
+        normal = np.stack([scaled[rows].T @ scaled[rows] for rows in each])
+        beside = np.stack([self._fixed[rows].T @ scaled[rows] for rows in each])
+        return Segments(normal, beside[:, :-1], beside[:, -1], self.squares, self.count)
+
+    @cached_property
+    def _fixed(self) -> Array:
+        """(m, p + 1) the model's basis, and the residual."""
+        return np.concatenate([self._basis, self.residual[:, None]], axis=1)
 
     def gated(self, columns: Array, first_rows: NDArray[np.intp], sigma_nt: float) -> list[Gain]:
         """Gains of columns (m, k) that are zero before each of the rows (g,), rising; at the cost of about one."""

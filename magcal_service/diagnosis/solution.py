@@ -91,7 +91,7 @@ class _Step:
         free = ~_blocked(fit, whole / scale)
         cost = fit.squares + float(tie @ fit.unknowns**2)
         step = cls(normal, score, scale, free, cost, sigma2, 0.0)
-        full = step.damped(0.0)
+        full = whole if free.all() else step.damped(0.0)
         return replace(step, to_go=float(full @ normal @ full))
 
     def damped(self, damping: float) -> Array:

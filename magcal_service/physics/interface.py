@@ -62,7 +62,7 @@ class Block:
     @property
     def size(self) -> int:
         """How many amplitudes it takes."""
-        return int(np.prod(self.shape)) if self.shape else 1
+        return math.prod(self.shape)
 
     @property
     def is_start(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Segments:
     """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
 
@@ -46,12 +47,19 @@ class Segments:
         ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
         """
 
-        def between(part: Array) -> Array:
-            wide = part.reshape(len(part), int(np.prod(part.shape[1:])))
-            at = wide.take(cuts.ravel(), axis=0).reshape(*cuts.shape, wide.shape[1]).sum(axis=0)
-            return np.asarray(np.diff(at, axis=0).reshape(len(at) - 1, *part.shape[1:]))
+        at = self._packed.take(cuts.ravel(), axis=0).reshape(*cuts.shape, -1).sum(axis=0)
+        found, size = np.diff(at, axis=0), self.right.shape[1]
+        upper, lower = np.triu_indices(size)
+        normal = np.empty((len(found), size, size))
+        normal[:, upper, lower] = normal[:, lower, upper] = found[:, : len(upper)]
+        inside = found[:, len(upper) : found.shape[1] - size].reshape(len(found), *self.inside.shape[1:])
+        return Segments(normal, inside, found[:, found.shape[1] - size :])
 
-        return Segments(between(self.normal), between(self.inside), between(self.right))
+    @cached_property
+    def _packed(self) -> Array:
+        """All sums of a stretch in a row (g, w), of the symmetric ones one half."""
+        half = (slice(None), *np.triu_indices(self.right.shape[1]))
+        return np.concatenate([self.normal[half], self.inside.reshape(len(self.inside), -1), self.right], axis=1)
 
     @property
     def alone(self) -> Segments:

@@ -206,13 +206,16 @@ def _cycles(sums: _Sums, period_s: float) -> list[float]:
     squares, products = sums.over(edges[:-1], edges[1:])
     strength = np.einsum("ki,ki->k", products, _fields(squares, products, max(_SIZES)))
     strength = np.minimum(strength, np.percentile(strength, _CLIPPED))
-    middle, excess = 0.5 * (edges[:-1] + edges[1:]), strength - strength.mean()
+    middle, held = 0.5 * (edges[:-1] + edges[1:]), np.flatnonzero(strength)  # between passes there is nothing
+    mean, variance = strength.mean(), max(float(strength.var()), 1e-300)
     scores = []
     for cycle_s in _CYCLES_S:
         places = int(max(2, min(cycle_s // _BIN_S, 24)))
-        place = ((middle % cycle_s) / cycle_s * places).astype(np.intp)
-        sizes, totals = np.bincount(place, minlength=places), np.bincount(place, excess, minlength=places)
-        varied = float((totals**2 / np.maximum(sizes, 1)).sum()) / max(float(strength.var()), 1e-300)
+        turn = middle / cycle_s
+        place = np.minimum((turn - np.floor(turn)) * places, places - 1).astype(np.intp)
+        sizes = np.bincount(place, minlength=places)
+        totals = np.bincount(place[held], strength[held], minlength=places) - mean * sizes
+        varied = float((totals**2 / np.maximum(sizes, 1)).sum()) / variance
         scores.append((varied - (places - 1)) / np.sqrt(2.0 * (places - 1)))
     if max(scores) < _LEAST_BEAT:
         return []

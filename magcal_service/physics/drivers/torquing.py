@@ -166,24 +166,27 @@ def _detumbling_tried(scene: Scene, periods: Array, edges: Array, sums: Sums) ->
     """Numbers (q, 6) of the patterns that lower the squares most, each for its best part and for all of the time."""
     firsts = np.searchsorted(scene.time_s, edges[:-1])
     lead_s = float(LEADS_S[1])
-    tried: list[tuple[float, tuple[float, float, float], Segments]] = []
+    tried: list[tuple[float, tuple[float, float, float]]] = []
+
+    def fired(period_s: float, share: float, phase: float) -> Columns:
+        dipole, into = _pulsed(scene, period_s, phase, lead_s)
+        return along_axes(dipole * (into < share)[:, None])
+
     for period_s in periods.tolist():
         count = int(np.clip(round(period_s / scene.period_s), 2, _PHASES))
         for phase in np.arange(count) / count:
-            dipole, into = _pulsed(scene, period_s, float(phase), lead_s)
             for share in _SHARES.tolist():
-                segments = sums(along_axes(dipole * (into < share)[:, None]), firsts)
-                whole = float(segments.drop(np.ones((1, _PARTS)))[0])
-                tried.append((whole, (period_s, share, float(phase)), segments))
+                numbers = period_s, share, float(phase)
+                tried.append((float(sums(fired(*numbers), firsts[:1]).drops[0]), numbers))
     tried.sort(key=lambda trial: -trial[0])
     parts = _parts()
     found = []
-    for whole, numbers_found, segments in tried[:_MOST]:
-        drops = segments.drop(parts)
+    for whole, numbers in tried[:_MOST]:
+        drops = sums(fired(*numbers), firsts).drop(parts)
         best = int(np.argmax(drops))
         used = np.flatnonzero(parts[best]) if drops[best] > whole else np.arange(_PARTS)
-        found.append([*numbers_found, lead_s, edges[used[0]], edges[used[-1] + 1]])
-        found.append([*numbers_found, lead_s, edges[0], edges[-1]])
+        found.append([*numbers, lead_s, edges[used[0]], edges[used[-1] + 1]])
+        found.append([*numbers, lead_s, edges[0], edges[-1]])
     return np.array(found)
 
 
