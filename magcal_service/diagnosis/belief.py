@@ -155,7 +155,7 @@ def _least_unlisted(explained: Explained, index: int) -> float:
     levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
     jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
-    if _is_within_another(explained, index):
+    if _is_within_another(explained, index) or _share_an_orbit(fit, index):
         least = max(least, _OF_A_FORM)
     if hypothesis.blocks and all(block.is_start for block in hypothesis.blocks):
         least = max(least, _OF_A_FORM)  # what settles, and follows no record, is as well any drift that relaxes
@@ -171,6 +171,22 @@ def _is_within_another(explained: Explained, index: int) -> bool:
     """Whether a name that follows no record holds no more than the form of a larger one may be inexact by."""
     largest = max(gain.nats for gain in explained.gains)
     return not is_recorded(explained.fit.terms[index].hypothesis) and explained.gains[index].nats < _INEXACT * largest
+
+
+def _share_an_orbit(fit: Fit, index: int) -> bool:
+    """Whether a name and another one follow no record, in less than an orbit: two courses together are met by a third,
+    as a drift and a hysteresis by a warmth that nobody recorded."""
+    unrecorded = [number for number, term in enumerate(fit.terms) if not is_recorded(term.hypothesis)]
+    orbit_s, scene = _orbit_s(fit), fit.problem.scene
+    return index in unrecorded and len(unrecorded) > 1 and float(np.ptp(scene.time_s)) < orbit_s
+
+
+def _orbit_s(fit: Fit) -> float:
+    """Time that an orbit takes [s]; 0 where there is none."""
+    place = fit.problem.scene.position_ecef_km
+    if place is None or not fit.problem.scene.in_orbit:
+        return 0.0
+    return 2.0 * math.pi / kepler_rad_s(float(np.linalg.norm(place, axis=1).mean()))
 
 
 def _is_along_inferred(fit: Fit, index: int) -> bool:
@@ -197,11 +213,9 @@ def _directions(term: Term) -> Array:
 
 def _is_each_orbit(fit: Fit, index: int) -> bool:
     """Whether a term's instants come again an orbit later, every second one: something follows the orbit, as light."""
-    place = fit.problem.scene.position_ecef_km
-    instants = np.sort([value for number, value in numbers_of(fit, "instant") if number == index])
-    if place is None or not fit.problem.scene.in_orbit or len(instants) < _FEWEST_SWITCHED:
+    instants, orbit_s = np.sort([at for number, at in numbers_of(fit, "instant") if number == index]), _orbit_s(fit)
+    if orbit_s == 0.0 or len(instants) < _FEWEST_SWITCHED:
         return False
-    orbit_s = 2.0 * np.pi / kepler_rad_s(float(np.linalg.norm(place, axis=1).mean()))
     return bool(np.all(np.abs((instants[2:] - instants[:-2]) / orbit_s - 1.0) < _EACH_ORBIT))
 
 

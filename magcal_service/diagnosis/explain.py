@@ -19,6 +19,7 @@ from magcal_service.diagnosis.instants import has_other_course, timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.records import by_channel, from_records, held_out
 from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
 from magcal_service.diagnosis.solution import exchanged, solve
@@ -48,7 +49,6 @@ _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change 
 RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
 _MOST_EXCHANGES: Final = 3  # names that give their place to a rival at the end; one was the rule where it was tried
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
-_NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
 _MOST_RIVALS: Final = 12  # of them kept as rivals for later steps
 
@@ -113,17 +113,17 @@ class Search(Screen):
 
     def run(self, start: Fit, floor_nt: float, progress: Progress = untold) -> Explained:
         """Forward selection with a backward check after every step, and once more into room that rivals leave."""
-        fit = self._selected(start, floor_nt, progress)
+        fit = self.selected(start, floor_nt, progress)
         progress(RIVALS)
-        found = self._settled(fit, floor_nt)
+        found = from_records(self, self.settled(fit, floor_nt), floor_nt, progress)
         kept = {term.hypothesis.effect for term in found.fit.terms}
         dropped = {term.hypothesis.effect for term in fit.terms} - kept
         if not kept or not dropped:
             return found
-        more = self._selected(found.fit, floor_nt, progress, dropped)
-        return found if more is found.fit else self._settled(more, floor_nt)
+        more = self.selected(found.fit, floor_nt, progress, dropped)
+        return found if more is found.fit else self.settled(more, floor_nt)
 
-    def _selected(self, fit: Fit, floor_nt: float, progress: Progress, without: Set[str] = frozenset()) -> Fit:
+    def selected(self, fit: Fit, floor_nt: float, progress: Progress, without: Set[str] = frozenset()) -> Fit:
         """A fit with further effects, as many as hold; ``without``: effects that are not tried."""
         while len(fit.terms) < MOST_EFFECTS:
             progress(SEARCHING[len(fit.terms)])
@@ -136,12 +136,12 @@ class Search(Screen):
                 break
         return fit
 
-    def _settled(self, fit: Fit, floor_nt: float) -> Explained:
+    def settled(self, fit: Fit, floor_nt: float) -> Explained:
         """What was selected, at its end, beside its rivals."""
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))
-        settled = self._bounded(self._by_channel(settled, floor_nt))
+        settled = self._bounded(by_channel(self, settled, floor_nt))
         for index in range(len(settled.terms)):
             settled = timed(self, settled, index)
         return self.compared(settled, floor_nt)
@@ -199,7 +199,7 @@ class Search(Screen):
             for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
-                if self._agrees(fit, trial) and self._is_sized(trial):
+                if self._agrees(fit, trial) and self.is_sized(trial):
                     return trial
         return None
 
@@ -229,13 +229,13 @@ class Search(Screen):
         gain = space.gain(rows, sigma)
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
-    def _is_sized(self, fit: Fit) -> bool:
+    def is_sized(self, fit: Fit) -> bool:
         """Whether every term, refitted with the errors, is still within its physics."""
         return all(within_physics(fit, index) for index in range(len(fit.terms)))
 
     def _bounded(self, fit: Fit) -> Fit:
         """Without the terms that a refit has taken out of their physics, the weakest of them first."""
-        while not self._is_sized(fit):
+        while not self.is_sized(fit):
             beyond = [index for index in range(len(fit.terms)) if not within_physics(fit, index)]
             weakest = min(beyond, key=lambda index: self._worth(fit, index, fit.white_rms_nt))
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
@@ -244,7 +244,7 @@ class Search(Screen):
     def _agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
         inside = float((before.sensor_residual**2).sum() - (after.sensor_residual**2).sum())
-        return inside > 0.0 and _held_out(before) - _held_out(after) > HELD_OUT_SHARE * inside
+        return inside > 0.0 and held_out(before) - held_out(after) > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
         """Without the terms that are redundant beside the others."""
@@ -276,31 +276,6 @@ class Search(Screen):
                 space, blocks = self.workspace(fit, index), self._blocks(fit)
                 ranked = tempered(self, ranked, fit, index, space, blocks, sigma, most_fitted=0)
             fit = self._with_better(fit, index, ranked) or fit
-        return fit
-
-    def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
-        """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
-
-        An inferred driver has no sensor noise, and so fits a little better than its record.
-        """
-        for index, term in enumerate(fit.terms):
-            if not term.hypothesis.is_inferred:
-                continue
-            recorded = [
-                hypothesis
-                for hypothesis in self.hypotheses
-                if hypothesis.effect == term.hypothesis.effect and is_recorded(hypothesis)
-            ]
-            space, sigma = self.workspace(fit, index), max(fit.white_rms_nt, floor_nt)
-            ranked = self.screen(space, fit, sigma, among=[*recorded, term.hypothesis])
-            own = next((c.nats for c in ranked if c.hypothesis is term.hypothesis), math.inf)
-            best = next((c for c in ranked if c.hypothesis is not term.hypothesis), None)
-            if best is None or best.nats < _NEARLY * own:
-                continue
-            term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
-            trial = exchanged(self.problem, fit, index, term)
-            if self._is_sized(trial):
-                fit = self.refreshed(trial)
         return fit
 
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
@@ -374,19 +349,14 @@ class Search(Screen):
             trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
             gained = best.nats - own if math.isfinite(own) else 0.0
             most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
-            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
+            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self.is_sized(trial):
                 continue
-            if _held_out(trial) <= _held_out(fit) + most:
+            if held_out(trial) <= held_out(fit) + most:
                 return trial
         return None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
-
-
-def _held_out(fit: Fit) -> float:
-    """Sum of squares on rows that took no part, as the sensor's own noise [nT^2]."""
-    return float((fit.sensor_held_out**2).sum())
 
 
 def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:

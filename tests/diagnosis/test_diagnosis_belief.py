@@ -135,6 +135,22 @@ def test_what_is_switched_once_an_orbit_follows_the_orbit(again_s: float, own: f
     assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
 
 
+@pytest.mark.parametrize(
+    ("slower", "driver", "own"),
+    [(0.6, "none", [0.7, 0.7]), (0.6, "channel:one", [0.97, 0.99]), (1.0, "none", [0.97, 0.97])],
+)
+def test_two_names_without_a_record_in_less_than_an_orbit_may_be_a_third(
+    slower: float, driver: str, own: list[float]
+) -> None:
+    """A drift and a hysteresis together, for a warmth that nobody recorded."""
+    named = explained([])
+    other = Term(replace(form("tone"), driver=driver), np.array([0.02]), np.ones(6))
+    of = replace(named.fit.problem, scene=replace(scene(), time_s=slower * scene().time_s))
+    fit = replace(named.fit, problem=of, terms=(*named.fit.terms, other))
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx(own)
+
+
 @pytest.mark.parametrize(("times", "own"), [(2.0, 0.5), (3.0, 0.5), (2.4, 0.97), (0.5, 0.97)])
 def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float, own: float) -> None:
     """Of a cycle of 130 s, which is no duty, and no tone of its own."""

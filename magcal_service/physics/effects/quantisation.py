@@ -15,9 +15,9 @@ from magcal_service.physics.scene.view import View
 _ON_LATTICE: Final = 0.04
 """Distance from whole multiples of the step, in steps, that 95 % of the values keep; by chance they have 0.475."""
 
-_LEAST_SIGMAS: Final = 1.0
-"""Step in noise sigmas from which on it counts: 8 % of the variance, 4 % of the noise.  What finer rounding adds is
-white and independent of the field to a few parts in 10^9 (Widrow & Kollar 2008): it is a part of the noise."""
+_LEAST_SIGMAS: Final = 0.5
+"""Step in noise sigmas from which on it counts: 2 % of the variance, 1 % of the noise; a choice.  What finer rounding
+adds is white and independent of the field to 10^-33 (Widrow & Kollar 2008): it is a part of the noise."""
 
 _LEAST_DETECTABILITY: Final = 10.0
 """Least detectability of its noise in the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
@@ -65,7 +65,7 @@ EFFECT = Effect(
     equation="B_i rounded to a multiple of q: adds a variance of q^2 / 12",
     units={"lsb_nt": "nT", "lsb_by_axis_nt": "nT", "added_noise_nt": "nT"},
     prior=(1.0, 500.0),
-    valid="the step is seen in the values themselves; below 1 noise sigma it is a part of the noise",
+    valid="the step is seen in the values themselves; below half a noise sigma it is a part of the noise",
     confused_with=("coloured_noise",),
     separated_by="gaps in the histogram of each axis",
     source="Widrow & Kollar 2008: q^2 / 12, and lines where the field moves slowly against q",
