@@ -19,7 +19,6 @@ from magcal_service.diagnosis.instants import has_other_course, timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.records import by_channel, from_records, held_out
 from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
 from magcal_service.diagnosis.solution import exchanged, solve
@@ -49,6 +48,7 @@ _STILL: Final = 0.02  # of the residual's rms: vectors that move by less change 
 RIVAL_SHARE: Final = 0.05  # of the best evidence: what has less is no rival and is not tried again
 _MOST_EXCHANGES: Final = 3  # names that give their place to a rival at the end; one was the rule where it was tried
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
+_NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
 _MOST_RIVALS: Final = 12  # of them kept as rivals for later steps
 
@@ -115,7 +115,7 @@ class Search(Screen):
         """Forward selection with a backward check after every step, and once more into room that rivals leave."""
         fit = self.selected(start, floor_nt, progress)
         progress(RIVALS)
-        found = from_records(self, self.settled(fit, floor_nt), floor_nt, progress)
+        found = self.settled(fit, floor_nt)
         kept = {term.hypothesis.effect for term in found.fit.terms}
         dropped = {term.hypothesis.effect for term in fit.terms} - kept
         if not kept or not dropped:
@@ -141,7 +141,7 @@ class Search(Screen):
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))
-        settled = self._bounded(by_channel(self, settled, floor_nt))
+        settled = self._bounded(self.by_channel(settled, floor_nt))
         for index in range(len(settled.terms)):
             settled = timed(self, settled, index)
         return self.compared(settled, floor_nt)
@@ -278,6 +278,31 @@ class Search(Screen):
             fit = self._with_better(fit, index, ranked) or fit
         return fit
 
+    def by_channel(self, fit: Fit, floor_nt: float) -> Fit:
+        """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
+
+        An inferred driver has no sensor noise, and so fits a little better than its record.
+        """
+        for index, term in enumerate(fit.terms):
+            if not term.hypothesis.is_inferred:
+                continue
+            recorded = [
+                hypothesis
+                for hypothesis in self.hypotheses
+                if hypothesis.effect == term.hypothesis.effect and is_recorded(hypothesis)
+            ]
+            space, sigma = self.workspace(fit, index), max(fit.white_rms_nt, floor_nt)
+            ranked = self.screen(space, fit, sigma, among=[*recorded, term.hypothesis])
+            own = next((c.nats for c in ranked if c.hypothesis is term.hypothesis), math.inf)
+            best = next((c for c in ranked if c.hypothesis is not term.hypothesis), None)
+            if best is None or best.nats < _NEARLY * own:
+                continue
+            term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+            trial = exchanged(self.problem, fit, index, term)
+            if self.is_sized(trial):
+                fit = self.refreshed(trial)
+        return fit
+
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
         others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index}
         space = self.workspace(fit, index)
@@ -357,6 +382,11 @@ class Search(Screen):
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
+
+
+def held_out(fit: Fit) -> float:
+    """Sum of squares on rows that took no part, as the sensor's own noise [nT^2]."""
+    return float((fit.sensor_held_out**2).sum())
 
 
 def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:

@@ -22,6 +22,7 @@ from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem
+from magcal_service.diagnosis.records import from_records
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
@@ -112,7 +113,8 @@ def _searched(
     prepared = _settled(prepared, prepared.problem) if usual is None else _at_scale(prepared, usual, taken)
     while True:
         search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
-        explained = search.run(prepared.baseline, FLOOR * prepared.problem.noise_nt, progress)
+        floor = FLOOR * prepared.problem.noise_nt
+        explained = from_records(search, search.run(prepared.baseline, floor, progress), floor, progress)
         if usual is None:
             return prepared, search, explained
         scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
@@ -152,6 +154,7 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
     quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
+    again = from_records(quiet, again, lower, progress)
     again, again_left = _standing(quiet, baseline, again, phase, lower)
     if _drivers(explained):
         explained, left = _standing(search, baseline, explained, phase, floor)

@@ -16,7 +16,6 @@ from magcal_service.diagnosis.leftover import _Beside, _transients, largest_prod
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.problem import Problem, Term
-from magcal_service.diagnosis.records import by_channel
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes
@@ -165,7 +164,7 @@ def taken(channel: Hypothesis, *others: Hypothesis, inferred: str = "inferred:li
     mine = driven(SLOW, inferred)
     search, fit = searching(flown(along(0, 300.0 * SLOW)), mine, channel, *others)
     fit = solve(search.problem, fit.x, [Term(mine, np.zeros(0), np.array([300.0]))])
-    found = by_channel(search, fit, FLOOR_NT)
+    found = search.by_channel(fit, FLOOR_NT)
     return [term.hypothesis.driver for term in found.terms]
 
 
