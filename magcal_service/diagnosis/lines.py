@@ -60,7 +60,7 @@ def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Ar
 
     White noise gives six times its variance everywhere.
     """
-    slot = _slots(scene)
+    slot = slots(scene)
     size = 1 << int(np.ceil(np.log2(2 * (int(slot[-1]) + 1))))
     products = np.stack([unit[:, i] * unit[:, j] for i in range(3) for j in range(3)], axis=1)
     right = _transform(slot, residual[:, None] * unit, size)
@@ -81,7 +81,7 @@ def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Ar
     return frequency, power
 
 
-def _slots(scene: Scene) -> NDArray[np.intp]:
+def slots(scene: Scene) -> NDArray[np.intp]:
     """Place (n,) of each sample on an even grid.
 
     Where pauses make up most of a long recording, each is cut to as many samples as there are in all stretches divided

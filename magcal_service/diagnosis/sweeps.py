@@ -28,6 +28,9 @@ _FEWEST: Final = 64
 _MOST: Final = 60_000
 """Samples up to which tracks are sought; choice: five seconds of processor at the most."""
 
+_FULL: Final = 0.5
+"""Share of a recording that its samples have to fill: windows of passes days apart would be all pause."""
+
 _SLOPES: Final = 16
 """Slopes to either side of none, in steps of ``2 / width^2``: half a step turns the ends of a window by an eighth of a
 turn, and the steepest crosses 32 of its bins."""
@@ -108,7 +111,7 @@ class _Windows:
 
 
 def tracks(scene: Scene, residual: Array, unit: Array, spin_hz: float | None) -> list[Track]:
-    """The best track for each number of windows.
+    """The best track for each number of windows; none of a recording that is too long, or mostly pause.
 
     Parameters
     ----------
@@ -117,7 +120,8 @@ def tracks(scene: Scene, residual: Array, unit: Array, spin_hz: float | None) ->
     unit: (n, 3) directions of the field in the body.
     spin_hz: near which, and near whose double, no wave is looked for.
     """
-    if len(scene) > _MOST:
+    span_s = float(scene.time_s[-1] - scene.time_s[0])
+    if len(scene) > _MOST or len(scene) * scene.period_s < _FULL * span_s:
         return []
     counts = (count for count in _WINDOWS if len(scene) >= _FEWEST * count)
     found = (_track(scene, residual, unit, _Windows.of(scene, count, spin_hz)) for count in counts)

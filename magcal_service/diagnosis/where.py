@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.leftover import significant
+from magcal_service.diagnosis.lines import slots
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.model import Array
 
@@ -70,7 +71,7 @@ def lines(fit: Fit, signal: Array) -> list[float]:
     scene = fit.problem.scene
     if fit.problem.is_vector or len(signal) < 16:
         return []
-    slot = np.rint(scene.time_s / scene.period_s).astype(np.intp)
+    slot = slots(scene)
     grid = np.zeros(int(slot[-1]) + 1)
     grid[slot] = signal - signal.mean()
     power = np.abs(np.fft.rfft(grid)) ** 2

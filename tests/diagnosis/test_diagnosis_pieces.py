@@ -13,7 +13,7 @@ import pytest
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import _best_of_each
 from magcal_service.diagnosis.handover import model_term, terms_of
-from magcal_service.diagnosis.lines import _slots, folded
+from magcal_service.diagnosis.lines import folded, slots
 from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
 from magcal_service.diagnosis.screen import Candidate, _grid, _product, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
@@ -160,9 +160,9 @@ def test_samples_stand_on_an_even_grid_and_long_pauses_are_cut() -> None:
     time_s = np.array([5.0, 7.0, 9.1, 10.9, 25.0])
     of = timed(time_s)
     of.__dict__["period_s"] = 2.0
-    assert _slots(of).tolist() == [0, 1, 2, 3, 10]
+    assert slots(of).tolist() == [0, 1, 2, 3, 10]
     far = np.concatenate([np.arange(30.0), 1e6 + np.arange(10.0), 2e6 + np.arange(20.0)])
-    cut = _slots(timed(far))
+    cut = slots(timed(far))
     assert cut.tolist() == [*range(30), *range(49, 59), *range(78, 98)]
 
 

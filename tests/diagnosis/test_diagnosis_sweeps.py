@@ -61,14 +61,17 @@ def test_noise_has_no_track() -> None:
         assert max(nats(residual, one) for one in tracks(SCENE, residual, UNIT, RATE_HZ)) < 0.0
 
 
-def test_nothing_is_sought_near_the_spin_and_in_few_samples() -> None:
-    """A body's own turning is no tone; windows of a few samples hold none."""
+def test_nothing_is_sought_near_the_spin_in_few_samples_and_in_passes() -> None:
+    """A body's own turning is no tone; windows of a few samples hold none, and those of passes are mostly empty."""
     spinning = np.cos(2.0 * np.pi * RATE_HZ * TIME_S) * UNIT[:, 0]
     for one in tracks(SCENE, spinning, UNIT, RATE_HZ):
         assert one.to_hz < RATE_HZ - 1.2e-3 or one.from_hz > RATE_HZ + 1.2e-3
     few = slice(0, 1000)
     short = Scene(TIME_S[few], 0, False, FIELD_NT[few], FIELD_NT[few], FIELD_NT[few], np.full(1000, 3e4))
     assert tracks(short, noise(1)[few], UNIT[few], RATE_HZ) == []
+    apart = TIME_S + 1e6 * (np.arange(COUNT) >= COUNT // 2)
+    passes = Scene(apart, 0, False, FIELD_NT, FIELD_NT, FIELD_NT, np.full(COUNT, 3e4))
+    assert tracks(passes, noise(1), UNIT, RATE_HZ) == []
 
 
 def test_the_path_is_the_best_of_all() -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.leftover import significant
+from magcal_service.diagnosis.lines import slots
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
@@ -51,7 +52,7 @@ def spectrum(scene: Scene, residual: Array) -> tuple[Array, Array]:
 
     Power is averaged over neighbours, by ever more of them towards high frequencies: 160 points at most.
     """
-    slot = np.rint((scene.time_s - scene.time_s[0]) / scene.period_s).astype(np.intp)
+    slot = slots(scene)
     parts = residual.reshape(len(scene), -1).T
     size = int(slot[-1]) + 1
     grid = np.zeros((len(parts), size))
