@@ -16,8 +16,7 @@ from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
-from magcal_service.diagnosis.rest import LITTLE_LASTS, Rest
-from magcal_service.diagnosis.rivals import is_recorded
+from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.searching import End, in_form, with_memory
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
@@ -91,11 +90,6 @@ class Diagnosis:
     def left_share(self) -> float:
         """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
         return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
-
-    @property
-    def is_only_alike(self) -> bool:
-        """Whether what has no name is mostly what the names resemble, and do not meet."""
-        return self.verdict is Verdict.UNKNOWN and self.unexplained <= UNKNOWN_SHARE and bool(self.fit.terms)
 
     @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
@@ -189,7 +183,7 @@ def _on_rows(
     progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
-    verdict = _verdict(end, findings, unexplained)
+    verdict = _verdict(end.explained, findings, unexplained)
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
@@ -291,21 +285,11 @@ def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolutio
     return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2))
 
 
-def _verdict(end: End, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
-    if unexplained > UNKNOWN_SHARE or _is_only_alike(end):
+def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
+    if unexplained > UNKNOWN_SHARE:
         return Verdict.UNKNOWN
-    named = end.explained.fit.terms or any(name != COLOURED_NOISE for name in findings)  # noise explains no mismatch
+    named = explained.fit.terms or any(name != COLOURED_NOISE for name in findings)  # noise explains no mismatch
     return Verdict.NAMED if named else Verdict.NONE
-
-
-def _is_only_alike(end: End) -> bool:
-    """Whether names only resemble the cause: none is sure, none follows a record, and too much lasts beside them."""
-    terms = end.explained.fit.terms
-    if not terms or end.rest is None or end.rest.share <= LITTLE_LASTS:
-        return False
-    if any(is_recorded(term.hypothesis) for term in terms):
-        return False
-    return len(concerned(end.explained)["name_uncertain"]) == len(terms)
 
 
 def _doubts(inspection: Inspection) -> tuple[str, ...]:

@@ -142,7 +142,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         "time_s": span(diagnosis.fit, structure.signal),
         "axis": None,
         "frequency_hz": lines(diagnosis.fit, structure.signal),
-        "share_of_mismatch": round(diagnosis.left_share, 4),
+        "share_of_mismatch": round(diagnosis.unexplained, 4),
         "rms_nt": round(float(np.sqrt(np.mean(structure.signal**2))), 2),
         "correlates_with": [place.as_json() for place in places[:6]],
         "fitted_shape": shape or structure.shape.name,

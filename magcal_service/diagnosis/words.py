@@ -185,14 +185,6 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     )
 
 
-def resembled(left: float, sized: str, titles: Sequence[str]) -> str:
-    """The verdict where names only resemble the cause: what is nearest, and what lasts beside it."""
-    return (
-        f"No effect of the catalogue is borne out. Nearest: {listed(titles)}; but {percent(left)} of the mismatch lasts"
-        f" beside that{sized}, so the cause is another one, or more than one."
-    )
-
-
 def explained_share(unexplained: float) -> str:
     """How much of the mismatch the names explain; where nothing is seen beside them, no share is claimed."""
     if unexplained == 0.0:
@@ -214,8 +206,7 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
         if diagnosis.inspection.open:
             return IN_DOUBT
         besides = list(dict.fromkeys(known[entry.effect] for entry in named))
-        say = resembled if diagnosis.is_only_alike else nameless
-        return say(diagnosis.left_share, _sized(found), besides)
+        return nameless(diagnosis.unexplained, _sized(found), besides)
     first, others = named[0], named[1:]
     beside = listed(list(dict.fromkeys(known[entry.effect] for entry in others if entry.effect != first.effect)))
     cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {beside}" if beside else "")
@@ -358,7 +349,7 @@ class Ended(Protocol):
 def remaining(diagnosis: Ended) -> str:
     """What is left after the effects, in one sentence."""
     if diagnosis.verdict is Verdict.UNKNOWN:
-        return f"{percent(diagnosis.left_share)} of the mismatch, which no effect of the catalogue explains"
+        return f"{percent(diagnosis.unexplained)} of the mismatch, which no effect of the catalogue explains"
     if diagnosis.unexplained > 0.0:
         much = "too much to act on" if {"unexplained_structure", "mismatch_lasts"} & {*diagnosis.reasons} else "little"
         told, left = percent(diagnosis.unexplained), percent(diagnosis.left_share)

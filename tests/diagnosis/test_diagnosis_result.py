@@ -379,7 +379,6 @@ def unknown() -> Any:
             "fit": fit,
             "left": tuple(left),
             "unexplained": 0.81234,
-            "left_share": 0.81234,
             "verdict": Verdict.UNKNOWN,
             "prepared": SimpleNamespace(baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR, sun=None),
             "effects": tuple(search.effects),

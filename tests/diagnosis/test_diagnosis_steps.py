@@ -67,30 +67,7 @@ def explained(terms: int) -> Any:
 def test_up_to_a_fifth_may_be_left_without_a_name(
     terms: int, findings: dict[str, Any], unexplained: float, verdict: Verdict
 ) -> None:
-    end = SimpleNamespace(explained=explained(terms), rest=None)
-    assert _verdict(end, findings, unexplained) is verdict  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("lasts", "driver", "own", "is_alike"),
-    [
-        (0.06, "none", 0.9, True),
-        (0.06, "inferred:light", 0.9, True),
-        (0.02, "none", 0.9, False),
-        (0.06, "channel:current", 0.9, False),
-        (0.06, "none", 0.96, False),
-    ],
-)
-def test_names_only_resemble_a_cause_that_lasts_beside_them(
-    lasts: float, driver: str, own: float, is_alike: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """None is sure, none follows a record, and more is left than a true cause leaves."""
-    names = () if own >= 0.95 else ("bias_step",)
-    monkeypatch.setattr("magcal_service.diagnosis.diagnose.concerned", lambda _: {"name_uncertain": names})
-    fit = SimpleNamespace(terms=(SimpleNamespace(hypothesis=SimpleNamespace(driver=driver)),))
-    end = SimpleNamespace(explained=SimpleNamespace(fit=fit), rest=SimpleNamespace(share=lasts))
-    found = _verdict(end, {}, 0.01)  # type: ignore[arg-type]
-    assert found is (Verdict.UNKNOWN if is_alike else Verdict.NAMED)
+    assert _verdict(explained(terms), findings, unexplained) is verdict
 
 
 def residuals(before: float, after: float) -> tuple[Any, Any]:

@@ -56,7 +56,6 @@ def diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         left_share=max(unexplained, lasting),
-        is_only_alike=verdict is Verdict.UNKNOWN and unexplained <= 0.2,
         reasons=reasons,
         concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
@@ -292,11 +291,6 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
     makes = "makes 61 % of the mismatch besides currents, 310.4 nT rms of it in the shape that fits best"
     beside = verdict_sentence(unknown, [entry("unknown", rms=310.44), entry("b")], HELD_OUT)
     assert beside == f"Something without a name {makes}: {tail}"
-    alike = diagnosis(Verdict.UNKNOWN, unexplained=0.04, lasting=0.061)
-    assert verdict_sentence(alike, [entry("b"), entry("unknown", rms=27.94)], HELD_OUT) == (
-        "No effect of the catalogue is borne out. Nearest: currents; but 6.1 % of the mismatch lasts beside that, 27.9"
-        " nT rms of it in the shape that fits best, so the cause is another one, or more than one."
-    )
 
 
 @pytest.mark.parametrize(
