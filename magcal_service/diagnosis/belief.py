@@ -174,8 +174,8 @@ def _is_within_another(explained: Explained, index: int) -> bool:
 
 
 def _share_an_orbit(fit: Fit, index: int) -> bool:
-    """Whether a name and another one follow no record, in less than an orbit: two courses together are met by a third,
-    as a drift and a hysteresis by a warmth that nobody recorded."""
+    """Whether a name and another one follow no record, in less than an orbit: two of any kind together are met by a
+    third cause, as a drift and a hysteresis were by a warmth that nobody recorded."""
     unrecorded = [number for number, term in enumerate(fit.terms) if not is_recorded(term.hypothesis)]
     orbit_s, scene = _orbit_s(fit), fit.problem.scene
     return index in unrecorded and len(unrecorded) > 1 and float(np.ptp(scene.time_s)) < orbit_s

@@ -44,7 +44,7 @@ def from_records(search: Search, found: Explained, floor_nt: float, progress: Pr
             continue
         trial = other.settled(more, floor_nt)
         if len(trial.fit.terms) > len(found.fit.terms) and _gained(found.fit, trial.fit, floor_nt) > ACCEPTED_NATS:
-            search.look_at(other.problem, other.hypotheses)
+            search.follow(other)
             search.close |= other.close
             return trial
     return found

@@ -94,6 +94,11 @@ class Screen:
         names = [hypothesis.effect for hypothesis in hypotheses]
         self._forms = {name: names.count(name) for name in set(names)}  # what choosing the best of them costs
 
+    def follow(self, other: Screen) -> None:
+        """Continue where another one of the same recording is, with what its hypotheses were at their best with."""
+        self.look_at(other.problem, other.hypotheses)
+        self._known = other._known
+
     # Rows
 
     def white(self, rows: Array) -> Array:

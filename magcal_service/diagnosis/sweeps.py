@@ -26,7 +26,7 @@ _FEWEST: Final = 64
 """Samples in a window on the average, from which on a wave and its slope are known there."""
 
 _MOST: Final = 60_000
-"""Samples up to which tracks are sought; choice: five seconds of processor at the most."""
+"""Samples up to which tracks are sought: as many as a diagnosis takes, of which it needs five seconds of processor."""
 
 _FULL: Final = 0.5
 """Share of a recording that its samples have to fill: windows of passes days apart would be all pause."""
@@ -38,6 +38,7 @@ turn, and the steepest crosses 32 of its bins."""
 _TURNS: Final = np.arange(-1, 2)
 """Steps of slope, and half bins of frequency, by which a window may differ from what the one before leads to."""
 
+_WANDERED: Final = 3.0  # half bins of a window that its frequency has moved by at the least: less may be a steady one
 _SLOWEST_HZ: Final = 1.0 / 120.0  # what is slower may be the field model's crust, as for a tone (``screen``)
 _FEWEST_CYCLES: Final = 8.0  # of the slowest wave in a window, so that it is no course of its own
 _AGAIN: Final = 2  # tracks that are sought with the wave's shape of the one before; a third changes nothing
@@ -142,13 +143,16 @@ def _track(scene: Scene, residual: Array, unit: Array, windows: _Windows) -> Tra
         along = waves[np.arange(count), path[:, 0], path[:, 1]] @ root
         shape = root @ np.linalg.svd(along, full_matrices=False)[2][0]
         power = np.abs(waves @ shape.conj().astype(np.complex64)) ** 2
-    turning = windows.turning(path) * (unit @ shape)
+    seen = windows.usable[path[:, 1]] & np.isin(np.arange(count), windows.number)
+    hz = windows.frequency[path[seen, 1]]
+    if not seen.any() or hz.max() - hz.min() < _WANDERED * windows.frequency[1]:
+        return None
+    turning = windows.turning(path) * (unit @ shape) * seen[windows.number]
     rows = np.zeros((len(scene), 2 * count))
     each = np.arange(len(scene))
     rows[each, 2 * windows.number], rows[each, 2 * windows.number + 1] = turning.real, turning.imag
     states = int(windows.usable.sum()) * len(windows.slope) * len(_WINDOWS)
     cost = math.log(states) + 2.0 * (count - 1) * math.log(len(_TURNS)) + 0.5 * _OF_A_SHAPE * math.log(len(scene))
-    hz = windows.frequency[path[:, 1]]
     return Track(rows, cost, float(hz.min()), float(hz.max()))
 
 

@@ -17,7 +17,7 @@ _ON_LATTICE: Final = 0.04
 
 _LEAST_SIGMAS: Final = 0.5
 """Step in noise sigmas from which on it counts: 2 % of the variance, 1 % of the noise; a choice.  What finer rounding
-adds is white and independent of the field to 10^-33 (Widrow & Kollar 2008): it is a part of the noise."""
+adds is white and independent of the field to less than 10^-33 (Widrow & Kollar 2008): it is a part of the noise."""
 
 _LEAST_DETECTABILITY: Final = 10.0
 """Least detectability of its noise in the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
