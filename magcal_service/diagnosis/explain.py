@@ -141,7 +141,7 @@ class Search(Screen):
         final = self._bounded(self.refreshed(fit))
         pruned = self._pruned(final, floor_nt)
         settled = final if pruned is final else self._bounded(self.refreshed(pruned))
-        settled = self._bounded(self.by_channel(settled, floor_nt))
+        settled = self._bounded(self._by_channel(settled, floor_nt))
         for index in range(len(settled.terms)):
             settled = timed(self, settled, index)
         return self.compared(settled, floor_nt)
@@ -199,7 +199,7 @@ class Search(Screen):
             for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
-                if self._agrees(fit, trial) and self.is_sized(trial):
+                if self._agrees(fit, trial) and self._is_sized(trial):
                     return trial
         return None
 
@@ -229,13 +229,13 @@ class Search(Screen):
         gain = space.gain(rows, sigma)
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
-    def is_sized(self, fit: Fit) -> bool:
+    def _is_sized(self, fit: Fit) -> bool:
         """Whether every term, refitted with the errors, is still within its physics."""
         return all(within_physics(fit, index) for index in range(len(fit.terms)))
 
     def _bounded(self, fit: Fit) -> Fit:
         """Without the terms that a refit has taken out of their physics, the weakest of them first."""
-        while not self.is_sized(fit):
+        while not self._is_sized(fit):
             beyond = [index for index in range(len(fit.terms)) if not within_physics(fit, index)]
             weakest = min(beyond, key=lambda index: self._worth(fit, index, fit.white_rms_nt))
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
@@ -278,7 +278,7 @@ class Search(Screen):
             fit = self._with_better(fit, index, ranked) or fit
         return fit
 
-    def by_channel(self, fit: Fit, floor_nt: float) -> Fit:
+    def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
         """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
 
         An inferred driver has no sensor noise, and so fits a little better than its record.
@@ -299,7 +299,7 @@ class Search(Screen):
                 continue
             term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
             trial = exchanged(self.problem, fit, index, term)
-            if self.is_sized(trial):
+            if self._is_sized(trial):
                 fit = self.refreshed(trial)
         return fit
 
@@ -374,7 +374,7 @@ class Search(Screen):
             trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
             gained = best.nats - own if math.isfinite(own) else 0.0
             most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
-            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self.is_sized(trial):
+            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
                 continue
             if held_out(trial) <= held_out(fit) + most:
                 return trial

@@ -37,8 +37,6 @@ Choice: factors of about three, since a stretch half or twice as long as the cau
 cost evidence by their number.
 """
 
-_WANDERS: Final = "a body-fixed oscillation whose frequency wanders between"
-
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
 
@@ -83,11 +81,16 @@ class _Beside:
         return self.space.projected(self.search.white(shape.columns(self.fit.unit) @ amplitudes))
 
 
+def _beside(search: Search, fit: Fit, floor_nt: float) -> tuple[_Beside, float]:
+    """A fit's residual, and the noise that evidence in it is counted in first [nT]."""
+    space = search.workspace(fit)
+    return _Beside(replace(search, hypotheses=()), fit, space), max(math.sqrt(space.squares / space.count), floor_nt)
+
+
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
     """Every family's part in the residual of a fit, the best first."""
-    space = search.workspace(fit)
-    sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    beside = _Beside(replace(search, hypotheses=()), fit, space)
+    beside, sigma = _beside(search, fit, floor_nt)
+    space = beside.space
     line_hz = _line(search, fit, space, sigma)
     families = [(shape, beside.products(shape)) for shape in shapes(search.problem, phase, line_hz)]
     cost = math.log(max(len(families), 1))
@@ -152,13 +155,12 @@ def with_wandering(search: Search, fit: Fit, found: list[Structure], floor_nt: f
     beside what stands."""
     if search.problem.is_vector:
         return found
-    space = search.workspace(fit)
-    sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    beside = _Beside(replace(search, hypotheses=()), fit, space)
-    clipped = space.clipped(_TAIL * sigma).residual
+    beside, sigma = _beside(search, fit, floor_nt)
+    clipped = beside.space.clipped(_TAIL * sigma).residual
     cost = math.log(len(found) + 1.0)
     for one in tracks(search.problem.scene, clipped, fit.unit, search.spin_hz):
-        says = f"{_WANDERS} {one.from_hz:.3g} and {one.to_hz:.3g} Hz"
+        between = f"{one.from_hz:.3g} and {one.to_hz:.3g} Hz"
+        says = f"a body-fixed oscillation whose frequency wanders between {between}"
         shape = plain_shape("wandering", says, one.rows)
         found = [*found, _structure(shape, beside.products(shape), beside, sigma, cost + one.cost)]
     return sorted(found, key=lambda structure: -structure.nats)

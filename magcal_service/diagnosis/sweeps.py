@@ -25,15 +25,16 @@ change its pitch.  What hardly moves in a twelfth of the recording is a line tha
 _FEWEST: Final = 64
 """Samples in a window on the average, from which on a wave and its slope are known there."""
 
-_MOST: Final = 60_000
-"""Samples up to which tracks are sought: as many as a diagnosis takes, of which it needs five seconds of processor."""
-
 _FULL: Final = 0.5
 """Share of a recording that its samples have to fill: windows of passes days apart would be all pause."""
 
 _SLOPES: Final = 16
 """Slopes to either side of none, in steps of ``2 / width^2``: half a step turns the ends of a window by an eighth of a
 turn, and the steepest crosses 32 of its bins."""
+
+_STEP: Final = 4
+"""Half bins of frequency that one step of slope leads to in a window: ``2 / width^2`` times its width, over half of
+``1 / width``."""
 
 _TURNS: Final = np.arange(-1, 2)
 """Steps of slope, and half bins of frequency, by which a window may differ from what the one before leads to."""
@@ -73,24 +74,22 @@ class _Windows:
     slope: Array
     frequency: Array
     usable: NDArray[np.bool_]
-    step: int
 
     @classmethod
     def of(cls, scene: Scene, count: int, spin_hz: float | None) -> _Windows:
         elapsed = scene.time_s - scene.time_s[0]
         width_s = (float(elapsed[-1]) + scene.period_s) / count
         number = np.minimum((elapsed / width_s).astype(np.intp), count - 1)
-        # a bin of half a window's: one step of slope leads to ``step`` of them in a window, a whole number
-        size = 2 * math.ceil(width_s / scene.period_s)
-        width_s_of_grid = 0.5 * size * scene.period_s
-        frequency = np.arange(size // 2) / (size * scene.period_s)
+        count_in = math.ceil(width_s / scene.period_s)
+        whole_s = count_in * scene.period_s
+        frequency = np.arange(count_in) / (2.0 * whole_s)  # half bins: as of a window and as much again of zeros
         usable = frequency >= max(_SLOWEST_HZ, _FEWEST_CYCLES / width_s)
         usable &= frequency <= 0.5 / scene.period_s - 1.0 / width_s
         for harmonic in () if spin_hz is None else (spin_hz, 2.0 * spin_hz):
             line = folded(harmonic, 1.0 / scene.period_s)
             usable &= np.abs(frequency - line) > max(2.0 / width_s, ORBIT_SIDE_HZ)
-        slope = 2.0 / width_s_of_grid**2 * np.arange(-_SLOPES, _SLOPES + 1)
-        return cls(number, elapsed - (number + 0.5) * width_s, slope, frequency, usable, 4)
+        slope = 2.0 / whole_s**2 * np.arange(-_SLOPES, _SLOPES + 1)
+        return cls(number, elapsed - (number + 0.5) * width_s, slope, frequency, usable)
 
     def waves(self, weighted: Array, period_s: float) -> NDArray[np.complex64]:
         """(windows, slopes, frequencies, 3) sums of rows (n, 3) times each chirp, conjugated."""
@@ -112,7 +111,7 @@ class _Windows:
 
 
 def tracks(scene: Scene, residual: Array, unit: Array, spin_hz: float | None) -> list[Track]:
-    """The best track for each number of windows; none of a recording that is too long, or mostly pause.
+    """The best track for each number of windows; none of a recording that is mostly pause.
 
     Parameters
     ----------
@@ -122,7 +121,7 @@ def tracks(scene: Scene, residual: Array, unit: Array, spin_hz: float | None) ->
     spin_hz: near which, and near whose double, no wave is looked for.
     """
     span_s = float(scene.time_s[-1] - scene.time_s[0])
-    if len(scene) > _MOST or len(scene) * scene.period_s < _FULL * span_s:
+    if len(scene) * scene.period_s < _FULL * span_s:
         return []
     counts = (count for count in _WINDOWS if len(scene) >= _FEWEST * count)
     found = (_track(scene, residual, unit, _Windows.of(scene, count, spin_hz)) for count in counts)
@@ -139,7 +138,7 @@ def _track(scene: Scene, residual: Array, unit: Array, windows: _Windows) -> Tra
     power = np.sum(np.abs(waves @ root.astype(np.complex64)) ** 2, axis=-1)
     count = len(waves)
     for _ in range(_AGAIN):
-        path = _best_path(np.where(windows.usable, power, np.float32(0.0)), windows.step)
+        path = _best_path(np.where(windows.usable, power, np.float32(0.0)))
         along = waves[np.arange(count), path[:, 0], path[:, 1]] @ root
         shape = root @ np.linalg.svd(along, full_matrices=False)[2][0]
         power = np.abs(waves @ shape.conj().astype(np.complex64)) ** 2
@@ -156,12 +155,11 @@ def _track(scene: Scene, residual: Array, unit: Array, windows: _Windows) -> Tra
     return Track(rows, cost, float(hz.min()), float(hz.max()))
 
 
-def _best_path(power: Powers, step: int) -> NDArray[np.intp]:
+def _best_path(power: Powers) -> NDArray[np.intp]:
     """(windows, 2) indices of slope and frequency in each window, along which most power (windows, s, f) lies."""
     totals = [power[0]]
     for each in power[1:]:
-        ahead = _reached(totals[-1], step)
-        totals.append(each + ahead)
+        totals.append(each + _reached(totals[-1]))
     count, levels, width = power.shape
     path = np.empty((count, 2), dtype=np.intp)
     path[-1] = divmod(int(np.argmax(totals[-1])), width)
@@ -170,14 +168,14 @@ def _best_path(power: Powers, step: int) -> NDArray[np.intp]:
         came = [
             (float(totals[window - 1][before, source]), before, source)
             for before in level + _TURNS
-            for source in place - _moved(level, before, levels, step) - _TURNS
+            for source in place - _moved(level, before, levels) - _TURNS
             if 0 <= before < levels and 0 <= source < width
         ]
         path[window - 1] = max(came)[1:]
     return path
 
 
-def _reached(total: Powers, step: int) -> Powers:
+def _reached(total: Powers) -> Powers:
     """(s, f) the most that a track can have had in the window before."""
     levels, width = total.shape
     edge = np.full((levels, 2), -np.inf, dtype=np.float32)
@@ -186,13 +184,13 @@ def _reached(total: Powers, step: int) -> Powers:
     best = np.full_like(total, -np.inf)
     for level in range(levels):
         for before in range(max(level - 1, 0), min(level + 2, levels)):
-            first = 1 - _moved(level, before, levels, step)
+            first = 1 - _moved(level, before, levels)
             low, high = max(-first, 0), min(width + 2 - first, width)
             if low < high:
                 np.maximum(best[level, low:high], near[before, low + first : high + first], out=best[level, low:high])
     return best
 
 
-def _moved(level: int, before: int, levels: int, step: int) -> int:
-    """Bins of frequency from one window to the next, by the slopes of both."""
-    return step * (level + before - (levels - 1)) // 2
+def _moved(level: int, before: int, levels: int) -> int:
+    """Half bins of frequency from one window to the next, by the slopes of both."""
+    return _STEP * (level + before - (levels - 1)) // 2

@@ -163,7 +163,7 @@ def sized(form: Hypothesis, amplitude: float, largest_nt: float = math.inf) -> b
     """Whether a term of this amplitude is no larger than its physics."""
     search, fit = searching(flown(np.zeros((COUNT, 3))), form, largest_nt=largest_nt)
     term = Term(search.hypotheses[0], np.zeros(0), np.array([amplitude]))
-    return search.is_sized(replace(fit, terms=(term,)))
+    return search._is_sized(replace(fit, terms=(term,)))
 
 
 @pytest.mark.parametrize(("amplitude", "fits"), [(0.74, False), (0.76, True), (1.0, True), (1.24, True), (1.26, False)])

@@ -164,7 +164,7 @@ def taken(channel: Hypothesis, *others: Hypothesis, inferred: str = "inferred:li
     mine = driven(SLOW, inferred)
     search, fit = searching(flown(along(0, 300.0 * SLOW)), mine, channel, *others)
     fit = solve(search.problem, fit.x, [Term(mine, np.zeros(0), np.array([300.0]))])
-    found = search.by_channel(fit, FLOOR_NT)
+    found = search._by_channel(fit, FLOOR_NT)
     return [term.hypothesis.driver for term in found.terms]
 
 

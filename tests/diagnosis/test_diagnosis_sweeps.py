@@ -76,13 +76,13 @@ def test_nothing_is_sought_near_the_spin_in_few_samples_and_in_passes() -> None:
 
 def test_the_path_is_the_best_of_all() -> None:
     """Against every path there is, on grids that are small enough to try them."""
-    levels, width, step = 3, 9, 2
+    levels, width = 3, 9
     every = list(itertools.product(range(levels), range(width)))
     for seed in range(20):
         power = np.random.default_rng([8742, seed]).exponential(size=(3, levels, width)).astype(np.float32)
 
         def leads(before: tuple[int, int], into: tuple[int, int]) -> bool:
-            ahead = before[1] + _moved(into[0], before[0], levels, step)
+            ahead = before[1] + _moved(into[0], before[0], levels)
             return abs(into[0] - before[0]) <= 1 and abs(into[1] - ahead) <= 1
 
         best = max(
@@ -90,6 +90,6 @@ def test_the_path_is_the_best_of_all() -> None:
             for a, b, c in itertools.product(every, repeat=3)
             if leads(a, b) and leads(b, c)
         )
-        path = [(int(level), int(place)) for level, place in _best_path(power, step)]
+        path = [(int(level), int(place)) for level, place in _best_path(power)]
         assert all(leads(one, two) for one, two in itertools.pairwise(path))
         assert sum(float(power[window][at]) for window, at in enumerate(path)) == pytest.approx(best, rel=1e-6)
