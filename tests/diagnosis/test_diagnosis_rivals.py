@@ -201,17 +201,21 @@ def test_a_term_is_compared_at_the_numbers_of_its_fit() -> None:
     assert own.gain.amplitudes == pytest.approx(fit.terms[0].amplitudes, rel=0.05, abs=1.0)
 
 
-# On the cases that showed it
+# On the cases that showed it, among the effects that were taken for one another
 
 
-def of_blind(seed: int, kind: str, folder: Path) -> Diagnosis:
-    return diagnose(read_recording(write_blind(draw_blind(seed, kind), folder / "case")))
+def of_blind(seed: int, kind: str, folder: Path, *among: str) -> Diagnosis:
+    return diagnosed(write_blind(draw_blind(seed, kind), folder / "case"), among)
 
 
-def of_regime(seed: int, index: int, folder: Path) -> Diagnosis:
+def of_regime(seed: int, index: int, folder: Path, *among: str) -> Diagnosis:
     case = draw_case(seed, index)
     folder.mkdir(exist_ok=True)
-    return diagnose(read_recording(write_case(case, folder / "case")))
+    return diagnosed(write_case(case, folder / "case"), among)
+
+
+def diagnosed(descriptor: Path, among: tuple[str, ...]) -> Diagnosis:
+    return diagnose(read_recording(descriptor), effects=tuple(effect_named(name) for name in among))
 
 
 def names_of(diagnosis: Diagnosis) -> list[str]:
@@ -220,24 +224,24 @@ def names_of(diagnosis: Diagnosis) -> list[str]:
 
 def test_a_step_on_a_craft_that_looks_down_is_no_drift(tmp_path: Path) -> None:
     """To first order, where the step's nine errors are not, the drift was 39 nats better."""
-    assert names_of(of_regime(4201, 50, tmp_path)) == ["bias_step"]
+    assert names_of(of_regime(4201, 50, tmp_path, "bias_step", "bias_drift")) == ["bias_step"]
 
 
 def test_sunlight_is_not_said_for_sure_beside_the_panel_currents_that_were_recorded(tmp_path: Path) -> None:
     """They explain as much, with more numbers: it was 0.97, trusted."""
-    assert "name_uncertain" in of_regime(5201, 94, tmp_path).reasons
+    assert "name_uncertain" in of_regime(5201, 94, tmp_path, "sun_disturbance", "current_loop").reasons
 
 
 def test_a_fit_that_stalls_beside_its_end_is_taken_there(tmp_path: Path) -> None:
     """Axes digitised one after another, at a steady spin nearly a skew: the fit stalled, and nothing was named."""
-    diagnosis = of_blind(510200060, "axis_skew", tmp_path)
+    diagnosis = of_blind(510200060, "axis_skew", tmp_path, "axis_skew", "response_lag")
     assert names_of(diagnosis) == ["axis_skew"]
     assert diagnosis.fit.converged
 
 
 def test_a_name_that_grows_the_field_is_not_refused_for_its_larger_noise(tmp_path: Path) -> None:
     """A place 9 km too low grows the field by 0.4 %, and its noise, which is more than the name explains."""
-    diagnosis = of_blind(410100093, "position_offset", tmp_path)
+    diagnosis = of_blind(410100093, "position_offset", tmp_path, "position_offset", "scale_drift")
     assert names_of(diagnosis) == ["position_offset"]
     assert diagnosis.reasons == ()
 
@@ -246,9 +250,9 @@ def test_a_name_that_grows_the_field_is_not_refused_for_its_larger_noise(tmp_pat
 def test_a_line_of_the_craft_s_own_turning_is_no_tone(of: str, tmp_path: Path) -> None:
     """A product of two components of the field, and the size of its change, have lines where the craft turns."""
     if of == "blind":
-        diagnosis = of_blind(410100022, "outside:field_product", tmp_path)
+        diagnosis = of_blind(410100022, "outside:field_product", tmp_path, "tone", "cubic_response")
     else:
-        diagnosis = of_regime(4203, 58, tmp_path)
+        diagnosis = of_regime(4203, 58, tmp_path, "tone", "cubic_response")
     assert names_of(diagnosis) == []
     assert diagnosis.reasons == ("unexplained_structure",)
 
@@ -256,12 +260,12 @@ def test_a_line_of_the_craft_s_own_turning_is_no_tone(of: str, tmp_path: Path) -
 @pytest.mark.parametrize("seed", [610100016, 710100012])
 def test_one_product_that_holds_more_than_a_cubic_s_nine_numbers_is_no_cubic(seed: int, tmp_path: Path) -> None:
     """The cubic left nothing beside it, and was trusted."""
-    diagnosis = of_blind(seed, "outside:field_product", tmp_path)
+    diagnosis = of_blind(seed, "outside:field_product", tmp_path, "cubic_response")
     assert "cubic_response" not in names_of(diagnosis)
     assert diagnosis.reasons == ("unexplained_structure",)
 
 
 def test_a_true_line_beside_a_turning_craft_stays_one(tmp_path: Path) -> None:
-    diagnosis = of_blind(410100034, "tone", tmp_path)
+    diagnosis = of_blind(410100034, "tone", tmp_path, "tone", "cubic_response")
     assert names_of(diagnosis) == ["tone"]
     assert diagnosis.reasons == ()
