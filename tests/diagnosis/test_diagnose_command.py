@@ -23,14 +23,14 @@ from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
 @pytest.fixture(scope="module")
 def hot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """6000 s of a sensor whose bias and gain follow a recorded temperature."""
-    return recorded("hot-electronics", 6000.0, tmp_path_factory.mktemp("hot"))
+    """3000 s of a sensor whose bias and gain follow a recorded temperature."""
+    return recorded("hot-electronics", 3000.0, tmp_path_factory.mktemp("hot"))
 
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """3000 s in which nothing was left out."""
-    return recorded("paper", 3000.0, tmp_path_factory.mktemp("clean"))
+    """1500 s in which nothing was left out."""
+    return recorded("paper", 1500.0, tmp_path_factory.mktemp("clean"))
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The diagnosis of a recording whose temperature channel has a hostile name."""
-    descriptor = recorded("hot-electronics", 6000.0, tmp_path_factory.mktemp("hostile"))
+    descriptor = recorded("hot-electronics", 3000.0, tmp_path_factory.mktemp("hostile"))
     text = descriptor.read_text(encoding="utf-8")
     renamed = text.replace('"temperature" = ', json.dumps(HOSTILE, ensure_ascii=False) + " = ")
     assert renamed != text

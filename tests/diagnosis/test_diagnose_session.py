@@ -13,7 +13,7 @@ from magcal_service.config.settings import SensorConfig
 from tests.recordings.recording_logs import described
 from tests.recordings.sessions import craft, record, stream
 
-SECONDS = 1500
+SECONDS = 1300
 
 
 def diagnosed(recording: Path, out: Path) -> dict[str, Any]:

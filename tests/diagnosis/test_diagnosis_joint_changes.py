@@ -18,12 +18,14 @@ NONE = np.zeros(3)
 EFFECTS = tuple(effect_named(name) for name in ("thermal_bias", "bias_step", "bias_drift"))
 
 
-def named(number: int, from_s: float, to_s: float, size_nt: list[float], seed: int) -> list[dict[str, Any]]:
-    """The effects named beside the temperature's, where day ``number`` of three changes between two times."""
+def named(
+    number: int, from_s: float, to_s: float, size_nt: list[float], seed: int, days: int = 3
+) -> list[dict[str, Any]]:
+    """The effects named beside the temperature's, where day ``number`` of some changes between two times."""
     course = np.interp(TIME_S, [from_s, to_s], [0.0, 1.0]) if to_s > from_s else (from_s <= TIME_S).astype(float)
-    added = [np.outer(course, size_nt) if one == number else None for one in range(3)]
-    days = [day(one, PER_K, NONE, added[one], seed=seed) for one in range(3)]
-    gathered = gather([one.recording for one in days])
+    added = [np.outer(course, size_nt) if one == number else None for one in range(days)]
+    each = [day(one, PER_K, NONE, added[one], seed=seed) for one in range(days)]
+    gathered = gather([one.recording for one in each])
     found = diagnose_together(gathered.inspections, gathered.names, EFFECTS)
     effects = json.loads(as_json(found))["effects"]
     assert effects[[one["effect"] for one in effects].index("thermal_bias")]["common"]
@@ -40,7 +42,7 @@ def test_a_ramp_in_one_recording_is_a_drift_with_its_times_there() -> None:
 
 def test_a_ramp_over_much_of_one_recording_leaves_no_step() -> None:
     """A drift of each recording's own follows it nearly as well; its end was a step while its times were too early."""
-    (one,) = named(1, 1200.0, 3200.0, [300.0, 300.0, -100.0], 968)
+    (one,) = named(1, 1200.0, 3200.0, [300.0, 300.0, -100.0], 968, days=2)
     assert one["effect"] == "bias_drift"
     assert "arrays-2" in one["recordings"]
 
