@@ -22,7 +22,6 @@ from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.reader import read_recording
 from tests.blind import Case, draw_case, write_case
 
-
 CHANGES = ("bias_step", "scale_step", "bias_drift", "scale_drift", "sun_disturbance")
 SLOW_GAIN = ("response_lag", "scale_drift", "scale_step")
 
