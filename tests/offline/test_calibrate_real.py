@@ -44,7 +44,7 @@ def test_what_a_static_model_does_not_explain_is_not_trusted(name: str) -> None:
     assert result.remedy
 
 
-@pytest.mark.parametrize("name", IN_ORBIT)
+@pytest.mark.parametrize("name", ["suchai3/2023-11-13", "iss-2017/recording", "suchai3/2024-passes"])
 def test_a_replay_comes_to_the_same_state(name: str) -> None:
     recording = read_recording(path_of(name))
     state = replay(recording, craft_of(recording)).pipeline.estimator.estimate()
