@@ -16,8 +16,8 @@ help: ## this list
 run: .venv/.run ## the simulated satellite feeds the daemon over a real link (LINK=zenoh or LINK=serial)
 	@$(BIN)/python -m sim_sensor.demo --link $(LINK) $(ARGS)
 
-test: .venv/.dev ## all tests, in three processes for two cores, so one thread of linear algebra in each
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
+test: .venv/.dev ## all tests, in three processes for two cores, so one thread of linear algebra in each; what they compile is kept
+	@PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: .venv/.dev ## formatting, lint, who may import whom, types
 	@$(BIN)/python -m ruff format --check .

@@ -92,7 +92,7 @@ def write(folder: Path, descriptor: str, log: bytes) -> Path:
 LOG = log_rows(SECONDS).encode()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(spoiled(DESCRIPTOR))
 @example(DESCRIPTOR.replace("log.csv", "\\u0000"))
 @example(DESCRIPTOR.replace("log.csv", "."))
@@ -101,7 +101,7 @@ def test_a_descriptor_with_something_changed_is_read_or_refused(text: str) -> No
         assert_told("replay", write(Path(name), text, LOG))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(spoiled(CONFIG))
 @example(CONFIG.replace("loop:cli", "\\u0000"))
 @example(CONFIG.replace("loop:cli", "zenoh:tcp/127.0.0.1:99999"))
@@ -112,7 +112,7 @@ def test_a_configuration_with_something_changed_is_read_or_refused(text: str) ->
         assert_told("replay", write(Path(name), DESCRIPTOR, LOG), "--config", path)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(spoiled(log_rows(SECONDS)))
 def test_a_log_with_something_changed_is_read_or_refused(text: str) -> None:
     with TemporaryDirectory() as name:
@@ -120,7 +120,7 @@ def test_a_log_with_something_changed_is_read_or_refused(text: str) -> None:
         assert_told("calibrate", path, "--json", Path(name) / "result.json")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, len(LOG)))
 def test_a_log_with_any_bytes_in_it_is_read_or_refused(piece: bytes, at: int) -> None:
     with TemporaryDirectory() as name:

@@ -20,7 +20,7 @@ from tests.estimators.method_data import PAPER_X, RateTick, paper_field, play
 
 NAMES = [method.name for method in methods()]
 NOISE_NT = 30.0
-SECONDS = 1500
+SECONDS, GAP_AT = 1000, 600
 
 every_method = pytest.mark.parametrize("name", NAMES)
 
@@ -251,10 +251,10 @@ def test_a_gap_of_ten_minutes_does_no_harm(name: str) -> None:
     """The estimate afterwards is as consistent as without it."""
     field = paper_field().until(SECONDS + 600)
     values = field.measured(np.random.default_rng(102), truth(name), NOISE_NT)
-    whole = [*range(900), *range(1500, SECONDS + 600)]
+    whole = [*range(GAP_AT), *range(GAP_AT + 600, SECONDS + 600)]
     estimator = build(name)
     for index, row in enumerate(whole):
-        estimator.handle(field.tick(values, index, slice(row, row + 1), after_gap=row == 1500))
+        estimator.handle(field.tick(values, index, slice(row, row + 1), after_gap=row == GAP_AT + 600))
     state = estimator.estimate()
     assert state.phase is Phase.RUNNING
     assert_within(state, name, 4.5)
