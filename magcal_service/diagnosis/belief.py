@@ -39,7 +39,7 @@ _ONE_WAVE: Final = 0.5
 """Probability that a duty, with a line at a multiple of its rate beside it, leaves to another wave of that cycle."""
 
 _ALONG: Final = 0.9
-"""Cosine from which on a jump lies along a field whose driver is inferred: of directions at random one in ten does."""
+"""Cosine from which on two fields lie along one another: of directions at random one in ten does."""
 
 _FEWEST_SWITCHED: Final = 4
 """Instants from which on two pairs show whether they come again after an orbit."""
@@ -193,13 +193,13 @@ def _is_along_inferred(fit: Fit, index: int) -> bool:
     """Whether jumps lie along a field whose driver is inferred: a load of the same current, which nobody recorded."""
     if not any(number == index for number, _ in numbers_of(fit, "instant")):
         return False
-    own = _directions(fit.terms[index])
-    others = [
-        _directions(term)
-        for term in fit.terms
-        if term.hypothesis.is_inferred and any(b.unit == "nT" for b in term.hypothesis.blocks)
-    ]
-    return any(float(np.abs(own @ other.T).max(initial=0.0)) > _ALONG for other in others)
+    others = (t for t in fit.terms if t.hypothesis.is_inferred and any(b.unit == "nT" for b in t.hypothesis.blocks))
+    return any(_are_along(fit.terms[index], other) for other in others)
+
+
+def _are_along(one: Term, other: Term) -> bool:
+    """Whether any fields of two terms lie along one another."""
+    return float(np.abs(_directions(one) @ _directions(other).T).max(initial=0.0)) > _ALONG
 
 
 def _directions(term: Term) -> Array:
@@ -220,16 +220,16 @@ def _is_each_orbit(fit: Fit, index: int) -> bool:
 
 
 def _of_one_wave(fit: Fit) -> set[int]:
-    """Numbers of the terms that are parts of one periodic wave: a duty, and lines at multiples of its rate."""
+    """Numbers of the terms that are parts of one wave: a duty, and lines at multiples of its rate or along it."""
     time_s = fit.problem.scene.time_s
     resolution_hz = 1.0 / max(float(time_s[-1] - time_s[0]), 1e-9)
     cycles = [(index, value) for index, value in numbers_of(fit, "period") if value > 0.0]
-    lines = numbers_of(fit, "frequency")
     found: set[int] = set()
     for cycle, period_s in cycles:
-        for line, frequency_hz in lines:
+        for line, frequency_hz in numbers_of(fit, "frequency"):
             order = round(frequency_hz * period_s)
-            if order >= 1 and abs(frequency_hz - order / period_s) < resolution_hz:
+            is_multiple = order >= 1 and abs(frequency_hz - order / period_s) < resolution_hz
+            if is_multiple or _are_along(fit.terms[cycle], fit.terms[line]):
                 found |= {cycle, line}
     return found
 

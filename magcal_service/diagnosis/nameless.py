@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
+from magcal_service.diagnosis.plausible import within_physics
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, OF_LINES
 from magcal_service.diagnosis.signals import against_signals
@@ -54,6 +55,7 @@ def standing(
     explained = against_signals(search, explained, floor_nt)
     if explained.fit.terms and not explained.fit.converged:
         fit = ended(explained.fit)
+        fit = fit if fit.converged else _in_a_simpler_form(search, fit, floor_nt)
         explained = search.compared(fit, floor_nt) if fit.converged else explained
     while explained.fit.terms:
         index = _weakest_failing(baseline, explained, floor_nt)
@@ -62,6 +64,28 @@ def standing(
         fewer = _Less(solve(search.problem, explained.fit.x, _others(explained.fit, index)))
         explained = against_signals(search, _without(search, fewer, floor_nt), floor_nt)
     return explained
+
+
+def _in_a_simpler_form(search: Search, fit: Fit, floor_nt: float) -> Fit:
+    """A fit that has not arrived with one of its terms in a form of fewer amplitudes, if that arrives; else the fit.
+
+    What a form has more may be what nothing tells apart: the level that a coil keeps is a bias where it never changes.
+    """
+    for index, term in enumerate(fit.terms):
+        mine = term.hypothesis
+        forms = [
+            h for h in search.hypotheses if (h.effect, h.driver) == (mine.effect, mine.driver) and h.size < mine.size
+        ]
+        sigma = max(fit.white_rms_nt, floor_nt)
+        for one in search.screen(search.workspace(fit, index), fit, sigma, among=forms) if forms else ():
+            trial = exchanged(search.problem, fit, index, Term(one.hypothesis, one.theta, one.gain.amplitudes))
+            if (
+                one.nats > ACCEPTED_NATS
+                and trial.converged
+                and all(within_physics(trial, number) for number in range(len(trial.terms)))
+            ):
+                return search.refreshed(trial)
+    return fit
 
 
 def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:

@@ -288,7 +288,7 @@ def _sample_findings(
 ) -> tuple[dict[str, Finding], NDArray[np.bool_]]:
     """Effects that show in the samples themselves, and the rows that they spoil."""
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
-    view = View(scene, residual, noise_nt, stated_noise_nt=stated)
+    view = View(cleaned(scene, x), residual, noise_nt, stated_noise_nt=stated)
     spoiled = np.zeros(len(scene), dtype=bool)
     findings = {}
     for effect in effects:

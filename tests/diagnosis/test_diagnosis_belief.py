@@ -160,8 +160,25 @@ def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float,
     tone = form("tone")
     theta = np.array([130.0 if number.role == "period" else 0.3 for number in duty.nonlinear])
     named = explained([])
-    terms = (Term(duty, theta, np.ones(3)), Term(tone, np.array([times / 130.0]), np.ones(6)))
+    across = np.array([1.0, -1.0, 0.0, 1.0, 1.0, -2.0])
+    terms = (Term(duty, theta, np.ones(3)), Term(tone, np.array([times / 130.0]), across))
     fit = replace(named.fit, terms=terms)
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("direction", "own"), [((1.0, 1.0, 0.9), 0.5), ((-2.0, -2.0, -2.0), 0.5), ((1.0, 0.0, 0.5), 0.97)]
+)
+def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[float, ...], own: float) -> None:
+    """A line at no multiple of a duty's rate, which lies in the duty's own direction, or in another one."""
+    duty = next(
+        one for one in effect_named("torquer").hypotheses(scene()) if "period" in {n.role for n in one.nonlinear}
+    )
+    theta = np.array([130.0 if number.role == "period" else 0.3 for number in duty.nonlinear])
+    line = Term(form("tone"), np.array([2.4 / 130.0]), np.array([*direction, 0.0, 0.0, 0.0]))
+    named = explained([])
+    fit = replace(named.fit, terms=(Term(duty, theta, np.ones(3)), line))
     twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import nameless
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.problem import Term
@@ -51,6 +52,20 @@ def test_a_name_whose_evidence_a_fit_without_it_does_not_bear_out_goes(inflated:
     told = replace(found.gains[0], nats=nats * found.gains[0].dispersion + cost)
     found = replace(found, nats=(nats,), gains=(told,))
     assert len(standing(search, fit, found, None, FLOOR_NT, is_left=False).fit.terms) == left
+
+
+@pytest.mark.parametrize("names", [["", "larger"], ["larger"]])
+def test_what_does_not_arrive_stands_in_a_simpler_form_that_does(names: list[str]) -> None:
+    """A form whose second amplitude is a bias, which nothing tells apart from the nine errors, and one without it."""
+    both = {"": (along(0, SLOW),), "larger": (along(0, SLOW), along(1, np.ones(COUNT)))}
+    forms = [body_form("one", name, *both[name]) for name in names]
+    search, fit = searching(flown(900.0 * along(0, SLOW)), *forms)
+    larger = search.hypotheses[-1]
+    found = search.compared(solve(search.problem, fit.x, [Term(larger, np.zeros(0), np.zeros(2))]), FLOOR_NT)
+    stalled = replace(found, fit=replace(found.fit, converged=False))
+    reached = nameless._in_a_simpler_form(search, stalled.fit, FLOOR_NT)
+    assert reached.converged == (len(names) > 1)
+    assert [term.hypothesis.variant for term in reached.terms] == names[:1]
 
 
 def test_nothing_is_outdone_where_nothing_was_found() -> None:

@@ -38,6 +38,10 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 _FEWEST_CLIPPED: Final = 8
 """Samples at the largest value from which it is a stop; choice: fewer are met by a coarse converter."""
 
+_REACH: Final = 3.0
+"""Noise sigmas before a stop at which a sample may be stopped, too: of the samples there those are kept whose noise
+points inwards, and what is kept is short by their mean."""
+
 _FLAT_TO_NEXT: Final = 5.0
 """Factor by which the largest value has to repeat more often than any of the five beside it.
 
@@ -47,9 +51,12 @@ clear of it.
 
 
 def _find(view: View) -> Finding | None:
-    """A hard stop: the largest value of an axis repeats far more often than the values beside it."""
-    field = view.scene.field_nt
-    spoiled = np.zeros(len(field), dtype=bool)
+    """A hard stop: the largest value of an axis repeats far more often than the values beside it.
+
+    It spoils the samples at it, and those that would be near it without their noise.
+    """
+    field, clean = view.scene.field_nt, view.scene.clean_field_nt
+    clipped, near = np.zeros(len(field), dtype=bool), np.zeros(len(field), dtype=bool)
     limit, axis_found = 0.0, 0
     for axis in range(3):
         values = field[:, axis]
@@ -59,19 +66,20 @@ def _find(view: View) -> Finding | None:
             levels = np.unique(inside[~at])[:5]
             usual = max([float(np.count_nonzero(inside == level)) for level in levels], default=0.0)
             if np.count_nonzero(at) >= _FEWEST_CLIPPED and np.count_nonzero(at) > _FLAT_TO_NEXT * usual:
-                spoiled |= at
+                clipped |= at
+                near |= np.sign(end) * clean[:, axis] > abs(end) - _REACH * view.noise_nt
                 limit, axis_found = abs(end), axis
-    if not spoiled.any():
+    if not clipped.any():
         return None
-    rows = np.flatnonzero(spoiled)
+    rows = np.flatnonzero(clipped)
     parameters = {
         "axis": value_of(np.eye(3)[axis_found], np.zeros(3), "1"),
         "limit_nt": value_of(limit, 0.0, "nT"),
-        "share_of_samples": value_of(float(spoiled.mean()), 0.0, "1"),
+        "share_of_samples": value_of(float(clipped.mean()), 0.0, "1"),
     }
     time_s = view.scene.time_s
     window = (float(time_s[rows[0]]), float(time_s[rows[-1]]))
-    return Finding(parameters, nats=float(len(rows)), share=1.0, spoiled=spoiled, time_s=window)
+    return Finding(parameters, nats=float(len(rows)), share=1.0, spoiled=clipped | near, time_s=window)
 
 
 EFFECT = Effect(
@@ -89,7 +97,7 @@ EFFECT = Effect(
         "axis": "1",
     },
     prior=(10.0, 30000.0),
-    valid="a hard stop loses the sample: clipped samples are left out of every fit, not repaired",
+    valid="a hard stop loses the sample: those clipped or within their noise of it are left out of every fit",
     confused_with=("cubic_response", "stuck_axis"),
     separated_by="the sensor's range in its data sheet; a field of another size",
     source="data sheets of AMR and fluxgate sensors (full scale, linearity near it)",
