@@ -268,7 +268,7 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
     rest: what lasts beside the names; None where the noise has a memory.
     floor_nt: least noise that evidence is counted in [nT].
     """
-    share = 0.0 if rest is None else min(max(rest.share, rest.unsafe_share**2), _MOST_UNLISTED)
+    share = 0.0 if rest is None else min(rest.likely_share, _MOST_UNLISTED)
     held = sum(max(gain.nats, 0.0) for gain in explained.gains)  # through the noise's whitening, as shapes are
     return replace(
         explained,

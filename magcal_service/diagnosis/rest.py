@@ -24,6 +24,10 @@ short of the best family without one (``nameless.NEEDED_SHARES``)."""
 _SAFE: Final = 2.0
 """Its standard errors within which what cannot be excluded lies: 95 %, as for a name."""
 
+_OPEN: Final = 0.5
+"""Probability that something else lasts, at the most, where that is only not excluded: of six names of whose mismatch
+nothing could be excluded to last, three were true."""
+
 _NEIGHBOURS: Final = 1.5
 """Sample periods that two samples may lie apart to be neighbours."""
 
@@ -85,6 +89,11 @@ class Rest:
         if not self.is_free:
             return self.share
         return min(max(self.after + _SAFE * self.sigma, 0.0) / self.before, 1.0) if self.before > 0.0 else 1.0
+
+    @property
+    def likely_share(self) -> float:
+        """The share that counts as a probability against the names: what lasts, or at most a half that is not excluded."""
+        return max(self.share, min(self.unsafe_share**2, _OPEN))
 
     @property
     def is_much(self) -> bool:

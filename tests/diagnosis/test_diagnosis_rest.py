@@ -86,6 +86,23 @@ def test_a_free_form_has_to_exclude_a_quarter(after: float, much: bool) -> None:
     assert found.is_much is much
     assert found.unsafe_share == pytest.approx((after + 600.0) / 2000.0)
     assert Rest(2000.0, after, 300.0).unsafe_share == 0.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_free", "likely"),
+    [
+        (2000.0, 200.0, True, 0.16),
+        (600.0, -10.0, True, 0.5),
+        (0.0, -10.0, True, 0.5),
+        (2000.0, 1800.0, True, 0.9),
+        (600.0, 100.0, False, 0.0),
+    ],
+)
+def test_what_is_only_not_excluded_is_as_likely_as_not_at_the_most(
+    before: float, after: float, is_free: bool, likely: float
+) -> None:
+    """By the square of the share that two sigma of 300 leave open, up to a half; what does last counts by its share."""
+    assert Rest(before, after, 300.0, is_free).likely_share == pytest.approx(likely)
     assert not Rest(2000.0, after, 300.0, is_free=False).is_much
 
 
