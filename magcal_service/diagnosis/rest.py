@@ -92,7 +92,7 @@ class Rest:
 
     @property
     def likely_share(self) -> float:
-        """The share that counts as a probability against the names: what lasts, or at most a half that is not excluded."""
+        """The share that counts as a probability against the names: what lasts, or up to a half what may."""
         return max(self.share, min(self.unsafe_share**2, _OPEN))
 
     @property

@@ -86,6 +86,7 @@ def test_a_free_form_has_to_exclude_a_quarter(after: float, much: bool) -> None:
     assert found.is_much is much
     assert found.unsafe_share == pytest.approx((after + 600.0) / 2000.0)
     assert Rest(2000.0, after, 300.0).unsafe_share == 0.0
+    assert not Rest(2000.0, after, 300.0, is_free=False).is_much
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,6 @@ def test_what_is_only_not_excluded_is_as_likely_as_not_at_the_most(
 ) -> None:
     """By the square of the share that two sigma of 300 leave open, up to a half; what does last counts by its share."""
     assert Rest(before, after, 300.0, is_free).likely_share == pytest.approx(likely)
-    assert not Rest(2000.0, after, 300.0, is_free=False).is_much
 
 
 def test_several_recordings_count_by_their_rows() -> None:
