@@ -235,11 +235,16 @@ def _added_nt(finding: Finding) -> float:
 
 
 def _is_rounding(end: End, added_nt: float) -> bool:
-    """Whether what is left is no more than the ``added_nt`` of a coarse rounding, which lasts where the field does."""
-    fit = end.explained.fit
+    """Whether what is left is no more than the ``added_nt`` of a coarse rounding, which lasts where the field does.
+
+    A field that moves by more than a step from sample to sample is rounded by another amount each time: that is white.
+    """
+    fit, scene = end.explained.fit, end.explained.fit.problem.scene
     if not end.left or added_nt < _COARSE * fit.problem.noise_nt:
         return False
-    return bool(end.left[0].squares < len(fit.residual) * (added_nt * fit.noise_gain) ** 2)
+    moved_nt = np.median(np.abs(np.diff(scene.clean_field_nt, axis=0)).max(axis=1))
+    lasts = moved_nt < 12.0**0.5 * added_nt
+    return bool(lasts and end.left[0].squares < len(fit.residual) * (added_nt * fit.noise_gain) ** 2)
 
 
 def _modelled(
