@@ -97,7 +97,7 @@ EFFECT = Effect(
         "axis": "1",
     },
     prior=(10.0, 30000.0),
-    valid="a hard stop loses the sample: those clipped or within their noise of it are left out of every fit",
+    valid="a hard stop loses the sample: it is left out, and so are those within their noise of the stop",
     confused_with=("cubic_response", "stuck_axis"),
     separated_by="the sensor's range in its data sheet; a field of another size",
     source="data sheets of AMR and fluxgate sensors (full scale, linearity near it)",

@@ -14,7 +14,7 @@ WHY: Final[Mapping[str, str]] = {
     "thinned": "thinned out evenly",
     "spikes": "that are single spikes",
     "weak_field": "in a field of less than ten times the noise",
-    "spoiled": "stuck or saturated, as named",
+    "spoiled": "stuck, saturated or within their noise of the stop",
     "in_pulses": "within pulses that nobody recorded, as named",
 }
 """Reasons for which a row is left out, in the order of the steps, as what follows a count of rows."""
