@@ -36,11 +36,6 @@ UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
 
 
-_COARSE: Final = 2.0 / 12.0**0.5
-"""Of the noise, what rounding adds from which on it is not white: by steps of two sigma, where the characteristic
-function of the noise at 1 / step is 0.007 (Widrow & Kollar 2008); finer ones are as good as noise."""
-
-
 class Verdict(StrEnum):
     """What a diagnosis comes to."""
 
@@ -68,7 +63,7 @@ class Diagnosis:
     whitening: autoregressive coefficients of the noise, empty where it is white.
     seconds: what it took.
     refused: forms of the residual that the attitude did not bear out.
-    rest: what lasts beside the names; None where the noise or a coarse rounding has a memory, which lasts by itself.
+    rest: what lasts beside the names; None where the noise has a memory, which lasts by itself.
     modelled: what has no name as curves over drivers; None where nothing is left, or no curve helps.
     """
 
@@ -187,10 +182,6 @@ def _on_rows(
     end = with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
     progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
-    added_nt = max((_added_nt(one) for one in findings.values()), default=0.0)
-    if _is_rounding(end, added_nt):
-        end = replace(end, left=[], rest=None)
-        findings.pop(COLOURED_NOISE, None)  # the memory is that of the rounding
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
     if verdict is Verdict.UNKNOWN:
@@ -203,7 +194,7 @@ def _on_rows(
         stated,
         end.rest,
         has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
-        added_noise_nt=added_nt,
+        added_noise_nt=max((_added_nt(one) for one in findings.values()), default=0.0),
     )
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -232,19 +223,6 @@ def _added_nt(finding: Finding) -> float:
     """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where it says none."""
     added = finding.parameters.get("added_noise_nt")
     return 0.0 if added is None else float(np.max(added.value))
-
-
-def _is_rounding(end: End, added_nt: float) -> bool:
-    """Whether what is left is no more than the ``added_nt`` of a coarse rounding, which lasts where the field does.
-
-    A field that moves by more than a step from sample to sample is rounded by another amount each time: that is white.
-    """
-    fit, scene = end.explained.fit, end.explained.fit.problem.scene
-    if not end.left or added_nt < _COARSE * fit.problem.noise_nt:
-        return False
-    moved_nt = np.median(np.abs(np.diff(scene.clean_field_nt, axis=0)).max(axis=1))
-    lasts = moved_nt < 12.0**0.5 * added_nt
-    return bool(lasts and end.left[0].squares < len(fit.residual) * (added_nt * fit.noise_gain) ** 2)
 
 
 def _modelled(

@@ -117,6 +117,29 @@ def test_saturation_is_found_with_its_limit() -> None:
     assert float(found.parameters["share_of_samples"].value) == pytest.approx(clipped.mean())
 
 
+@pytest.mark.parametrize(("side", "stop_nt"), [(1.0, -1000.0), (-1.0, 2000.0), (1.0, 0.0)])
+def test_a_stop_spoils_its_own_side_wherever_zero_lies(side: float, stop_nt: float) -> None:
+    """An upper stop below zero, a lower one above, and one at zero: what lies on the other side stays."""
+    field = np.array(NOISY.field_nt)
+    field[:, 2] = side * np.minimum(side * field[:, 2], side * stop_nt)
+    found = find("saturation", view(replace(spoiled(field, NOISY), clean_field_nt=scene().field_nt)))
+    assert found is not None
+    assert found.spoiled is not None
+    near = side * scene().field_nt[:, 2] > side * stop_nt - 3.0 * NOISE_NT
+    assert np.array_equal(found.spoiled, near | (field[:, 2] == stop_nt))
+    assert 0.1 < found.spoiled.mean() < 0.9
+
+
+def test_a_noise_over_half_of_the_range_spoils_nothing_but_what_is_at_the_stop() -> None:
+    """As a fit to the stopped samples has it: three sigma of 12 uT are more than is left of the range."""
+    field = np.array(NOISY.field_nt)
+    field[:, 2] = np.clip(field[:, 2], -12_000.0, 12_000.0)
+    found = find("saturation", replace(view(spoiled(field, NOISY)), noise_nt=12_000.0))
+    assert found is not None
+    assert found.spoiled is not None
+    assert np.array_equal(found.spoiled, np.abs(field[:, 2]) == 12_000.0)
+
+
 def test_a_lattice_is_no_stop() -> None:
     """Samples on a coarse lattice come again and again at the ends of the range, but no oftener than beside."""
     coarse = np.round(NOISY.field_nt / 10_000.0) * 10_000.0

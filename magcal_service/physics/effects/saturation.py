@@ -42,6 +42,10 @@ _REACH: Final = 3.0
 """Noise sigmas before a stop at which a sample may be stopped, too: of the samples there those are kept whose noise
 points inwards, and what is kept is short by their mean."""
 
+_MOST_NEAR: Final = 0.5
+"""Of the samples that are not at a stop, what may be near it: a noise that reaches over half of the range is none, but
+what the stop itself has left of a fit to all samples."""
+
 _FLAT_TO_NEXT: Final = 5.0
 """Factor by which the largest value has to repeat more often than any of the five beside it.
 
@@ -60,17 +64,20 @@ def _find(view: View) -> Finding | None:
     limit, axis_found = 0.0, 0
     for axis in range(3):
         values = field[:, axis]
-        for end in (float(values.max()), float(values.min())):
+        for side in (1.0, -1.0):
+            end = side * float((side * values).max())
             at = values == end
             inside = np.abs(values - end)
             levels = np.unique(inside[~at])[:5]
             usual = max([float(np.count_nonzero(inside == level)) for level in levels], default=0.0)
             if np.count_nonzero(at) >= _FEWEST_CLIPPED and np.count_nonzero(at) > _FLAT_TO_NEXT * usual:
                 clipped |= at
-                near |= np.sign(end) * clean[:, axis] > abs(end) - _REACH * view.noise_nt
+                near |= side * clean[:, axis] > side * end - _REACH * view.noise_nt
                 limit, axis_found = abs(end), axis
     if not clipped.any():
         return None
+    if np.count_nonzero(near & ~clipped) > _MOST_NEAR * np.count_nonzero(~clipped):
+        near[:] = False
     rows = np.flatnonzero(clipped)
     parameters = {
         "axis": value_of(np.eye(3)[axis_found], np.zeros(3), "1"),
