@@ -36,7 +36,7 @@ _FEW_LEVELS: Final = 2
 """Jumps, each by a vector of its own, that are believed as one is: what swells and fades is met by more, too."""
 
 _ONE_WAVE: Final = 0.5
-"""Probability that a duty, with a line at a multiple of its rate beside it, leaves to another wave of that cycle."""
+"""Probability that a duty, with a line beside it at a multiple of its rate or along it, leaves to another wave."""
 
 _ALONG: Final = 0.9
 """Cosine from which on two fields lie along one another: of directions at random one in ten does."""

@@ -17,7 +17,7 @@ from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
 from magcal_service.diagnosis.instants import has_other_course, timed
 from magcal_service.diagnosis.linear import Workspace
-from magcal_service.diagnosis.plausible import within_physics
+from magcal_service.diagnosis.plausible import all_within_physics, within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
@@ -199,7 +199,7 @@ class Search(Screen):
             for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
-                if self._agrees(fit, trial) and self._is_sized(trial):
+                if self._agrees(fit, trial) and all_within_physics(trial):
                     return trial
         return None
 
@@ -229,13 +229,9 @@ class Search(Screen):
         gain = space.gain(rows, sigma)
         return replace(candidate, gain=gain, nats=candidate.nats - candidate.gain.nats + gain.nats)
 
-    def _is_sized(self, fit: Fit) -> bool:
-        """Whether every term, refitted with the errors, is still within its physics."""
-        return all(within_physics(fit, index) for index in range(len(fit.terms)))
-
     def _bounded(self, fit: Fit) -> Fit:
         """Without the terms that a refit has taken out of their physics, the weakest of them first."""
-        while not self._is_sized(fit):
+        while not all_within_physics(fit):
             beyond = [index for index in range(len(fit.terms)) if not within_physics(fit, index)]
             weakest = min(beyond, key=lambda index: self._worth(fit, index, fit.white_rms_nt))
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
@@ -299,7 +295,7 @@ class Search(Screen):
                 continue
             term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
             trial = exchanged(self.problem, fit, index, term)
-            if self._is_sized(trial):
+            if all_within_physics(trial):
                 fit = self.refreshed(trial)
         return fit
 
@@ -374,7 +370,7 @@ class Search(Screen):
             trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
             gained = best.nats - own if math.isfinite(own) else 0.0
             most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
-            if best.hypothesis.is_quickest(trial.terms[index].theta) or not self._is_sized(trial):
+            if best.hypothesis.is_quickest(trial.terms[index].theta) or not all_within_physics(trial):
                 continue
             if held_out(trial) <= held_out(fit) + most:
                 return trial

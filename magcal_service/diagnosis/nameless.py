@@ -10,9 +10,9 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
-from magcal_service.diagnosis.plausible import within_physics
+from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
-from magcal_service.diagnosis.screen import ACCEPTED_NATS, OF_LINES
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, OF_LINES, is_simpler
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import ended, exchanged, solve
 from magcal_service.model import Array
@@ -71,19 +71,14 @@ def _in_a_simpler_form(search: Search, fit: Fit, floor_nt: float) -> Fit:
 
     What a form has more may be what nothing tells apart: the level that a coil keeps is a bias where it never changes.
     """
+    sigma = max(fit.white_rms_nt, floor_nt)
     for index, term in enumerate(fit.terms):
-        mine = term.hypothesis
-        forms = [
-            h for h in search.hypotheses if (h.effect, h.driver) == (mine.effect, mine.driver) and h.size < mine.size
-        ]
-        sigma = max(fit.white_rms_nt, floor_nt)
+        forms = [form for form in search.hypotheses if is_simpler(form, term.hypothesis)]
         for one in search.screen(search.workspace(fit, index), fit, sigma, among=forms) if forms else ():
+            if one.nats <= ACCEPTED_NATS:
+                break
             trial = exchanged(search.problem, fit, index, Term(one.hypothesis, one.theta, one.gain.amplitudes))
-            if (
-                one.nats > ACCEPTED_NATS
-                and trial.converged
-                and all(within_physics(trial, number) for number in range(len(trial.terms)))
-            ):
+            if trial.converged and all_within_physics(trial):
                 return search.refreshed(trial)
     return fit
 

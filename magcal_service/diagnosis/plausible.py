@@ -40,6 +40,11 @@ def within_physics(fit: Fit, index: int) -> bool:
     return bool((np.abs(term.amplitudes) <= most).all()) and above_least(term.hypothesis, term.amplitudes)
 
 
+def all_within_physics(fit: Fit) -> bool:
+    """Whether every term is, refitted with the nine errors and the others."""
+    return all(within_physics(fit, index) for index in range(len(fit.terms)))
+
+
 def above_least(hypothesis: Hypothesis, amplitudes: Array) -> bool:
     """Whether amplitudes (k,) are no less than what the physics of their blocks has at least."""
     least = np.repeat([block.least for block in hypothesis.blocks], [block.size for block in hypothesis.blocks])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.linear import Workspace
-from magcal_service.diagnosis.plausible import within_physics
+from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import exchanged
 from magcal_service.model import Array
@@ -128,7 +128,7 @@ def _fitted(
     """
     term = Term(rival.hypothesis, rival.theta, rival.gain.amplitudes)
     trial = timed(search, exchanged(fit.problem, fit, index, term), index)
-    if not trial.converged or not all(within_physics(trial, number) for number in range(len(trial.terms))):
+    if not trial.converged or not all_within_physics(trial):
         return None
     before, left = search.white(fit.residual), search.white(trial.residual) * (fit.noise_gain / trial.noise_gain)
     gained = float(before @ before - left @ left) / (2.0 * sigma_nt**2)

@@ -364,6 +364,11 @@ def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesi
     return [replace(h) for h in found if h.effect not in of_reference]
 
 
+def is_simpler(one: Hypothesis, than: Hypothesis) -> bool:
+    """Whether a form is of the same effect by the same driver, and has fewer amplitudes."""
+    return (one.effect, one.driver) == (than.effect, than.driver) and one.size < than.size
+
+
 def with_simpler(first: Candidate, ranked: Sequence[Candidate], least_nats: float) -> Iterator[Candidate]:
     """A candidate, and the best form of its effect by the same driver that has fewer amplitudes.
 
@@ -377,10 +382,8 @@ def with_simpler(first: Candidate, ranked: Sequence[Candidate], least_nats: floa
     least_nats: evidence that the simpler form has to hold.
     """
     yield first
-    mine = first.hypothesis
     for other in ranked:
-        one = other.hypothesis
-        if (one.effect, one.driver) == (mine.effect, mine.driver) and one.size < mine.size and not one.in_place:
+        if is_simpler(other.hypothesis, first.hypothesis) and not other.hypothesis.in_place:
             if other.nats >= least_nats:
                 yield other
             return

@@ -151,20 +151,26 @@ def test_two_names_without_a_record_in_less_than_an_orbit_may_be_a_third(
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx(own)
 
 
-@pytest.mark.parametrize(("times", "own"), [(2.0, 0.5), (3.0, 0.5), (2.4, 0.97), (0.5, 0.97)])
-def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float, own: float) -> None:
-    """Of a cycle of 130 s, which is no duty, and no tone of its own."""
+CYCLE_S = 130.0
+
+
+def beside_a_duty(times: float, amplitudes: Sequence[float]) -> list[float]:
+    """How far a duty of 130 s, along (1, 1, 1), and a line at so many times its rate are believed together."""
     duty = next(
         one for one in effect_named("torquer").hypotheses(scene()) if "period" in {n.role for n in one.nonlinear}
     )
-    tone = form("tone")
-    theta = np.array([130.0 if number.role == "period" else 0.3 for number in duty.nonlinear])
+    theta = np.array([CYCLE_S if number.role == "period" else 0.3 for number in duty.nonlinear])
+    line = Term(form("tone"), np.array([times / CYCLE_S]), np.array(amplitudes))
     named = explained([])
-    across = np.array([1.0, -1.0, 0.0, 1.0, 1.0, -2.0])
-    terms = (Term(duty, theta, np.ones(3)), Term(tone, np.array([times / 130.0]), across))
-    fit = replace(named.fit, terms=terms)
+    fit = replace(named.fit, terms=(Term(duty, theta, np.ones(3)), line))
     twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
-    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
+    return [posterior(twice, index).own for index in range(2)]
+
+
+@pytest.mark.parametrize(("times", "own"), [(2.0, 0.5), (3.0, 0.5), (2.4, 0.97), (0.5, 0.97)])
+def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float, own: float) -> None:
+    """It is no duty, and no tone of its own, though the line lies across it."""
+    assert beside_a_duty(times, [1.0, -1.0, 0.0, 1.0, 1.0, -2.0]) == pytest.approx([own, own], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -172,15 +178,7 @@ def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float,
 )
 def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[float, ...], own: float) -> None:
     """A line at no multiple of a duty's rate, which lies in the duty's own direction, or in another one."""
-    duty = next(
-        one for one in effect_named("torquer").hypotheses(scene()) if "period" in {n.role for n in one.nonlinear}
-    )
-    theta = np.array([130.0 if number.role == "period" else 0.3 for number in duty.nonlinear])
-    line = Term(form("tone"), np.array([2.4 / 130.0]), np.array([*direction, 0.0, 0.0, 0.0]))
-    named = explained([])
-    fit = replace(named.fit, terms=(Term(duty, theta, np.ones(3)), line))
-    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
-    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, own], abs=1e-9)
+    assert beside_a_duty(2.4, [*direction, 0.0, 0.0, 0.0]) == pytest.approx([own, own], abs=1e-9)
 
 
 @pytest.mark.parametrize(

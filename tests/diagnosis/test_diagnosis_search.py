@@ -12,6 +12,7 @@ import pytest
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import BLOCKS, Gain, Workspace
+from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of, with_simpler
 from magcal_service.diagnosis.solution import solve
@@ -163,7 +164,7 @@ def sized(form: Hypothesis, amplitude: float, largest_nt: float = math.inf) -> b
     """Whether a term of this amplitude is no larger than its physics."""
     search, fit = searching(flown(np.zeros((COUNT, 3))), form, largest_nt=largest_nt)
     term = Term(search.hypotheses[0], np.zeros(0), np.array([amplitude]))
-    return search._is_sized(replace(fit, terms=(term,)))
+    return all_within_physics(replace(fit, terms=(term,)))
 
 
 @pytest.mark.parametrize(("amplitude", "fits"), [(0.74, False), (0.76, True), (1.0, True), (1.24, True), (1.26, False)])
