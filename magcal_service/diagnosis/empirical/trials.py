@@ -31,10 +31,18 @@ _TRIED: Final = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
+    """A curve that was tried.
+
+    Parameters
+    ----------
+    form: what it lies over, and how it acts.
+    hypothesis: it as a form of an effect without a name.
+    residual: (m,) white, on held-out blocks, to first order [nT].
+    """
+
     form: Form
     hypothesis: Hypothesis
     residual: Array
-    """(m,) white, on held-out blocks, to first order [nT]."""
 
     @property
     def left(self) -> float:
