@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import concerned, reasons
+from magcal_service.diagnosis.doubts import concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share

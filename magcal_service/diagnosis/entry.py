@@ -39,7 +39,8 @@ class Entry:
     measure: what would tell its class apart, the best first.
     drivers: (driver, probability) of the channels that drive it as well as this recording can tell, most probable
         first; empty for what has no driver.
-    unlisted: what the recorded channel's signal is that does as well and is no effect, in words; empty where none does.
+    unlisted: what is no effect and does as well, in words: a recorded channel's signal, a change that takes minutes;
+        empty where nothing does.
     share_of: what ``share_of_mismatch`` is a share of, in words.
     """
 

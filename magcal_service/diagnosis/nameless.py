@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import posterior, stands_out
+from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.doubts import stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.plausible import all_within_physics

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from magcal_service.diagnosis.belief import SURE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
+from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
@@ -220,6 +220,7 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
     alike = [name for name in entry.members if name != entry.effect] or [name for name, _ in entry.rivals]
     if entry.probability >= SURE or not alike:
         return entry.says
+    known = {**known, UNLISTED: entry.unlisted or known.get(UNLISTED, UNLISTED)}
     names = [known.get(name, name) for name in (entry.effect, *alike)]
     says = f"{entry.says[:1].lower()}{entry.says[1:]}"
     rival, probability = _likeliest(entry)

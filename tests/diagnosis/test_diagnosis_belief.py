@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import posterior, reasons, stands_out, with_left
+from magcal_service.diagnosis.belief import posterior, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
+from magcal_service.diagnosis.doubts import reasons, stands_out
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
 from magcal_service.diagnosis.instants import has_other_course
 from magcal_service.diagnosis.linear import Gain
@@ -82,6 +83,17 @@ def test_probabilities_are_those_of_the_nats() -> None:
     assert rivals.pop("unknown") == pytest.approx(0.03)
     assert list(rivals) == ["bias_drift", "thermal_bias", "tone"]
     assert list(rivals.values()) == pytest.approx([0.97 * weight / sum(weights) for weight in weights[1:]])
+
+
+def test_a_class_is_what_the_recording_cannot_tell_apart_however_seldom_it_is_met() -> None:
+    """A lag behind a late clock by nothing but its odds: improbable, and in the class."""
+    idle, odds = Gain(0.0, 0.0, 0.0, np.zeros(0)), 3.0
+    seldom = replace(form("bias_drift"), odds=odds)
+    named = explained([])
+    ranked = (*named.rivals[0], Candidate(seldom, np.zeros(0), idle, 100.0 - odds - 0.5))
+    found = posterior(replace(named, rivals=(ranked,)), 0)
+    assert found.members == ("bias_step", "bias_drift")
+    assert dict(found.rivals)["bias_drift"] == pytest.approx(0.97 / (1.0 + math.exp(odds + 0.5)))
 
 
 def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
@@ -357,7 +369,9 @@ def test_a_search_tempers_rivals_and_keeps_the_truth() -> None:
     gain = found.gains[0]
     assert gain.dispersion < 1.8
     assert gain.seen >= 0.8 * gain.expected > 0
-    assert posterior(found, 0).own > 0.95
+    believed = posterior(found, 0)
+    assert all(probability < 0.01 for name, probability in believed.rivals if name != "unknown")
+    assert believed.own > 0.75  # a step of so few nats in a scene of 4 s is not seen to be quicker than ten minutes
 
 
 def noisier(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import is_beyond_model
+from magcal_service.diagnosis.doubts import is_beyond_model
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
 from magcal_service.diagnosis.problem import Problem, Term

@@ -388,3 +388,27 @@ RATE_HZ = 1.0 / PERIOD_S
 )
 def test_a_line_at_the_spin_or_its_alias_is_said_to_be(frequency: float, spin_hz: float | None, words: str) -> None:
     assert _coincidence(frequency, spin_hz, PERIOD_S) == words
+
+
+def test_single_samples_far_out_are_no_shape() -> None:
+    """Two where the Sun stands as it seldom does: a function of its direction follows them, and by 9 sigma is sure."""
+    seldom = _seldom("follows the Sun")
+    search, fit = searched(flown(grown_nt=-9.0 * NOISE_NT * np.isin(np.arange(COUNT), seldom)))
+    assert not any(significant(one) for one in structures(search, fit, None, FLOOR_NT))
+
+
+def _seldom(family: str) -> Array:
+    """The two rows that a family of shapes follows most easily: largest on the diagonal of its projection."""
+    search, fit = searched(flown())
+    shape = next(one for one in shapes(search.problem, None, None) if family in one.says)
+    columns = search.workspace(fit).projected(shape.columns(fit.unit))
+    basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]
+    return np.argsort(-((basis**2).sum(axis=1)))[:2]
+
+
+def test_what_lasts_is_a_shape_however_far_out_it_is() -> None:
+    """Of a field ten times the noise nothing is lost by what a single sample counts for at the most."""
+    lasting = 10.0 * NOISE_NT * (np.abs(TIME_S - 4000.0) < 60.0)
+    search, fit = searched(flown(grown_nt=lasting))
+    best = structures(search, fit, None, FLOOR_NT)[0]
+    assert significant(best)

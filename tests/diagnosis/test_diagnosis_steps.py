@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import reasons as reasons_of
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.diagnose import (
     NUTATION,
@@ -22,6 +21,7 @@ from magcal_service.diagnosis.diagnose import (
     _simulation,
     _verdict,
 )
+from magcal_service.diagnosis.doubts import reasons as reasons_of
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate

@@ -93,6 +93,7 @@ def entry(
         measure=(),
         drivers=(),
         share_of="the mismatch",
+        unlisted="",
     )
 
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import FEWEST_SAMPLES, STANDS_OUT
 from magcal_service.diagnosis.collapse import is_collapsed
+from magcal_service.diagnosis.doubts import FEWEST_SAMPLES, STANDS_OUT
 from magcal_service.diagnosis.empirical.curves import ELAPSED, Form, drivers_of, unit_of
 from magcal_service.diagnosis.empirical.gain import forward_rms_nt, gain_in_blocks, gain_of
 from magcal_service.diagnosis.empirical.trials import Trial, trials_of

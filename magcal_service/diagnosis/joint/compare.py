@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import STANDS_OUT
 from magcal_service.diagnosis.blocks import Gain, gain_over
+from magcal_service.diagnosis.doubts import STANDS_OUT
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import joint, like
 from magcal_service.diagnosis.joint.problem import JointProblem

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import (
+from magcal_service.diagnosis.belief import with_left
+from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
+from magcal_service.diagnosis.doubts import (
     LITTLE_LEFT,
     concerned,
     has_coverage,
@@ -16,9 +18,7 @@ from magcal_service.diagnosis.belief import (
     is_rough,
     listed,
     stands_out,
-    with_left,
 )
-from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES
 from magcal_service.diagnosis.field_level import at_scale, needed_scale

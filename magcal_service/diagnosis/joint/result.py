@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import SURE, Posterior, posterior
+from magcal_service.diagnosis.belief import Posterior, posterior
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.handover import model_term, noise_of, spin_of
 from magcal_service.diagnosis.joint.catalogue import started
