@@ -155,14 +155,11 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     x = baseline_start(scene, noise_nt)
     level_nt = noise_nt or _white(scene, x)
     findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
-    if spoiled.any():
-        spoiled = _sample_findings(scene, x, 0.0, noise_nt, effects)[1]  # themselves, without what is near them
     if spoiled.any() and np.count_nonzero(~spoiled) >= 10 * STATE_SIZE:
         sound = scene_of(usable.select(~spoiled))  # once more, by errors that they have no part in
         x = baseline_start(sound, noise_nt)
-        white_nt = _white(sound, x)
-        level_nt = noise_nt or white_nt
-        findings, spoiled = _sample_findings(scene, x, min(level_nt, white_nt), noise_nt, effects)
+        level_nt = noise_nt or _white(sound, x)
+        findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
     spikes = _spikes(scene, x) & ~spoiled
     weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
     keep = ~(spikes | spoiled | weak)

@@ -158,12 +158,21 @@ def _judged(applied: Applied, inspection: Inspection, given: Given, noise_nt: fl
 
 
 def _noise(given: Given, recording: Recording) -> float:
-    """White noise, 1 sigma per axis [nT]: as the recording states it, else the result, else as the residual shows."""
+    """White noise, 1 sigma per axis [nT]: as the recording states it, else the result, else as the residual shows.
+
+    What the result names as added to the sensor's own counts beside what is stated, as far as the residual shows it:
+    it may be stated with it.
+    """
     stated = recording.descriptor.magnetometer.noise_nt
+    added = 0.0 if given.model is None else given.model.added_noise_nt
+    if stated is not None and added > 0.0:
+        return max(stated, min(math.hypot(stated, added), _floor(given, recording)))
     if stated is not None:
         return stated
-    if given.noise_nt is not None:
-        return given.noise_nt
+    return _floor(given, recording) if given.noise_nt is None else given.noise_nt
+
+
+def _floor(given: Given, recording: Recording) -> float:
     usable = recording.sorted_unique()
     residual = np.linalg.norm(given.apply(usable.field_body_nt), axis=1) - usable.reference.magnitude_nt
     return noise_floor(usable.time_ns, residual)

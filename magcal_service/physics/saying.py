@@ -86,6 +86,17 @@ class Said:
         return f"{' and '.join(filter(None, (', '.join(most), last)))} {unit}".rstrip()
 
     @property
+    def placed(self) -> str:
+        """All numbers of a list with their signs, each with its name: ``"+37000 nT on x and -37000 nT on z"``."""
+        factor, unit = _natural(self.unit, 1.0)
+        names = labels_of(self.value.shape, self.labels)[0]
+        pairs = zip(self.value.tolist(), self.sigma.tolist(), names, strict=True)
+        *most, last = (
+            f"{'+' if v >= 0.0 else ''}{digits(v * factor, s * factor)} {unit} on {name}" for v, s, name in pairs
+        )
+        return " and ".join(filter(None, (", ".join(most), last)))
+
+    @property
     def percent(self) -> str:
         """A share as a percentage, without the sign."""
         at = self._largest

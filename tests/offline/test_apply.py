@@ -16,7 +16,7 @@ from magcal_service.base.errors import InputRefusedError
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.estimators.interface import Phase
 from magcal_service.model import Array
-from magcal_service.offline.apply import apply, residual_rms
+from magcal_service.offline.apply import _noise, apply, residual_rms
 from magcal_service.offline.calibrate import calibrate
 from magcal_service.offline.given import read_given
 from magcal_service.offline.replay import craft_of
@@ -115,6 +115,26 @@ def test_noise_with_a_memory_counts_with_its_whole_level(level_nt: float, truste
     given = read_given(given_path)
     assert given.noise_nt == level_nt
     assert apply(given, inspect(read_recording(path))).trusted == trusted
+
+
+@pytest.mark.parametrize(
+    ("stated_nt", "added_nt", "noise_nt", "trusted"),
+    [(30.0, 80.0, 85.4, 600), (30.0, 10.0, 31.6, 0), (30.0, 1e4, 97.0, 600), (100.0, 95.0, 100.0, 600)],
+)
+def test_noise_that_a_lattice_adds_counts_beside_the_stated_one(
+    stated_nt: float, added_nt: float, noise_nt: float, trusted: int, tmp_path: Path
+) -> None:
+    """As a note has it, but no more than the residual shows, 97 nT: the lattice may be in what is stated."""
+    scenario = hot()
+    path = record_simulation(Simulation(scenario, 4, 600.0), tmp_path)
+    path.write_text(re.sub("noise_nt = .*", f"noise_nt = {stated_nt}", path.read_text()))
+    note = Note("quantisation", "Values lie on a lattice.", {"added_noise_nt": np.array(added_nt)})
+    given_path = tmp_path / "physics.toml"
+    given_path.write_text(text_of(model_of(*THERMAL, origin_ns=scenario.start_ns, noise_nt=stated_nt, notes=(note,))))
+    recording = read_recording(path)
+    given = read_given(given_path)
+    assert apply(given, inspect(recording)).trusted == trusted
+    assert _noise(given, recording) == pytest.approx(noise_nt, rel=0.01)
 
 
 def _config(path: Path):  # type: ignore[no-untyped-def]

@@ -109,7 +109,8 @@ def test_an_end_that_comes_eight_times_is_a_stop(clipped: int, found: bool) -> N
         assert np.flatnonzero(finding.spoiled).tolist() == rows.tolist()
         assert finding.parameters["axis"].value.tolist() == [0.0, 0.0, 1.0]
         assert finding.parameters["axis"].sigma.tolist() == [0.0, 0.0, 0.0]
-        assert float(finding.parameters["limit_nt"].value) == pytest.approx(-float(field[order[0], 2]))
+        assert finding.parameters["limit_nt"].value.tolist() == [float(field[order[0], 2])]
+        assert finding.parameters["limit_nt"].labels == (("z",),)
         assert float(finding.parameters["share_of_samples"].value) == 0.008
         assert finding.time_s == (TIME_S[rows[0]], TIME_S[rows[-1]])
 

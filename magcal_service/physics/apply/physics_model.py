@@ -49,6 +49,9 @@ _FASTEST_RAD_S: Final = 320.0  # just above the 3000 rpm that a configuration ac
 _LEVEL: Final = "level_nt"
 """What an effect on the noise calls the level of the whole."""
 
+_ADDED: Final = "added_noise_nt"
+"""What an effect calls the noise that it adds to the sensor's own."""
+
 
 class ModelError(InputRefusedError):
     """A physics file was refused."""
@@ -187,6 +190,12 @@ class PhysicsModel:
         on_noise = {effect.name for effect in catalogue() if effect.acts_on is ActsOn.NOISE}
         levels = [note.values[_LEVEL] for note in self.notes if note.effect in on_noise and _LEVEL in note.values]
         return max([self.noise_nt, *(float(level) for level in levels if level.ndim == 0)])
+
+    @property
+    def added_noise_nt(self) -> float:
+        """What a note says is added to the sensor's own noise, as by a lattice, 1 sigma per axis [nT]; 0 where none."""
+        added = [note.values[_ADDED] for note in self.notes if _ADDED in note.values]
+        return max((float(level) for level in added if level.ndim == 0), default=0.0)
 
 
 def _origin(reading: Reading, key: str) -> int:

@@ -12,14 +12,12 @@ from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_t
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.table import FloatArray
 from magcal_service.residuals import MEDIAN_TO_SIGMA
+from magcal_service.samples.ellipsoid import fitted
+from magcal_service.samples.stops import stops
 
 _AXES: Final = "xyz"
 _WORD: Final = 65_536.0
 """Values of 16 bits."""
-
-_FEWEST_CLIPPED: Final = 8  # as the effect ``saturation`` has it
-_FLAT_TO_NEXT: Final = 5.0
-"""As the effect ``saturation`` has them: an end of the range comes far oftener than the values beside it."""
 
 _SHORTEST_STUCK: Final = 60  # rows; as the daemon's watch over axes has it
 _OTHERS_MOVE: Final = 30.0
@@ -27,9 +25,6 @@ _OTHERS_MOVE: Final = 30.0
 
 _LONGEST_START: Final = 30  # rows; choice: half a minute at 1 Hz, settling and not physics
 _SHARE_OF_START: Final = 0.02  # choice: of the log; longer is no start
-_MOST_FITTED: Final = 200_000
-"""Rows at once; choice: 16 MB of columns, and ten numbers are as sure by these as by ten times as many."""
-
 _OUT: Final = 30.0
 """Robust sigmas that every row of a bad start lies off, and hardly a row after it."""
 
@@ -69,21 +64,13 @@ def _wrapped(column: FloatArray, width: float) -> NDArray[np.intp] | None:
 
 
 def saturated(log: Log) -> Iterator[Seen]:
-    """The largest value of an axis comes again and again, far oftener than the values beside it."""
-    field = log.field_nt
-    for axis in range(3):
-        column = field[:, axis]
-        for end in (float(column.max()), float(column.min())):
-            at = column == end
-            count = int(np.count_nonzero(at))
-            if count < _FEWEST_CLIPPED or count == len(log):
-                continue
-            inside = np.abs(column[~at] - end)
-            _, counts = np.unique(inside, return_counts=True)
-            if count > _FLAT_TO_NEXT * float(counts[:5].max()):
-                says = f"{rows_text(count)} of {len(log)} stop at {end:g} nT on {_AXES[axis]}: the end of the range"
-                remedy = "they are left out; choose a wider range of the sensor"
-                yield Seen(Code.SATURATED, True, log.rows[at], says, remedy, Spoils.SAMPLES)
+    """An axis stops at the end of its range: the rows at the stop, and those that noise has kept from it."""
+    for stop in stops(log.field_nt, log.magnitude_nt):
+        at, near = int(np.count_nonzero(stop.rows)), int(np.count_nonzero(stop.near))
+        says = f"{rows_text(at)} of {len(log)} stop at {stop.at_nt:g} nT on {_AXES[stop.axis]}: the end of the range"
+        says += f"; {near} more would be at it or within its noise" if near else ""
+        remedy = "they are left out; choose a wider range of the sensor"
+        yield Seen(Code.SATURATED, True, log.rows[stop.spoiled], says, remedy, Spoils.SAMPLES)
 
 
 def stuck_axis(log: Log) -> Iterator[Seen]:
@@ -124,7 +111,8 @@ def start_transient(log: Log) -> Iterator[Seen]:
     if len(known) < 200 or known[0] != 0:
         return
     field, magnitude = log.field_nt[known], log.magnitude_nt[known]
-    off = np.abs(_nine_errors_residual(field, magnitude))
+    begin = min(_LONGEST_START, len(field) // 4)  # the first rows take no part in the fit
+    off = np.abs(fitted(field, magnitude, slice(begin, None)).residual(field, magnitude))
     sigma = MEDIAN_TO_SIGMA * float(np.median(off))
     most = min(_LONGEST_START, int(_SHARE_OF_START * len(known)))
     count = int(np.argmin(np.append(off[: most + 1] > _OUT * sigma, False)))
@@ -134,21 +122,3 @@ def start_transient(log: Log) -> Iterator[Seen]:
     says = f"the first {rows_text(count)} lie up to {worst:.0f} nT off what the rest agree on to {sigma:.0f} nT"
     remedy = "they are left out; begin the log when the sensor has settled"
     yield Seen(Code.START_TRANSIENT, True, log.rows[known[:count]], says, remedy, Spoils.ROW)
-
-
-def _nine_errors_residual(field_nt: FloatArray, magnitude_nt: FloatArray) -> FloatArray:
-    """|B| calibrated less |H| (n,) [nT] of the ellipsoid that fits best, the first rows taking no part."""
-    begin = min(_LONGEST_START, len(field_nt) // 4)
-    scale = float(np.mean(magnitude_nt))
-    squares = (magnitude_nt / scale) ** 2
-    fitted = slice(begin, None, -(-len(field_nt) // _MOST_FITTED))
-    solution = np.linalg.lstsq(_quadric(field_nt[fitted] / scale), squares[fitted], rcond=None)[0]
-    blocks = range(0, len(field_nt), _MOST_FITTED)
-    lengths = np.concatenate([_quadric(field_nt[at : at + _MOST_FITTED] / scale) @ solution for at in blocks])
-    return np.asarray((lengths - squares) / (2.0 * np.sqrt(squares)) * scale)
-
-
-def _quadric(field: FloatArray) -> FloatArray:
-    """(n, 10) what an ellipsoid is linear in, of vectors (n, 3)."""
-    x, y, z = field.T
-    return np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(x))], axis=1)

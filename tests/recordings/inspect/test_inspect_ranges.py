@@ -28,9 +28,29 @@ def test_an_axis_that_stops_at_its_range_is_left_out(end: float, tmp_path: Path)
     clipped = np.count_nonzero(end * log.columns["my"] >= limit)
     inspection = log.spoiled("my", lambda column: end * np.minimum(end * column, limit)).inspected(tmp_path)
     (finding,) = inspection.findings
-    assert (finding.code, finding.certain, finding.rows) == (Code.SATURATED, True, clipped)
-    assert len(inspection.usable) == 3000 - clipped
+    assert (finding.code, finding.certain) == (Code.SATURATED, True)
+    assert f"{clipped} rows of 3000 stop at " in finding.says
+    near = finding.rows - clipped
+    assert 0 < near < 20
+    assert f"; {near} more would be at it or within its noise" in finding.says
+    assert len(inspection.usable) == 3000 - finding.rows
     assert inspection.to_diagnose is inspection.recording  # which names it
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_stop_on_a_lattice_is_left_out_though_its_end_comes_no_oftener(stated: bool, tmp_path: Path) -> None:
+    """At 1.5 noise sigmas of lattice the end comes less than five times as often as the levels beside it."""
+    log = clean_log(Kind(rows=6000, noise_nt=200.0, noise_stated=stated))
+    limit = 300.0 * round(float(np.quantile(log.columns["my"], 0.993)) / 300.0)
+    stopped = log.spoiled("mx my mz", lambda column: np.round(column / 300.0) * 300.0)
+    stopped = stopped.spoiled("my", lambda column: np.minimum(column, limit))
+    counts = np.unique(stopped.columns["my"], return_counts=True)[1]
+    assert counts[-1] < 5.0 * counts[-6:-1].max()
+    inspection = stopped.inspected(tmp_path)
+    (finding,) = inspection.findings
+    assert (finding.code, finding.certain) == (Code.SATURATED, True)
+    assert f"{counts[-1]} rows of 6000 stop at {limit:g} nT on y" in finding.says
+    assert inspection.account.left_out["defect"] == finding.rows == 6000 - len(inspection.usable)
 
 
 def test_an_axis_that_stands_still_is_left_out(tmp_path: Path) -> None:

@@ -1,0 +1,238 @@
+"""Where an axis stops at the end of its range: by how often the end comes, or by what is missing of the field there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magcal_service.model import Array
+from magcal_service.residuals import OF_A_MEDIAN, white_floor
+from magcal_service.samples.ellipsoid import SPIKE, Ellipsoid, fitted
+
+_FEWEST: Final = 8
+"""Samples at the largest value from which it is a stop; choice: fewer are met by a coarse converter."""
+
+_BESIDE: Final = 5
+"""Values beside the end that its count is compared with; an axis with fewer stays within the steps of its lattice."""
+
+_FLAT_TO_NEXT: Final = 5.0
+"""Factor by which the largest value has to repeat more often than any of those beside it.
+
+A turning field has its largest value on a lattice 1 / (sqrt 2 - 1) = 2.4 times as often as the next; twice that is
+clear of it.
+"""
+
+_COURSE: Final = 10
+"""Levels beside the end that foretell what is missing at it; choice: fewer leave a bend's course unsure on a fine
+lattice, and more are far from the end on a coarse one."""
+
+_SURE: Final = 4.0
+"""Standard errors that more is missing at the end than the levels beside it foretell; an end without a stop is long,
+for noise that points outwards leads there."""
+
+_MORE: Final = 0.25
+"""Steps of the lattice by which more is missing at the end; choice: a bend is foretold to that.  Of 1650 recordings
+with bends that take up to two fifths of the field's growth, and others, none had a stop at any value down to 0."""
+
+_LEAST_SLOPE: Final = 0.1
+"""Growth of |B| along the axis, per growth of the component, below which the magnitude says nothing of it; choice: the
+field lies 84 deg off the axis, or the ellipsoid has collapsed on a short arc."""
+
+_FEWEST_FITTED: Final = 100  # samples; ten numbers are fitted
+
+_REACH: Final = 3.0
+"""Noise sigmas before a stop at which a sample may be stopped, too: of the samples there those are kept whose noise
+points inwards, and what is kept is short by their mean."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stop:
+    """An end of an axis at which the readings stop.
+
+    Parameters
+    ----------
+    axis: 0 to 2.
+    side: 1.0 at the largest value, -1.0 at the least.
+    at_nt: the value [nT].
+    rows: (n,) samples at it.
+    near: (n,) further samples that without their noise would be within three sigma of it, or beyond.
+    """
+
+    axis: int
+    side: float
+    at_nt: float
+    rows: NDArray[np.bool_]
+    near: NDArray[np.bool_]
+
+    @property
+    def spoiled(self) -> NDArray[np.bool_]:
+        """(n,) samples that no fit should use."""
+        return self.rows | self.near
+
+
+def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
+    """Every stop among samples, axis by axis.
+
+    Parameters
+    ----------
+    field_nt: (n, 3) B as measured [nT], in the order of their times.
+    magnitude_nt: (n,) |H| [nT]; NaN where it is not known.
+
+    An end that comes five times as often as the values beside it is a stop.  On a lattice that is not much finer than
+    the noise it may come less often; there the magnitude tells: at a stop the readings are short, by more than the
+    levels beside it foretell.  It tells nothing of an axis that lies across the field, and little of one that is
+    clipped by less than two steps of its lattice.
+    """
+    ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
+    often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
+    found = [one for one in often if _is_flat(field_nt, one)]
+    doubtful = [one for one in often if one not in found]
+    samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
+    if not often or np.count_nonzero(samples.inner) < _FEWEST_FITTED:
+        return tuple(found)
+    while doubtful:  # the surest first: what is missing of its samples is missing at no other end
+        sound = samples.known & ~np.any([np.zeros(len(field_nt), bool), *(one.rows for one in found)], axis=0)
+        excess, surest = max(((samples.excess(one, sound), one) for one in doubtful), key=lambda pair: pair[0])
+        if excess < 1.0:
+            break
+        found.append(surest)
+        doubtful.remove(surest)
+    clipped = np.any([np.zeros(len(field_nt), bool), *(one.rows for one in found)], axis=0)
+    return tuple(replace(one, near=samples.near(one) & ~clipped) for one in ends if one in found)
+
+
+def _end(field_nt: Array, axis: int, side: float) -> Stop:
+    end = side * float((side * field_nt[:, axis]).max())
+    return Stop(axis, side, end, field_nt[:, axis] == end, np.zeros(len(field_nt), dtype=bool))
+
+
+def _is_flat(field_nt: Array, end: Stop) -> bool:
+    """Whether it comes far oftener than the values beside it."""
+    _, counts = np.unique(np.abs(field_nt[~end.rows, end.axis] - end.at_nt), return_counts=True)
+    oftener = np.count_nonzero(end.rows) > _FLAT_TO_NEXT * float(counts[:_BESIDE].max())
+    return bool(len(counts) >= _BESIDE and oftener)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Samples beside the nine errors of those that are at no end.
+
+    Parameters
+    ----------
+    field_nt: (n, 3) B as measured [nT].
+    magnitude_nt: (n,) |H| [nT].
+    no_end: (n,) samples that are at no end of an axis.
+    """
+
+    field_nt: Array
+    magnitude_nt: Array
+    no_end: NDArray[np.bool_]
+
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """(n,) samples with a reference."""
+        return np.isfinite(self.magnitude_nt) & (self.magnitude_nt > 0.0)
+
+    @cached_property
+    def inner(self) -> NDArray[np.bool_]:
+        """(n,) samples with a reference that are at no end."""
+        return self.known & self.no_end
+
+    @cached_property
+    def shape(self) -> Ellipsoid:
+        """The nine errors of the inner samples."""
+        return fitted(self.field_nt, self.magnitude_nt, self.inner)
+
+    @cached_property
+    def residual_nt(self) -> Array:
+        """(n,) |B_cal| - |H| [nT]; NaN without a reference."""
+        return self.shape.residual(self.field_nt, np.where(self.known, self.magnitude_nt, np.nan))
+
+    @cached_property
+    def slope(self) -> Array:
+        """(n, 3) derivative of the residual by B [-]."""
+        return self.shape.gradient(self.field_nt, np.where(self.known, self.magnitude_nt, np.nan))
+
+    @cached_property
+    def bounded_nt(self) -> Array:
+        """(n,) the residual, what stands out of it and what is not known brought within the limit of a spike."""
+        limit = SPIKE * self.shape.sigma_nt
+        return np.clip(np.where(self.known, self.residual_nt, 0.0), -limit, limit)
+
+    @cached_property
+    def slow_nt(self) -> float:
+        """What of the residual lasts from one sample to the next, 1 sigma, at the most by 2 sigma of it [nT]."""
+        pairs = np.flatnonzero(self.inner[1:] & self.inner[:-1])
+        count = max(len(pairs), 1)
+        shared = float(self.bounded_nt[pairs] @ self.bounded_nt[pairs + 1]) / count
+        return math.sqrt(max(shared, 0.0) + 2.0 * self.shape.sigma_nt**2 / math.sqrt(count))
+
+    @cached_property
+    def noise_nt(self) -> float:
+        """What of it is white, 1 sigma [nT]."""
+        return min(self.shape.sigma_nt, white_floor(self.bounded_nt[self.inner]))
+
+    def near(self, stop: Stop) -> NDArray[np.bool_]:
+        """(n,) samples within reach of a stop, brought to the known magnitude: no radial noise is left."""
+        axis = stop.axis
+        radial = self.slope[:, axis] / np.maximum(np.sum(self.slope**2, axis=1), _LEAST_SLOPE**2)
+        clean = self.field_nt[:, axis] - self.residual_nt * radial
+        return np.asarray(self.known & (stop.side * (clean - stop.at_nt) > -_REACH * self.noise_nt))
+
+    def excess(self, end: Stop, sound: NDArray[np.bool_]) -> float:
+        """What is missing at an end beyond what the levels beside it foretell, over what makes it a stop."""
+        inside = np.abs(self.field_nt[:, end.axis] - end.at_nt)
+        levels = np.unique(inside)[: _COURSE + 1]
+        if len(levels) <= _COURSE:
+            return 0.0
+        at_end, *others = (self._missing(end, np.flatnonzero(sound & (inside == level))) for level in levels)
+        beside = [(level, *one) for level, one in zip(levels[1:], others, strict=True) if one is not None]
+        if at_end is None or not beside or np.count_nonzero(sound & end.rows) < _FEWEST:
+            return 0.0
+        here, sigma = at_end
+        foretold, uncertain, rough = _foretold(np.array(beside))
+        step = float(np.diff(levels).min())
+        return (here - foretold) / max(_MORE * step, _SURE * rough * math.hypot(sigma, uncertain))
+
+    def _missing(self, end: Stop, rows: NDArray[np.intp]) -> tuple[float, float] | None:
+        """What is missing along the axis in some rows, outwards, by its weighted median, and 1 sigma of it [nT].
+
+        What lasts is the same in rows that follow one another.
+        """
+        slope = end.side * self.slope[rows, end.axis]
+        rows, slope = rows[slope > _LEAST_SLOPE], slope[slope > _LEAST_SLOPE]
+        if not len(rows):
+            return None
+        visits = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
+        together = float(np.sum(np.add.reduceat(slope, visits) ** 2))
+        squares = float(np.sum(slope**2))
+        sigma = math.sqrt(self.shape.sigma_nt**2 * squares + self.slow_nt**2 * together) / squares
+        return _weighted_median(-self.residual_nt[rows] / slope, slope), OF_A_MEDIAN * sigma
+
+
+def _weighted_median(values: Array, weight: Array) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _foretold(beside: Array) -> tuple[float, float, float]:
+    """What levels (k, 3), rows of distance, value and sigma, make of the end by their mean, or by their course where
+    that grows towards it; 1 sigma of that; and how many of their sigmas they scatter by, at least 1."""
+    x, y, sigma = beside.T
+    weight = 1.0 / sigma**2
+    mean, variance = float(np.average(y, weights=weight)), float(1.0 / weight.sum())
+    if len(x) < 3:
+        return mean, math.sqrt(variance), 1.0
+    centre = float(np.average(x, weights=weight))
+    spread = float(np.sum(weight * (x - centre) ** 2))
+    slope = float(np.sum(weight * (x - centre) * y)) / spread
+    rough = math.sqrt(max(1.0, float(np.sum(weight * (y - mean - slope * (x - centre)) ** 2)) / (len(x) - 2)))
+    if slope > 0.0:
+        return mean, math.sqrt(variance), rough
+    return mean - slope * centre, math.sqrt(variance + centre**2 / spread), rough

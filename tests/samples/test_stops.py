@@ -1,0 +1,114 @@
+"""Ends of ranges: found on a lattice by what is missing there, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magcal_service.model import Array, measure
+from magcal_service.samples.stops import stops
+
+X = np.array([4000.0, -2500.0, 1200.0, 0.03, -0.05, 0.02, 0.01, -0.02, 0.015])
+SIGMA_NT = 200.0
+COUNT = 6000
+
+
+def turning(seed: int, sigma_nt: float = SIGMA_NT) -> tuple[Array, Array]:
+    """B (n, 3) and |H| (n,) [nT] of a craft that turns 20 degrees a sample in a field that turns slowly."""
+    rng = np.random.default_rng(seed)
+    angle, slow = 0.349 * np.arange(COUNT), 2.0 * np.pi * np.arange(COUNT) / 2900.0
+    size = 35_000.0 + 9000.0 * np.cos(2.0 * slow)
+    across, along = np.cos(slow + 0.4), np.sin(slow + 0.4)
+    field = size[:, None] * np.stack([across * np.cos(angle), across * np.sin(angle), along], axis=1)
+    return measure(X, field + rng.normal(0.0, sigma_nt, field.shape)), size
+
+
+def rounded(field: Array, step_nt: float) -> Array:
+    return np.round(field / step_nt) * step_nt
+
+
+def stopped(field: Array, axis: int, at_nt: float) -> Array:
+    """The same, with an axis that ends at a value, on the value's side of zero."""
+    field = field.copy()
+    side = np.sign(at_nt)
+    field[:, axis] = side * np.minimum(side * field[:, axis], side * at_nt)
+    return field
+
+
+def where(field: Array, size: Array) -> list[tuple[int, float]]:
+    return [(one.axis, one.at_nt) for one in stops(field, size)]
+
+
+@pytest.mark.parametrize(("axis", "at_nt"), [(0, 43_800.0), (1, -45_900.0), (2, 32_700.0)])
+def test_a_stop_on_a_lattice_is_found_by_what_is_missing(axis: int, at_nt: float) -> None:
+    """At 1.5 sigma of lattice, where the end comes less than five times as often as a level beside it."""
+    field, size = turning(50)
+    field = stopped(rounded(field, 300.0), axis, at_nt)
+    counts = np.unique(np.abs(field[:, axis] - at_nt), return_counts=True)[1]
+    assert counts[0] < 5.0 * counts[1:6].max()
+    assert where(field, size) == [(axis, at_nt)]
+
+
+def test_without_magnitudes_only_the_count_shows_a_stop() -> None:
+    """None is found where the end comes too seldom for it, and one is where it comes often."""
+    field, size = turning(51)
+    nowhere = np.full(COUNT, np.nan)
+    assert where(stopped(rounded(field, 300.0), 0, 43_800.0), nowhere) == []
+    (stop,) = stops(stopped(field, 0, 40_000.0), nowhere)
+    assert (stop.axis, stop.at_nt) == (0, 40_000.0)
+    assert not stop.near.any()
+    assert where(stopped(rounded(field, 300.0), 0, 43_800.0), size) == [(0, 43_800.0)]
+
+
+def test_each_of_several_stops_is_found_and_no_axis_beside_them() -> None:
+    """What is missing on one axis is not held against another that is at its end at the time."""
+    field, size = turning(52)
+    both = stopped(stopped(rounded(field, 300.0), 1, 40_500.0), 0, -36_000.0)
+    assert where(both, size) == [(0, -36_000.0), (1, 40_500.0)]
+
+
+@pytest.mark.parametrize("step_nt", [20.0, 200.0, 600.0])
+def test_an_end_that_noise_reaches_is_no_stop(step_nt: float) -> None:
+    """The largest of a turning field on a lattice, in five recordings."""
+    for seed in range(60, 65):
+        field, size = turning(seed)
+        assert where(rounded(field, step_nt), size) == []
+
+
+@pytest.mark.parametrize("step_nt", [60.0, 200.0, 600.0])
+def test_a_bend_towards_the_end_is_no_stop(step_nt: float) -> None:
+    """A cubic response that lacks 4 uT at the end, and a soft knee that takes up to two fifths of the growth."""
+    field, size = turning(70)
+    largest = np.abs(field).max(axis=0)
+    cubic = field - 4000.0 * (field / largest) ** 3
+    assert where(rounded(cubic, step_nt), size) == []
+    beyond = np.maximum(np.abs(field) / largest - 0.9, 0.0) / 0.1
+    knee = field - np.sign(field) * 0.2 * 0.1 * largest * beyond**2
+    assert where(rounded(knee, step_nt), size) == []
+
+
+def test_a_bias_that_drifts_is_no_stop() -> None:
+    """By 4 uT along each axis, over the recording and to and fro."""
+    field, size = turning(80)
+    course = np.linspace(-1.0, 1.0, COUNT)
+    for drift in (course, np.sin(5.0 * course), np.sign(course)):
+        assert where(rounded(field + 2000.0 * drift[:, None], 300.0), size) == []
+
+
+@pytest.mark.parametrize("step_nt", [9000.0, 25_000.0])
+def test_an_axis_that_stays_within_a_few_steps_of_its_lattice_has_no_stop(step_nt: float) -> None:
+    """One that holds still but for a few samples, and one that turns over four levels."""
+    field, size = turning(85)
+    assert where(rounded(field, step_nt), size) == []
+    field[:, 2] = np.where(np.arange(COUNT) % 40 == 0, 1.0, 2.0) * step_nt
+    assert where(rounded(field, step_nt), size) == []
+
+
+def test_samples_near_a_stop_are_those_that_noise_alone_kept_from_it() -> None:
+    """Within three sigma of it without their noise, and not at it: of ten that are found nine are, and the reverse."""
+    field, size = turning(90)
+    clean, _ = turning(90, sigma_nt=0.0)
+    (stop,) = stops(stopped(field, 2, 32_400.0), size)
+    expected = (clean[:, 2] > 32_400.0 - 3.0 * SIGMA_NT) & ~stop.rows
+    assert np.count_nonzero(expected) > 30
+    assert np.count_nonzero(stop.near & expected) > 0.9 * max(np.count_nonzero(one) for one in (stop.near, expected))
