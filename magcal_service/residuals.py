@@ -16,15 +16,14 @@ MEDIAN_TO_SIGMA: Final = 1.4826
 _FLOOR_SAMPLES: Final = 64
 """Shortest evenly sampled stretch whose spectrum is looked at."""
 
-OF_A_MEDIAN: Final = 1.2533
-"""Sigma of a median over that of a mean, sqrt(pi / 2)."""
+_OF_A_MEDIAN: Final = 1.2533  # sigma of a median over that of a mean: sqrt(pi / 2)
 
 
 def median_and_sigma(values: Array) -> tuple[float, float]:
     """The median of values (n,), and its own sigma as of normal numbers, by the median of their distances from it."""
     middle = float(np.median(values))
     spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(values - middle)))
-    return middle, OF_A_MEDIAN * spread / math.sqrt(len(values))
+    return middle, _OF_A_MEDIAN * spread / math.sqrt(len(values))
 
 
 def white_floor(residual_nt: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.residuals import OF_A_MEDIAN, white_floor
+from magcal_service.residuals import white_floor
 from magcal_service.samples.ellipsoid import SPIKE, Ellipsoid, fitted
 
 _FEWEST: Final = 8
@@ -31,13 +31,16 @@ _COURSE: Final = 10
 """Levels beside the end that foretell what is missing at it; choice: fewer leave a bend's course unsure on a fine
 lattice, and more are far from the end on a coarse one."""
 
-_SURE: Final = 4.0
+_SURE: Final = 5.0
 """Standard errors that more is missing at the end than the levels beside it foretell; an end without a stop is long,
 for noise that points outwards leads there."""
 
-_MORE: Final = 0.25
-"""Steps of the lattice by which more is missing at the end; choice: a bend is foretold to that.  Of 1650 recordings
-with bends that take up to two fifths of the field's growth, and others, none had a stop at any value down to 0."""
+_MORE: Final = 0.1
+"""Steps of the lattice by which more is missing at the end; choice: a bend that takes two fifths of the field's growth
+is foretold to that."""
+
+_ROUNDED: Final = 0.5
+"""Steps that a reading is off by at the most by its rounding, and the mean of many where no noise spreads them."""
 
 _LEAST_SLOPE: Final = 0.1
 """Growth of |B| along the axis, per growth of the component, below which the magnitude says nothing of it; choice: the
@@ -196,11 +199,19 @@ class _Samples:
             return 0.0
         here, sigma = at_end
         foretold, uncertain, rough = _foretold(np.array(beside))
-        step = float(np.diff(levels).min())
-        return (here - foretold) / max(_MORE * step, _SURE * rough * math.hypot(sigma, uncertain))
+        least = self._rounded(float(np.diff(levels).min()))
+        return (here - foretold) / max(least, _SURE * rough * math.hypot(sigma, uncertain))
+
+    def _rounded(self, step_nt: float) -> float:
+        """What may be missing in the mean of many readings on a lattice that stop nowhere [nT].
+
+        Noise leaves exp(-2 pi^2 sigma^2 / q^2) of the rounding's mean (Widrow & Kollar 2008).
+        """
+        noise = max(self.noise_nt**2 - step_nt**2 / 12.0, 0.0)
+        return step_nt * (_MORE + _ROUNDED * math.exp(-2.0 * math.pi**2 * noise / step_nt**2))
 
     def _missing(self, end: Stop, rows: NDArray[np.intp]) -> tuple[float, float] | None:
-        """What is missing along the axis in some rows, outwards, by its weighted median, and 1 sigma of it [nT].
+        """What is missing along the axis in some rows, outwards, in the mean, and 1 sigma of it [nT].
 
         What lasts is the same in rows that follow one another.
         """
@@ -212,13 +223,7 @@ class _Samples:
         together = float(np.sum(np.add.reduceat(slope, visits) ** 2))
         squares = float(np.sum(slope**2))
         sigma = math.sqrt(self.shape.sigma_nt**2 * squares + self.slow_nt**2 * together) / squares
-        return _weighted_median(-self.residual_nt[rows] / slope, slope), OF_A_MEDIAN * sigma
-
-
-def _weighted_median(values: Array, weight: Array) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+        return -float(slope @ self.bounded_nt[rows]) / squares, sigma
 
 
 def _foretold(beside: Array) -> tuple[float, float, float]:
