@@ -89,24 +89,39 @@ def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
     An end that comes five times as often as the values beside it is a stop.  On a lattice that is not much finer than
     the noise it may come less often; there the magnitude tells: at a stop the readings are short, by more than the
     levels beside it foretell.  It tells nothing of an axis that lies across the field, and little of one that is
-    clipped by less than two steps of its lattice.
+    clipped by less than two steps of its lattice.  An end that comes eight times at the value of another's stop, or at
+    its negative, is one, too: the axes of a sensor have one range.
     """
     ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
     often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
     found = [one for one in often if _is_flat(field_nt, one)]
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
-    if not often or np.count_nonzero(samples.inner) < _FEWEST_FITTED:
-        return tuple(found)
-    while doubtful:  # the surest first: what is missing of its samples is missing at no other end
-        sound = samples.known & ~np.any([np.zeros(len(field_nt), bool), *(one.rows for one in found)], axis=0)
-        excess, surest = max(((samples.excess(one, sound), one) for one in doubtful), key=lambda pair: pair[0])
+    told = bool(often) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
+    if told:
+        found += _short(samples, found, doubtful)
+    limits = [abs(one.at_nt) for one in found]
+    found += [one for one in doubtful if one not in found and any(math.isclose(abs(one.at_nt), at) for at in limits)]
+    if not told or not found:
+        return tuple(one for one in ends if one in found)
+    clipped = np.any([one.rows for one in found], axis=0)
+    return tuple(replace(one, near=samples.near(one) & ~clipped) for one in ends if one in found)
+
+
+def _short(samples: _Samples, stopped: list[Stop], ends: list[Stop]) -> list[Stop]:
+    """Of ends those that lack something, the surest first: what its samples lack is missing at no other end."""
+    found: list[Stop] = []
+    while len(found) < len(ends):
+        sound = samples.known.copy()
+        for one in (*stopped, *found):
+            sound &= ~one.rows
+        excess, surest = max(
+            ((samples.excess(one, sound), one) for one in ends if one not in found), key=lambda pair: pair[0]
+        )
         if excess < 1.0:
             break
         found.append(surest)
-        doubtful.remove(surest)
-    clipped = np.any([np.zeros(len(field_nt), bool), *(one.rows for one in found)], axis=0)
-    return tuple(replace(one, near=samples.near(one) & ~clipped) for one in ends if one in found)
+    return found
 
 
 def _end(field_nt: Array, axis: int, side: float) -> Stop:

@@ -67,6 +67,15 @@ def test_each_of_several_stops_is_found_and_no_axis_beside_them() -> None:
     assert where(both, size) == [(0, -36_000.0), (1, 40_500.0)]
 
 
+def test_the_axes_of_a_sensor_have_one_range() -> None:
+    """An end that shows nothing of itself is a stop at the value at which another axis stops, and at no other."""
+    field, size = turning(53)
+    coarse = stopped(rounded(field, 600.0), 2, 33_600.0)
+    assert where(coarse, size) == []
+    assert where(stopped(coarse, 0, -33_600.0), size) == [(0, -33_600.0), (2, 33_600.0)]
+    assert where(stopped(coarse, 0, -33_000.0), size) == [(0, -33_000.0)]
+
+
 @pytest.mark.parametrize("step_nt", [20.0, 200.0, 600.0])
 def test_an_end_that_noise_reaches_is_no_stop(step_nt: float) -> None:
     """The largest of a turning field on a lattice, in five recordings."""
