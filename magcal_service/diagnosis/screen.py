@@ -227,7 +227,7 @@ class Screen:
         if hypothesis.proposals is None:
             return _product(grids)
         each = self.problem.rows_per_sample
-        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), each * rows))
+        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), each * rows), grids)
 
     def _keep(self, hypothesis: Hypothesis, theta: Array) -> None:
         """Remember numbers that a hypothesis was at its best with, for when it is a rival."""

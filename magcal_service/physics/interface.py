@@ -96,6 +96,9 @@ def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> di
     return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
 
 
+Proposals = Callable[[Sums, Sequence[Array]], Array]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """One way an effect may act on one recording: a driver, a form, and its columns.
@@ -116,7 +119,8 @@ class Hypothesis:
         to be likelier than a family without a name.
     by_samples: whether it acts by how the samples follow one another, as noise with a memory does.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
-    proposals: from sums over the residual to nonlinear numbers (q, m) worth trying; None: the grids' combinations are.
+    proposals: from sums over the residual, and the grids (m) that are tried for it, to nonlinear numbers (q, m) worth
+        trying; None: the grids' combinations are.
     refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
         always.
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
@@ -137,7 +141,7 @@ class Hypothesis:
     is_free: bool = False
     by_samples: bool = False
     is_whole: bool = False
-    proposals: Callable[[Sums], Array] | None = None
+    proposals: Proposals | None = None
     refines: str = ""
     in_place: bool = False
     moves_s: Callable[[Array], Array | float] | None = None

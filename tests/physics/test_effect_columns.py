@@ -494,8 +494,8 @@ def test_a_regular_duty_is_on_for_its_share_from_its_phase_on() -> None:
     on = np.mod(TIME_S - 25.0, 100.0) < 30.0
     assert field == pytest.approx(on[:, None] * np.array([10.0, 20.0, 30.0]))
     assert [number.role for number in form.nonlinear] == ["period", "held", "held"]
-    assert form.nonlinear[1].grid.tolist() == [0.3, 0.5, 0.75]
-    assert form.nonlinear[2].grid == pytest.approx(np.arange(8) / 8.0)
+    assert form.nonlinear[1].grid == pytest.approx(np.arange(1, 13) / 24.0)
+    assert form.nonlinear[2].grid == pytest.approx(np.arange(24) / 24.0)
 
 
 def test_a_tone_has_a_size_over_all_its_amplitudes() -> None:

@@ -45,7 +45,7 @@ def proposed(signal: Array, seed: int = 3, along: Array = ALONG) -> list[tuple[H
     found = []
     for form in effect_named("bias_step").hypotheses(scene):
         if form.proposals is not None:
-            found += [(form, theta) for theta in form.proposals(sums)]
+            found += [(form, theta) for theta in form.proposals(sums, ())]
     return found
 
 

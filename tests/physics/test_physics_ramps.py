@@ -36,7 +36,7 @@ def proposed(form: Hypothesis, field: Array, count: int = COUNT) -> Array:
         return space.segments(columns.along(scene.unit), rows)
 
     assert form.proposals is not None
-    return form.proposals(sums)
+    return form.proposals(sums, ())
 
 
 @pytest.mark.parametrize(("from_s", "to_s"), [(900.0, 1100.0), (2500.0, 3300.0), (1000.0, 4500.0)])

@@ -188,7 +188,7 @@ def proposed(hypothesis: Hypothesis, *theta: float, amplitude: float) -> Array:
     assert hypothesis.proposals is not None
     field = field_of(hypothesis, amplitude * np.eye(3), *theta)
     noise = np.random.default_rng(3).normal(0.0, 0.1 * np.sqrt(np.mean(field**2)), field.shape)
-    return hypothesis.proposals(sums_of(field + noise))
+    return hypothesis.proposals(sums_of(field + noise), [number.grid for number in hypothesis.nonlinear])
 
 
 @pytest.mark.parametrize(
@@ -204,6 +204,25 @@ def test_detumbling_for_a_while_is_proposed_first_with_its_numbers(
     assert found.shape == (12, 6)
     assert found[0] == pytest.approx(numbers)
     assert found[1] == pytest.approx([*numbers[:4], 0.0, edges[-1]])
+
+
+@pytest.mark.parametrize(("share", "phase"), [(0.35, 0.79), (0.1, 0.03), (0.5, 0.5)])
+@pytest.mark.parametrize("off", [-0.45, 0.0, 0.3])
+def test_a_duty_is_proposed_first_from_a_line_that_is_a_part_of_a_width_off(
+    off: float, share: float, phase: float
+) -> None:
+    """Its period to an eighth of 1 / duration, and its share and phase to the width of a slot, of 48 s cycles."""
+    period_s, hypothesis = 48.0, form("regular duty")
+    on = field_of(hypothesis, np.array([300.0, -200.0, 100.0]), period_s, share, phase)
+    noise = np.random.default_rng(9051).normal(0.0, 50.0, on.shape)
+    line_s = 1.0 / (1.0 / period_s + off / TIME_S[-1])
+    assert hypothesis.proposals is not None
+    found = hypothesis.proposals(
+        sums_of(on + noise), [np.array([line_s, 31.0]), *(n.grid for n in hypothesis.nonlinear[1:])]
+    )
+    again = field_of(hypothesis, np.array([300.0, -200.0, 100.0]), *found[0].tolist())
+    assert 1.0 / found[0][0] == pytest.approx(1.0 / period_s, abs=0.13 / TIME_S[-1])
+    assert float(np.mean((again - on) ** 2)) < 0.2 * float(np.mean(on**2))
 
 
 @pytest.mark.parametrize(("step", "slot", "length"), [(2, 6, 5), (0, 20, 7)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.problem import Term
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Block, Hypothesis, loose
+from magcal_service.physics.interface import Block, Hypothesis, Proposals, loose
 from magcal_service.physics.saying import labels_of
 from magcal_service.physics.segments import Segments, Sums
 
@@ -184,9 +184,7 @@ def joined(
     return found
 
 
-def _proposals(
-    label: Hypothesis, acting: Sequence[int], counts: Sequence[int], shift: float
-) -> Callable[[Sums], Array] | None:
+def _proposals(label: Hypothesis, acting: Sequence[int], counts: Sequence[int], shift: float) -> Proposals | None:
     """What the one recording on which a hypothesis acts proposes, on the common clock; None where it proposes nothing.
 
     ``shift`` is added to its time there [s].
@@ -197,7 +195,7 @@ def _proposals(
     (number,) = acting
     on_clock = np.array([shift * (one.role in _OF_TIME) for one in label.nonlinear])
 
-    def proposals(sums: Sums) -> Array:
+    def proposals(sums: Sums, grids: Sequence[Array]) -> Array:
         def own_sums(made: Columns, rows: NDArray[np.intp]) -> Segments:
             width = len(made.sizes())
             every = tuple(made if k == number else None for k in range(len(counts)))
@@ -205,7 +203,7 @@ def _proposals(
             columns = JointColumns(parts=every, index=places, counts=tuple(counts), size=width)
             return sums(columns, rows + sum(counts[:number]))
 
-        return np.asarray(propose(own_sums) + on_clock)
+        return np.asarray(propose(own_sums, grids) + on_clock)
 
     return proposals
 

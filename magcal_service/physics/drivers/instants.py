@@ -11,7 +11,7 @@ a 96th of the recording, then on ever shorter ones around each instant, down to 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -22,7 +22,7 @@ from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.change import instants
 from magcal_service.physics.drivers.temperature import Act
-from magcal_service.physics.interface import Block, Hypothesis
+from magcal_service.physics.interface import Block, Hypothesis, Proposals
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.segments import Segments, Sums
@@ -104,8 +104,8 @@ def _columns(scene: Scene, act: Act, together: bool) -> Callable[[Array], Column
     return columns
 
 
-def _proposals(family: _Family, together: bool, count: int) -> Callable[[Sums], Array]:
-    def proposals(sums: Sums) -> Array:
+def _proposals(family: _Family, together: bool, count: int) -> Proposals:
+    def proposals(sums: Sums, _grids: Sequence[Array]) -> Array:
         best = family.best(sums)
         if best is None or (best.together, len(best.rows)) != (together, count):
             return np.zeros((0, count))

@@ -7,7 +7,7 @@ around the best, down to the sample.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -45,7 +45,7 @@ def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
     def columns(theta: Array) -> Columns:
         return act(_evenly(scene.time_s, theta[0], theta[1]))
 
-    def proposals(sums: Sums) -> Array:
+    def proposals(sums: Sums, _grids: Sequence[Array]) -> Array:
         best = _best(scene, act, sums, _evenly)
         return np.zeros((0, 2)) if best is None else best[None]
 
@@ -65,7 +65,7 @@ def relaxing_from(scene: Scene, effect: str, act: Act, block: Block) -> Hypothes
     def columns(theta: Array) -> Columns:
         return act(_relaxing(scene.time_s, theta[0], theta[0] + _CONSTANTS * theta[1]))
 
-    def proposals(sums: Sums) -> Array:
+    def proposals(sums: Sums, _grids: Sequence[Array]) -> Array:
         best = _best(scene, act, sums, _relaxing)
         return np.zeros((0, 2)) if best is None else np.array([[best[0], (best[1] - best[0]) / _CONSTANTS]])
 

@@ -37,7 +37,7 @@ LARGEST_NT: Final = 5000.0
 """rms of a pattern that is only inferred: what is larger would have been recorded, or is something else."""
 
 _SHARES: Final = np.array([0.3, 0.5, 0.75])
-"""Shares of a cycle for which coils are on; choice: a share between is met with about nine tenths of its field."""
+"""Shares of a cycle for which coils detumble; choice: a share between is met with about nine tenths of its field."""
 
 _PHASES: Final = 8
 """Places in a cycle where firing may begin; choice: the nearest is a sixteenth of a cycle off at most."""
@@ -49,7 +49,17 @@ _SHORTEST_PART: Final = 7
 """Least consecutive stretches that count: 29 % of the recording; shorter ones, besides these 171, fit chance."""
 
 _SLOTS: Final = 24
-"""Places in an interval of dumping: 10 to 67 s each. Choice: twice as many, twice the trials."""
+"""Places in a duty's cycle, and in an interval of dumping: 10 to 67 s each. Choice: twice as many, twice the trials.
+What is on for more than half of a cycle is off for less: the bias takes up the difference."""
+
+_MOST_LINES: Final = 2  # lines near which a duty is sought; choice: of one whose second line is stronger, both
+
+_BESIDE: Final = np.arange(-4, 5) / 8.0
+"""Places near a line that are tried [1 / duration]: a line is known to half of that, and from one place to the next a
+duty's edges move by a sixteenth of a cycle at either end."""
+
+_MOST_STRETCHES: Final = 20_000
+"""Stretches of time that a duty is folded from at the most; choice: 50 ms of sums."""
 
 _ON_SLOTS: Final = (3, 5, 7, 10)
 """Lengths of a dump that are tried, in slots: 12 to 42 % of the interval, each about half longer than the last."""
@@ -105,8 +115,8 @@ def _regular(scene: Scene, effect: str) -> Hypothesis:
     """A constant dipole, on and off."""
     duty = (
         Nonlinear("period_s", "s", np.empty(0), "period"),
-        Nonlinear("on_share", "1", _SHARES, role="held"),
-        Nonlinear("phase", "1", np.linspace(0.0, 1.0, _PHASES, endpoint=False), role="held"),
+        Nonlinear("on_share", "1", np.arange(1, _SLOTS // 2 + 1) / _SLOTS, role="held"),
+        Nonlinear("phase", "1", np.arange(_SLOTS) / _SLOTS, role="held"),
     )
 
     def columns(theta: Array) -> Columns:
@@ -114,7 +124,38 @@ def _regular(scene: Scene, effect: str) -> Hypothesis:
         on = np.mod(scene.time_s / period_s - phase, 1.0) < share
         return along_axes(on.astype(np.float64))
 
-    return Hypothesis(effect, "inferred:duty", columns, (Block("on_nt", "nT"),), "regular duty", duty)
+    return Hypothesis(
+        effect,
+        "inferred:duty",
+        columns,
+        (Block("on_nt", "nT"),),
+        "regular duty",
+        duty,
+        proposals=lambda sums, grids: _duty_tried(scene, grids[0], sums),
+    )
+
+
+def _duty_tried(scene: Scene, periods: Array, sums: Sums) -> Array:
+    """Numbers (q, 3) of the duties near each period that lower the squares most.
+
+    A line is known to a part of 1 / duration, over which a duty's edges move by as much of a cycle; so the periods near
+    the best lines are tried as well, all from sums over short stretches.
+    """
+    width = max(float(periods.min()) / _SLOTS, scene.period_s, float(np.ptp(scene.time_s)) / _MOST_STRETCHES)
+    firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
+    running = sums(along_axes(np.ones(len(scene))), firsts).running
+    times = scene.time_s[firsts] + 0.5 * (width - scene.period_s)
+
+    def best(period_s: float) -> tuple[float, list[float]]:
+        drops = running.folded(_cuts(times, period_s)).drop(_DUTIES)
+        top = int(np.argmax(drops))
+        share, slot = _DUTY_NUMBERS[top]
+        return float(drops[top]), [period_s, share / _SLOTS, slot / _SLOTS]
+
+    lines = sorted((best(period_s) for period_s in periods.tolist()), reverse=True)[:_MOST_LINES]
+    beside = [1.0 / period[0] + _BESIDE / float(np.ptp(scene.time_s)) for _, period in lines]
+    near = [best(1.0 / frequency) for frequency in np.concatenate(beside).tolist() if frequency > 0.0]
+    return np.array([numbers for _, numbers in sorted([*lines, *near], reverse=True)[:_MOST]])
 
 
 # Detumbling
@@ -158,7 +199,7 @@ def _detumbling(scene: Scene, effect: str) -> Hypothesis:
         numbers,
         odds=7.0,
         largest_nt=LARGEST_NT,
-        proposals=lambda sums: _detumbling_tried(scene, periods, edges, sums),
+        proposals=lambda sums, _: _detumbling_tried(scene, periods, edges, sums),
     )
 
 
@@ -240,7 +281,7 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         numbers,
         {"middle_s": middle_s},
         largest_nt=LARGEST_NT,
-        proposals=lambda sums: _dumping_tried(scene, periods, holds, middle_s, sums),
+        proposals=lambda sums, _: _dumping_tried(scene, periods, holds, middle_s, sums),
     )
 
 
@@ -287,8 +328,14 @@ def _intervals(span_s: float) -> Array:
     return np.array(found)
 
 
+_DUTY_NUMBERS: Final = [(share, slot) for share in range(1, _SLOTS // 2 + 1) for slot in range(_SLOTS)]
+
+
+def _patterns_of(numbers: list[tuple[int, int]]) -> Array:
+    """(m, slots): which slots are on, of so many that follow one another from one on, round the end."""
+    return np.array([[float((at - slot) % _SLOTS < share) for at in range(_SLOTS)] for share, slot in numbers])
+
+
+_DUTIES: Final = _patterns_of(_DUTY_NUMBERS)
 _ON_NUMBERS: Final = [(share, slot) for share in _ON_SLOTS for slot in range(_SLOTS)]
-_ON: Final = np.array(
-    [[float((number - slot) % _SLOTS < share) for number in range(_SLOTS)] for share, slot in _ON_NUMBERS]
-)
-"""(m, slots): which slots of an interval are on."""
+_ON: Final = _patterns_of(_ON_NUMBERS)
