@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
-from magcal_service.diagnosis.instants import has_other_course, timed
+from magcal_service.diagnosis.instants import has_other_course, jumps_instead, timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics, within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
@@ -95,9 +95,11 @@ class Search(Screen):
     Parameters
     ----------
     close: labels of hypotheses that came near the best one in any step.
+    begun_free: effects that a selection began with in a free form.
     """
 
     close: set[str] = field(default_factory=set, repr=False)
+    begun_free: set[str] = field(default_factory=set, repr=False)
 
     def with_noise(self, problem: Problem, coefficients: Array) -> Search:
         """Another search over a problem under noise with a memory; it keeps the labels that came near before."""
@@ -147,7 +149,7 @@ class Search(Screen):
         settled = self._bounded(self._by_channel(settled, floor_nt))
         for index in range(len(settled.terms)):
             settled = timed(self, settled, index)
-        return self.compared(settled, floor_nt)
+        return self.compared(jumps_instead(self, settled, floor_nt), floor_nt)
 
     def again(self, problem: Problem, fit: Fit, floor_nt: float) -> Explained:
         """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful."""
@@ -203,6 +205,7 @@ class Search(Screen):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
                 if self._agrees(fit, trial) and all_within_physics(trial):
+                    self.begun_free |= {one.hypothesis.effect} if one.hypothesis.is_free and not fit.terms else set()
                     return trial
         return None
 
@@ -345,10 +348,7 @@ class Search(Screen):
         courses = tuple(
             has_other_course(term, ranked, CLASS_NATS) for term, ranked in zip(fit.terms, rivals, strict=True)
         )
-        slow = tuple(
-            slower(self, fit, index, space, sigma * math.sqrt(gain.dispersion))
-            for index, (space, gain) in enumerate(zip(spaces, gains, strict=True))
-        )
+        slow = tuple(slower(self, fit, k, one, sigma * gains[k].dispersion ** 0.5) for k, one in enumerate(spaces))
         return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals), courses, slow)
 
     def _drivers(self, fit: Fit, rivals: Sequence[Sequence[Candidate]]) -> tuple[tuple[Candidate, ...], ...]:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
-from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
@@ -61,6 +62,39 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
     return fit
 
 
+def jumps_instead(search: Screen, fit: Fit, floor_nt: float) -> Fit:
+    """A fit whose change over a while stands beside jumps of the same kind, with one jump more in place of both.
+
+    A change over a while takes up what two jumps leave to one.  Once the other has a term, no jump is a rival of it any
+    more, for the effect of jumps is there.
+
+    Parameters
+    ----------
+    search: whose forms and noise they are.
+    fit: at its end; ``floor_nt``: least noise that evidence is counted in [nT].
+    """
+    for term in fit.terms:
+        jumps = term.hypothesis.effect.replace("_drift", "_step")
+        beside = next((other for other in fit.terms if other.hypothesis.effect == jumps), None)
+        if not term.hypothesis.in_place or beside is None:
+            continue
+        forms = [form for form in search.hypotheses if form.effect == jumps]
+        without = solve(search.problem, fit.x, [other for other in fit.terms if other is not term])
+        single = [form for form in forms if len(form.nonlinear) == 1 and form.blocks[0].shape == (3,)]
+        sigma = max(without.white_rms_nt, floor_nt)
+        for one in search.screen(search.workspace(without), without, sigma, among=single)[:1]:
+            theta = np.sort(np.concatenate([beside.theta, one.theta]))
+            found = [
+                form for form in forms if len(form.nonlinear) == len(theta) and form.blocks[0].shape == (len(theta), 3)
+            ]
+            rest = [other for other in fit.terms if other is not term and other is not beside]
+            terms = [[*rest, Term(form, theta, np.zeros(form.size))] for form in found]
+            fit = _better(
+                fit, [trial for each in terms if all_within_physics(trial := solve(search.problem, fit.x, each))]
+            )
+    return fit
+
+
 def _other_courses(search: Screen, fit: Fit, index: int) -> Iterator[Fit]:
     """The fit with each other course of a change that takes a while in a term's place, at its best to first order."""
     own = fit.terms[index].hypothesis
@@ -90,14 +124,17 @@ def has_other_course(term: Term, ranked: Sequence[Candidate], within_nats: float
 
 
 def _moved(fit: Fit, index: int) -> Fit:
-    """The fit with a term's edges where a joint solution leaves them that moves them along with all else."""
+    """The fit with a term's edges where a joint solution leaves them that moves them along with all else.
+
+    Those that would close about a jump stay where they are.
+    """
     term = fit.terms[index]
     loose = exchanged(fit.problem, fit, index, replace(term, hypothesis=term.hypothesis.loosened()))
     time_s = fit.problem.scene.course_at(float(term.theta[0]))
     moved = np.array(loose.terms[index].theta)
     is_edge = np.array([number.role == "edge" for number in term.hypothesis.nonlinear])
     moved[is_edge] = np.sort(np.clip(moved[is_edge], time_s[0], time_s[-1]))
-    return _better(fit, [_at(fit, index, moved, term.amplitudes)])
+    return fit if term.hypothesis.is_quickest(moved) else _better(fit, [_at(fit, index, moved, term.amplitudes)])
 
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:

@@ -96,6 +96,10 @@ def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> di
     return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
 
 
+FEWEST_IN_A_CHANGE: Final = 32
+"""Samples of the shortest change over a while: what is quicker is called a jump.  Shorter ones hold what a faint jump
+holds."""
+
 Proposals = Callable[[Sums, Sequence[Array]], Array]
 
 
@@ -124,6 +128,8 @@ class Hypothesis:
     refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
         always.
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
+    samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
+        none.
     moves_s: from its amplitudes (k,) to how far along the recording's course it moves the reference [s], one number or
         one a sample (n,): ``Scene.moved_s`` of the next expansion.  None: it does not.
     """
@@ -144,6 +150,7 @@ class Hypothesis:
     proposals: Proposals | None = None
     refines: str = ""
     in_place: bool = False
+    samples_in: Callable[[Array], int] | None = None
     moves_s: Callable[[Array], Array | float] | None = None
 
     @property
@@ -172,7 +179,12 @@ class Hypothesis:
         return replace(self, nonlinear=tuple(numbers))
 
     def is_quickest(self, theta: Array) -> bool:
-        """Whether, with numbers (m,), it is a change over a while as quick as any that is tried: that is a jump."""
+        """Whether, with numbers (m,), it is a change over a while as quick as any that is tried: that is a jump.
+
+        So is one that hardly a sample sees come about, as between the last before a gap and the first after it.
+        """
+        if self.samples_in is not None and self.samples_in(theta) < FEWEST_IN_A_CHANGE:
+            return True
         numbers = zip(self.nonlinear, theta, strict=True)
         return self.in_place and any(not n.role and value <= _NEARLY * n.grid.min() for n, value in numbers)
 

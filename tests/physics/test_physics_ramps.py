@@ -83,3 +83,15 @@ def test_before_its_begin_there_is_nothing_and_from_its_end_on_all_of_it() -> No
         field[TIME_S >= 2000.0], np.tile([100.0, -50.0, 20.0], (int((TIME_S >= 2000.0).sum()), 1))
     )
     np.testing.assert_allclose(field[TIME_S == 1500.0], [[50.0, -25.0, 10.0]])
+
+
+@pytest.mark.parametrize(
+    ("variant", "theta"), [("over a while", [1530.0, 2370.0]), ("relaxing from an instant", [1530.0, 280.0])]
+)
+def test_what_comes_about_in_a_gap_is_a_jump(variant: str, theta: list[float]) -> None:
+    """No sample has seen it take a while."""
+    seen = ramp_of("bias_drift", variant=variant)
+    time_s = TIME_S[(TIME_S < 1550.0) | (TIME_S > 2350.0)]
+    (unseen,) = [one for one in effect_named("bias_drift").hypotheses(flown(time_s)) if one.variant == variant]
+    assert not seen.is_quickest(np.array(theta))
+    assert unseen.is_quickest(np.array(theta))

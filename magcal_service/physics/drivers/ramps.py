@@ -17,20 +17,17 @@ from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.change import RELAXATION_SHARES, instants
 from magcal_service.physics.drivers.instants import Rows
 from magcal_service.physics.drivers.temperature import Act
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import FEWEST_IN_A_CHANGE, Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.segments import Segments, Sums
 
 _STRETCHES: Final = 96
 """Stretches of the first look, and of each further one; choice: as for instants.  All pairs are tried, 4600."""
 
-_SHORTEST: Final = 32
-"""Samples of the shortest ramp: what is quicker is called a jump.  Shorter ones hold what a faint jump holds."""
-
 _CONSTANTS: Final = 3.0
 """Time constants in which the search takes a change that relaxes for done: 5 % of it are still to come."""
 
-_FEWEST: Final = 4 * _SHORTEST  # samples of a recording: of fewer there is not as much before and after it
+_FEWEST: Final = 4 * FEWEST_IN_A_CHANGE  # samples of a recording: of fewer there is not as much before and after it
 
 
 Level = Callable[[Array, Array, Array], Array]
@@ -50,14 +47,23 @@ def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
         return np.zeros((0, 2)) if best is None else best[None]
 
     return Hypothesis(
-        effect, "none", columns, (block,), "over a while", numbers, is_free=True, proposals=proposals, in_place=True
+        effect,
+        "none",
+        columns,
+        (block,),
+        "over a while",
+        numbers,
+        is_free=True,
+        proposals=proposals,
+        in_place=True,
+        samples_in=lambda theta: _between(scene, theta[0], theta[1]),
     )
 
 
 def relaxing_from(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
     """Nothing before an instant, from then on relaxing to an end."""
     span_s = max(float(np.ptp(scene.time_s)), 1.0)
-    shortest = _SHORTEST * scene.period_s / _CONSTANTS
+    shortest = FEWEST_IN_A_CHANGE * scene.period_s / _CONSTANTS
     longest = max(span_s / _CONSTANTS, 2.0 * shortest)
     tau = Nonlinear("time_constant_s", "s", np.geomspace(shortest, longest, len(RELAXATION_SHARES)))
     numbers = Nonlinear("from_s", "s", instants(scene).grid, role="edge"), tau
@@ -79,7 +85,14 @@ def relaxing_from(scene: Scene, effect: str, act: Act, block: Block) -> Hypothes
         is_free=True,
         proposals=proposals,
         in_place=True,
+        samples_in=lambda theta: _between(scene, theta[0], theta[0] + _CONSTANTS * theta[1]),
     )
+
+
+def _between(scene: Scene, from_s: float, to_s: float) -> int:
+    """Samples from one time to another [s]."""
+    first, last = np.searchsorted(scene.time_s, [from_s, to_s])
+    return int(last - first)
 
 
 def _evenly(time_s: Array, from_s: Array, to_s: Array) -> Array:
@@ -118,7 +131,7 @@ def _pairs(places: Rows) -> Rows:
     """Rows (m, 2) that a change may begin and end at."""
     first, last = np.triu_indices(len(places), 1)
     pairs = np.stack([places[first], places[last]], axis=1)
-    return np.asarray(pairs[pairs[:, 1] - pairs[:, 0] >= _SHORTEST])
+    return np.asarray(pairs[pairs[:, 1] - pairs[:, 0] >= FEWEST_IN_A_CHANGE])
 
 
 def _drops(time_s: Array, firsts: Rows, segments: Segments, pairs: Rows, level: Level) -> Array:

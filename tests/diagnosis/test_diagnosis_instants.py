@@ -1,0 +1,49 @@
+"""When changes come about, by joint solutions: two jumps that a slow change and one jump stood for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.explain import Search
+from magcal_service.diagnosis.instants import jumps_instead
+from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import measure
+from magcal_service.physics.catalogue import effect_named
+from tests.physics.scenes import NOISE_NT, X, scene, spoiled
+
+FIRST_S, SECOND_S = 3100.0, 5300.0
+FIRST_NT, SECOND_NT = np.array([400.0, -300.0, 500.0]), np.array([-200.0, 900.0, 600.0])
+
+
+def found(second_takes_s: float) -> tuple[Search, Fit]:
+    """A jump, and a change that takes so long, fitted as a jump and a change over 400 s."""
+    of = scene()
+    course = np.clip((of.time_s - SECOND_S) / second_takes_s + 0.5, 0.0, 1.0)
+    field = np.outer(of.time_s >= FIRST_S, FIRST_NT) + np.outer(course, SECOND_NT)
+    noise = np.random.default_rng(9061).normal(0.0, NOISE_NT, (len(of), 3))
+    problem = Problem(spoiled(measure(X, of.calibrated_nt + field + noise), of), NOISE_NT)
+    effects = (effect_named("bias_drift"), effect_named("bias_step"))
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    ramp = next(h for h in search.hypotheses if (h.effect, h.variant) == ("bias_drift", "over a while"))
+    jump = next(h for h in search.hypotheses if (h.effect, h.variant) == ("bias_step", ""))
+    terms = [
+        Term(ramp, np.array([SECOND_S - 200.0, SECOND_S + 200.0]), SECOND_NT),
+        Term(jump, np.array([FIRST_S]), FIRST_NT),
+    ]
+    return search, solve(problem, X, terms)
+
+
+def test_a_slow_change_beside_a_jump_gives_way_to_a_second_jump() -> None:
+    search, fit = found(1e-3)
+    (term,) = jumps_instead(search, fit, 0.3 * NOISE_NT).terms
+    assert term.hypothesis.label == "bias_step[steps at 2 instants]"
+    assert term.theta == pytest.approx([FIRST_S, SECOND_S], abs=12.0)
+    assert term.amplitudes == pytest.approx(np.concatenate([FIRST_NT, SECOND_NT]), abs=150.0)
+
+
+def test_a_change_that_takes_a_while_stays_beside_a_jump() -> None:
+    search, fit = found(900.0)
+    assert jumps_instead(search, fit, 0.3 * NOISE_NT) is fit
