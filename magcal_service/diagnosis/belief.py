@@ -94,7 +94,8 @@ def posterior(explained: Explained, index: int) -> Posterior:
     of its own has that probability by its share of the two; what has one is rather another cause, unless it is as large
     as the name, so by that share's square.
 
-    How often a cause is met counts for how probable it is, and not for what a recording can tell apart.
+    How often a cause is met counts for how probable it is, and not for what a recording can tell apart.  What acts as
+    well exactly so is as probable.
     """
     mine = explained.fit.terms[index].hypothesis
     name = mine.effect
@@ -105,6 +106,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
         for c, one in zip(ranked, ahead, strict=True)
     }
     weights[name] = 1.0
+    weights |= dict.fromkeys(mine.as_well, 1.0)
     slow = _SLOW_ODDS * sum(explained.slower[index : index + 1])
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + slow
     held = max(explained.gains[index].nats, 0.0)
@@ -115,7 +117,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     apart = [one + max(c.hypothesis.odds - mine.odds, 0.0) for c, one in zip(ranked, ahead, strict=True)]
     effects = [c.hypothesis.effect for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
-    effects += [UNLISTED] if slow > math.exp(-CLASS_NATS) else []
+    effects += [*mine.as_well, *([UNLISTED] if slow > math.exp(-CLASS_NATS) else [])]
     return Posterior(weights[name] / total, tuple(rivals), tuple(dict.fromkeys((name, *effects))))
 
 

@@ -95,11 +95,9 @@ class Search(Screen):
     Parameters
     ----------
     close: labels of hypotheses that came near the best one in any step.
-    begun_free: effects that a selection began with in a free form.
     """
 
     close: set[str] = field(default_factory=set, repr=False)
-    begun_free: set[str] = field(default_factory=set, repr=False)
 
     def with_noise(self, problem: Problem, coefficients: Array) -> Search:
         """Another search over a problem under noise with a memory; it keeps the labels that came near before."""
@@ -205,7 +203,6 @@ class Search(Screen):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
                 if self._agrees(fit, trial) and all_within_physics(trial):
-                    self.begun_free |= {one.hypothesis.effect} if one.hypothesis.is_free and not fit.terms else set()
                     return trial
         return None
 

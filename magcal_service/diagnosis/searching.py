@@ -151,9 +151,7 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     coefficients = _memory(prepared, search.problem, explained.fit)
     if not len(coefficients):
-        stands, left = _standing(search, baseline, explained, phase, floor)
-        stands, left = _begun_again(search, baseline, stands, left, phase, floor, progress)
-        return End(search, stands, left, floor, coefficients)
+        return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
     quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
     again = from_records(quiet, again, lower, progress)
@@ -182,34 +180,6 @@ def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     if not is_noise(replace(prepared.view, scene=scene, residual_nt=fit.residual)):
         return np.zeros(0)
     return long_memory(fit.residual, scene.unit)
-
-
-def _begun_again(
-    search: Search,
-    baseline: Fit,
-    explained: Explained,
-    left: list[Structure],
-    phase: Array | None,
-    floor: float,
-    progress: Progress,
-) -> tuple[Explained, list[Structure]]:
-    """What stands, and is left, where nothing of a selection does that began with a free form: without that effect.
-
-    A free form follows anything, and what is to be added beside it is judged by what it has left.
-    """
-    if explained.fit.terms or not search.begun_free or not significant(left[0]):
-        return explained, left
-    problem = baseline.problem
-    other = replace(search, problem=problem, hypotheses=search.forms(problem), close=set(), begun_free=set())
-    fit = other.selected(baseline, floor, progress, search.begun_free)
-    if not fit.terms:
-        return explained, left
-    again, again_left = _standing(other, baseline, other.settled(fit, floor), phase, floor)
-    if not again.fit.terms:
-        return explained, left
-    search.follow(other)
-    search.close |= other.close
-    return again, again_left
 
 
 def _standing(

@@ -167,7 +167,8 @@ CYCLE_S = 130.0
 
 
 def beside_a_duty(times: float, amplitudes: Sequence[float]) -> list[float]:
-    """How far a duty of 130 s, along (1, 1, 1), and a line at so many times its rate are believed together."""
+    """How far a duty of 130 s, along (1, 1, 1), which may be a load's as well, and a line at so many times its rate are
+    believed together."""
     duty = next(
         one for one in effect_named("torquer").hypotheses(scene()) if "period" in {n.role for n in one.nonlinear}
     )
@@ -182,7 +183,7 @@ def beside_a_duty(times: float, amplitudes: Sequence[float]) -> list[float]:
 @pytest.mark.parametrize(("times", "own"), [(2.0, 0.5), (3.0, 0.5), (2.4, 0.97), (0.5, 0.97)])
 def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float, own: float) -> None:
     """It is no duty, and no tone of its own, though the line lies across it."""
-    assert beside_a_duty(times, [1.0, -1.0, 0.0, 1.0, 1.0, -2.0]) == pytest.approx([own, own], abs=1e-9)
+    assert beside_a_duty(times, [1.0, -1.0, 0.0, 1.0, 1.0, -2.0]) == pytest.approx([0.5 * own, own], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +191,31 @@ def test_a_duty_with_a_line_at_a_multiple_of_its_rate_is_some_wave(times: float,
 )
 def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[float, ...], own: float) -> None:
     """A line at no multiple of a duty's rate, which lies in the duty's own direction, or in another one."""
-    assert beside_a_duty(2.4, [*direction, 0.0, 0.0, 0.0]) == pytest.approx([own, own], abs=1e-9)
+    assert beside_a_duty(2.4, [*direction, 0.0, 0.0, 0.0]) == pytest.approx([0.5 * own, own], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effect", "variant", "channels", "members"),
+    [
+        ("torquer", "regular duty", True, ("torquer", "current_loop")),
+        ("torquer", "sign of dB/dt", True, ("torquer",)),
+        ("bias_step", "switched at 2 instants", False, ("bias_step", "current_loop")),
+        ("bias_step", "switched at 2 instants", True, ("bias_step",)),
+        ("bias_step", "steps at 2 instants", False, ("bias_step",)),
+    ],
+)
+def test_what_a_load_does_as_well_is_not_told_from_it(
+    effect: str, variant: str, channels: bool, members: tuple[str, ...]
+) -> None:
+    """A constant current on a duty, as of a heater, is a coil's field; one that is switched would show in a record."""
+    of = scene() if channels else replace(scene(), channels={})
+    switched = next(one for one in effect_named(effect).hypotheses(of) if one.variant == variant)
+    named = explained([])
+    theta = np.array([number.grid[0] if len(number.grid) else CYCLE_S for number in switched.nonlinear])
+    term = Term(switched, theta, np.ones(switched.size))
+    found = posterior(replace(named, fit=replace(named.fit, terms=(term,)), rivals=((),)), 0)
+    assert found.members == members
+    assert found.own == pytest.approx(0.97 / len(members))
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,9 @@ _MOST_TRIED: Final = 2
 Rows = NDArray[np.intp]
 
 
-def several(scene: Scene, effect: str, act: Act, switched: Block, steps: Block) -> Iterator[Hypothesis]:
+def several(
+    scene: Scene, effect: str, act: Act, switched: Block, steps: Block, as_well: tuple[str, ...] = ()
+) -> Iterator[Hypothesis]:
     """Forms with two to six instants, of one amplitude that is there and not there in turn, and of one for each.
 
     Parameters
@@ -74,6 +76,7 @@ def several(scene: Scene, effect: str, act: Act, switched: Block, steps: Block) 
     act: from a signal to its columns.
     switched: of the amplitude that is switched, first on.
     steps: of what one instant adds.
+    as_well: effects that are switched on and off exactly so.
     """
     family, tried = _Family(scene, act), instants(scene)
     for count in range(2, MOST_INSTANTS + 1):
@@ -93,6 +96,7 @@ def several(scene: Scene, effect: str, act: Act, switched: Block, steps: Block) 
                 numbers,
                 is_free=True,
                 proposals=_proposals(family, together, count),
+                as_well=as_well if together else (),
             )
 
 

@@ -94,16 +94,16 @@ DUMPING: Final = "inferred:dumping"
 """Drivers that need the course of the field before a sample."""
 
 
-def inferred(scene: Scene, effect: str) -> Iterator[Hypothesis]:
-    """Every pattern, where the samples are close enough to see one."""
+def inferred(scene: Scene, effect: str, as_well: tuple[str, ...]) -> Iterator[Hypothesis]:
+    """Every pattern, where the samples are close enough to see one; ``as_well``: effects that a regular duty may be."""
     if (scene.period_s > _LONGEST_PERIOD_S or len(scene) < _LEAST_SAMPLES) and not scene.is_given:
         return
-    for hypothesis in _patterns(scene, effect):
+    for hypothesis in _patterns(scene, effect, as_well):
         yield replace(hypothesis, is_free=True)
 
 
-def _patterns(scene: Scene, effect: str) -> Iterator[Hypothesis]:
-    yield _regular(scene, effect)
+def _patterns(scene: Scene, effect: str, as_well: tuple[str, ...]) -> Iterator[Hypothesis]:
+    yield _regular(scene, effect, as_well)
     yield _detumbling(scene, effect)
     steady = along_axes(-np.sign(scene.field_slope))
     block = Block("detumbling_nt", "nT", (3, 3), labels=(_COILS, AXES))
@@ -111,7 +111,7 @@ def _patterns(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     yield from _dumping(scene, effect)
 
 
-def _regular(scene: Scene, effect: str) -> Hypothesis:
+def _regular(scene: Scene, effect: str, as_well: tuple[str, ...]) -> Hypothesis:
     """A constant dipole, on and off."""
     duty = (
         Nonlinear("period_s", "s", np.empty(0), "period"),
@@ -131,6 +131,7 @@ def _regular(scene: Scene, effect: str) -> Hypothesis:
         (Block("on_nt", "nT"),),
         "regular duty",
         duty,
+        as_well=as_well,
         proposals=lambda sums, grids: _duty_tried(scene, grids[0], sums),
     )
 

@@ -19,7 +19,8 @@ _MOST_NT: Final = 20_000.0
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield step(scene, "bias_step", along_axes, Block("step_nt", "nT", most=_MOST_NT))
     switched, steps = Block("switched_nt", "nT", most=_MOST_NT), Block("steps_nt", "nT", most=_MOST_NT)
-    yield from several(scene, "bias_step", along_axes, switched, steps)
+    is_seen = bool(scene.of_quantity("current"))  # a load that is switched on and off shows in a record of currents
+    yield from several(scene, "bias_step", along_axes, switched, steps, as_well=() if is_seen else ("current_loop",))
 
 
 EFFECT = Effect(
@@ -31,7 +32,7 @@ EFFECT = Effect(
     units={"step_nt": "nT", "switched_nt": "nT", "steps_nt": "nT", "at_s": "s"},
     prior=(10.0, 5000.0),
     valid="up to six instants; each change is over within a sample",
-    confused_with=("scale_step", "torquer", "bias_drift"),
+    confused_with=("scale_step", "torquer", "current_loop", "bias_drift"),
     separated_by="the log of relays, deployments and torquer commands at that time",
     source="magnetisation by launch, deployment or torquers: 10-5000 nT (Springmann & Cutler 2012)",
     says=(

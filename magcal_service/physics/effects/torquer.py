@@ -84,7 +84,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         with_largest = constants | {"largest_am2": largest}
         driven = _driven(scene, moment, largest)
         yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
-    yield from inferred(scene, "torquer")
+    yield from inferred(scene, "torquer", as_well=("current_loop",))  # a heater or a beacon on a duty
 
 
 def _derived(parameters: Values) -> Values:
