@@ -27,6 +27,12 @@ A turning field has its largest value on a lattice 1 / (sqrt 2 - 1) = 2.4 times 
 clear of it.
 """
 
+_SHARED: Final = 3.0
+"""The same for ends of two or more axes or sides at one value, but for its sign: a turning field's are clear of it by a
+quarter, and seldom at one value."""
+
+_ROUNDS: Final = 4  # fits without what is near a stop; choice: two agree as a rule
+
 _COURSE: Final = 10
 """Levels beside the end that foretell what is missing at it; choice: fewer leave a bend's course unsure on a fine
 lattice, and more are far from the end on a coarse one."""
@@ -90,22 +96,39 @@ def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
     the noise it may come less often; there the magnitude tells: at a stop the readings are short, by more than the
     levels beside it foretell.  It tells nothing of an axis that lies across the field, and little of one that is
     clipped by less than two steps of its lattice.  An end that comes eight times at the value of another's stop, or at
-    its negative, is one, too: the axes of a sensor have one range.
+    its negative, is one, too: the axes of a sensor have one range.  So two ends at one value are stops by a count of
+    three times the values beside them.
     """
     ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
     often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
-    found = [one for one in often if _is_flat(field_nt, one)]
+    flat = [one for one in often if _oftener(field_nt, one) > _SHARED]
+    found = [one for one in flat if _oftener(field_nt, one) > _FLAT_TO_NEXT or _is_shared(one, flat)]
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
     told = bool(often) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
         found += _short(samples, found, doubtful)
-    limits = [abs(one.at_nt) for one in found]
-    found += [one for one in doubtful if one not in found and any(math.isclose(abs(one.at_nt), at) for at in limits)]
+    found += [one for one in doubtful if one not in found and _is_shared(one, found)]
     if not told or not found:
         return tuple(one for one in ends if one in found)
     clipped = np.any([one.rows for one in found], axis=0)
+    samples = _without_near(samples, found)
     return tuple(replace(one, near=samples.near(one) & ~clipped) for one in ends if one in found)
+
+
+def _is_shared(end: Stop, among: list[Stop]) -> bool:
+    """Whether another end among these is at the same value, but for its sign."""
+    return any(math.isclose(abs(end.at_nt), abs(one.at_nt)) for one in among if one is not end)
+
+
+def _without_near(samples: _Samples, found: list[Stop]) -> _Samples:
+    """Samples beside nine errors of those that are not near a stop either, which are short and bend the ellipsoid."""
+    for _ in range(_ROUNDS):
+        sound = samples.no_end & ~np.any([samples.near(one) for one in found], axis=0)
+        if np.array_equal(sound, samples.no_end) or np.count_nonzero(samples.known & sound) < _FEWEST_FITTED:
+            break
+        samples = replace(samples, no_end=sound)
+    return samples
 
 
 def _short(samples: _Samples, stopped: list[Stop], ends: list[Stop]) -> list[Stop]:
@@ -129,11 +152,10 @@ def _end(field_nt: Array, axis: int, side: float) -> Stop:
     return Stop(axis, side, end, field_nt[:, axis] == end, np.zeros(len(field_nt), dtype=bool))
 
 
-def _is_flat(field_nt: Array, end: Stop) -> bool:
-    """Whether it comes far oftener than the values beside it."""
+def _oftener(field_nt: Array, end: Stop) -> float:
+    """How many times as often it comes as any of the values beside it; 0 where there are few."""
     _, counts = np.unique(np.abs(field_nt[~end.rows, end.axis] - end.at_nt), return_counts=True)
-    oftener = np.count_nonzero(end.rows) > _FLAT_TO_NEXT * float(counts[:_BESIDE].max())
-    return bool(len(counts) >= _BESIDE and oftener)
+    return float(np.count_nonzero(end.rows) / counts[:_BESIDE].max()) if len(counts) >= _BESIDE else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +166,7 @@ class _Samples:
     ----------
     field_nt: (n, 3) B as measured [nT].
     magnitude_nt: (n,) |H| [nT].
-    no_end: (n,) samples that are at no end of an axis.
+    no_end: (n,) samples that are at no end of an axis, nor near a stop.
     """
 
     field_nt: Array

@@ -121,3 +121,33 @@ def test_samples_near_a_stop_are_those_that_noise_alone_kept_from_it() -> None:
     expected = (clean[:, 2] > 32_400.0 - 3.0 * SIGMA_NT) & ~stop.rows
     assert np.count_nonzero(expected) > 30
     assert np.count_nonzero(stop.near & expected) > 0.9 * max(np.count_nonzero(one) for one in (stop.near, expected))
+
+
+def test_samples_near_many_stops_are_told_as_surely_as_near_one() -> None:
+    """A range that ends within the field, where half of the samples are at an end."""
+    field, size = turning(91)
+    clean, _ = turning(91, sigma_nt=0.0)
+    limit, short = 30_000.0, field
+    for axis, side in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0), (2, -1.0)):
+        short = stopped(short, axis, side * limit)
+    found = stops(short, size)
+    assert len(found) >= 4
+    at_one = np.any([one.rows for one in found], axis=0)
+    near = np.any([one.near for one in found], axis=0)
+    reached = [one.side * clean[:, one.axis] > limit - 3.0 * SIGMA_NT for one in found]
+    expected = np.any(reached, axis=0) & ~at_one
+    assert np.count_nonzero(near ^ expected) < 0.1 * np.count_nonzero(expected)
+
+
+def test_two_ends_at_one_value_are_stops_by_less_of_a_count() -> None:
+    """Where the magnitude is not known: at four times the values beside them, and not where they differ."""
+    counts = np.array([40, 10, 10, 10, 10, 10, 10])
+    nowhere = np.full(2000, np.nan)
+    column = np.concatenate(
+        [np.repeat(30_000.0 - 100.0 * np.arange(len(counts)), counts), np.linspace(-2e4, 2e4, 1900)]
+    )
+    other = column[::-1].copy()
+    rest = 10.0 * np.arange(2000.0)
+    assert where(np.stack([column, other, rest], axis=1), nowhere) == [(0, 30_000.0), (1, 30_000.0)]
+    assert where(np.stack([column, -other, rest], axis=1), nowhere) == [(0, 30_000.0), (1, -30_000.0)]
+    assert where(np.stack([column, other + 100.0, rest], axis=1), nowhere) == []
