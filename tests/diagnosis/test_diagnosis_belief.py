@@ -96,6 +96,20 @@ def test_a_class_is_what_the_recording_cannot_tell_apart_however_seldom_it_is_me
     assert dict(found.rivals)["bias_drift"] == pytest.approx(0.97 / (1.0 + math.exp(odds + 0.5)))
 
 
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_drift_on_the_ground_without_a_record_may_be_a_sensor_that_warms(recorded: bool) -> None:
+    """In orbit warmth follows the light, which is seen or not."""
+    channels = scene().channels if recorded else {}
+    room = replace(scene(), in_orbit=False, channels=channels)
+    for effect, warmth in (("bias_drift", "thermal_bias"), ("scale_drift", "thermal_scale")):
+        drift = next(one for one in effect_named(effect).hypotheses(room) if not one.variant)
+        named = explained([])
+        fit = replace(named.fit, terms=(Term(drift, np.zeros(0), np.full(3, 1e-3)),))
+        found = posterior(replace(named, fit=fit, rivals=((),)), 0)
+        assert found.members == ((effect,) if recorded else (effect, warmth))
+        assert found.own == pytest.approx(0.97 if recorded else 0.485)
+
+
 def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
     named = explained([])
     (term,) = named.fit.terms
@@ -202,6 +216,7 @@ def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[floa
         ("bias_step", "switched at 2 instants", False, ("bias_step", "current_loop")),
         ("bias_step", "switched at 2 instants", True, ("bias_step",)),
         ("bias_step", "steps at 2 instants", False, ("bias_step",)),
+        ("scale_drift", "", False, ("scale_drift",)),
     ],
 )
 def test_what_a_load_does_as_well_is_not_told_from_it(

@@ -54,6 +54,11 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
             )
 
 
+def warms_unseen(scene: Scene) -> bool:
+    """Whether a sensor may warm with nobody seeing it: without a record, and without an orbit that tells its course."""
+    return not scene.in_orbit and not scene.of_quantity("temperature")
+
+
 def direct_by_temperature(term: Term, block: str, *, is_gain: bool = False) -> Direct | None:
     """The direct form of a term that a recorded temperature drives; None for another."""
     one_of_several = term.variant.startswith("column ")

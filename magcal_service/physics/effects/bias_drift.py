@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.drivers.change import drifts
 from magcal_service.physics.drivers.ramps import ramp, relaxing_from
+from magcal_service.physics.drivers.temperature import warms_unseen
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield from drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
-    yield ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"))
-    yield relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"))
+    smooth = drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
+    between = ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"))
+    end = relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"))
+    for form in (*smooth, between, end):
+        yield replace(form, as_well=("thermal_bias",) if warms_unseen(scene) else ())
 
 
 EFFECT = Effect(

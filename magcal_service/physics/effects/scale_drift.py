@@ -9,11 +9,17 @@ from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, gains
 from magcal_service.physics.drivers.change import drifts
 from magcal_service.physics.drivers.ramps import ramp, relaxing_from
+from magcal_service.physics.drivers.temperature import warms_unseen
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    for form in _forms(scene):
+        yield replace(form, as_well=("thermal_scale",) if warms_unseen(scene) else ())
+
+
+def _forms(scene: Scene) -> Iterator[Hypothesis]:
     yield from drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
     for hypothesis in drifts(scene, "scale_drift", lambda s: gains(scene.calibrated_nt, s), Block("per_s", "1/s")):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".strip(", "))
