@@ -111,11 +111,17 @@ def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None)
 
 
 def across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors that make a right-handed triad with the axis (3,)."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, helper)
+    """Two unit vectors that make a right-handed triad with the axis (3,); in plain floats: four are asked a sample."""
+    helper = [0.0, 0.0, 0.0]
+    helper[int(np.argmin(np.abs(axis)))] = 1.0
+    first = _cross(axis.tolist(), helper)
     first /= np.linalg.norm(first)
-    return first, np.cross(axis, first)
+    return first, _cross(axis.tolist(), first.tolist())
+
+
+def _cross(a: list[float], b: list[float]) -> Array:
+    """a x b (3,)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: float | None) -> SpinSolution | None:
