@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
 
 from magcal_service.cli.__main__ import main
 from sim_sensor.recorder import record_simulation
@@ -22,10 +26,26 @@ class Done:
     err: str
 
 
-def diagnose(*arguments: object) -> Done:
+@contextlib.contextmanager
+def undrawn() -> Iterator[None]:
+    """Reports have all their figures, as empty images: to draw them takes longer than a short recording's diagnosis.
+
+    They are drawn in ``test_diagnose_report``, ``test_report_figures`` and wherever the command runs as a process.
+    """
+
+    def empty(_figure: Figure, target: io.StringIO, **_options: object) -> None:
+        target.write("<svg><style></style></svg>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", empty)
+        yield
+
+
+def diagnose(*arguments: object, drawn: bool = False) -> Done:
     """Run ``magcal diagnose`` with these arguments in this process."""
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    pictures = contextlib.nullcontext() if drawn else undrawn()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pictures:
         try:
             code = main(["diagnose", *map(str, arguments)])
         except SystemExit as end:

@@ -50,7 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert renamed != text
     descriptor.write_text(renamed, encoding="utf-8")
     out = tmp_path_factory.mktemp("out")
-    assert diagnose(descriptor, "--out", out).code == 0
+    assert diagnose(descriptor, "--out", out, drawn=True).code == 0
     return out
 
 
@@ -140,7 +140,7 @@ def test_the_same_recording_gives_the_same_report(tmp_path: Path) -> None:
     descriptor = recorded("paper", 400.0, tmp_path / "recording")
     pages = []
     for _ in range(2):
-        diagnose(descriptor, "--out", tmp_path)
+        diagnose(descriptor, "--out", tmp_path, drawn=True)
         pages.append((tmp_path / "report.html").read_bytes())
     assert pages[0] == pages[1]
 

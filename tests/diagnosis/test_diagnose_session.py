@@ -10,6 +10,7 @@ from typing import Any
 
 from magcal_service.cli.__main__ import main
 from magcal_service.config.settings import SensorConfig
+from tests.diagnosis.diagnosis_runs import undrawn
 from tests.recordings.recording_logs import described
 from tests.recordings.sessions import craft, record, stream
 
@@ -18,7 +19,8 @@ SECONDS = 1300
 
 def diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     """What the command writes of a recording, but for the time that it took."""
-    code = main(["diagnose", str(recording), "--out", str(out)])
+    with undrawn():
+        code = main(["diagnose", str(recording), "--out", str(out)])
     content: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     assert code == (0 if content["trusted"] else 3)
     assert content.pop("seconds") > 0.0

@@ -24,8 +24,8 @@ def joint_slope(zero_degc: float) -> float:
     def residual(x: Array) -> Array:
         matrix = np.eye(3) + np.diag(x[3:6])
         matrix[[0, 1, 0, 2, 1, 2], [1, 0, 2, 0, 2, 1]] += np.repeat(x[6:9], 2)
-        gain = matrix + x[9] * warmer_k[:, None, None] * np.eye(3)
-        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", gain, field_nt) - x[:3], axis=1) - magnitude_nt)
+        gained = field_nt @ matrix + x[9] * warmer_k[:, None] * field_nt
+        return np.asarray(np.linalg.norm(gained - x[:3], axis=1) - magnitude_nt)
 
     scale = np.concatenate([np.full(3, 1e3), np.full(6, 0.1), [1e-3]])
     return float(least_squares(residual, np.zeros(10), x_scale=scale, loss="huber", f_scale=80.0).x[9])

@@ -29,17 +29,17 @@ def ticks_of(motion: Motion, seconds: int, seed: int = 0, noise_nt: float = 300.
 
 
 def integrated(rate_of: Callable[[np.ndarray, float], np.ndarray], start: np.ndarray) -> Motion:
-    """Attitudes from a body acceleration ``rate_of(w, t)``, by the midpoint rule in steps of 0.1 s."""
+    """Attitudes from a body acceleration ``rate_of(w, t)``, by the midpoint rule in steps of a quarter of a second."""
 
     def attitudes(times: np.ndarray) -> np.ndarray:
         attitude, rate = turned_once(np.array([0.4, -0.8, 0.5]), 1.0)[0], start.copy()
         found = []
         for time in times:
             found.append(attitude)
-            for k in range(10):
-                middle = rate + 0.05 * rate_of(rate, time + 0.1 * k)
-                attitude = turned_once(middle, 0.1)[0] @ attitude
-                rate = rate + 0.1 * rate_of(middle, time + 0.1 * k + 0.05)
+            for at in time + 0.25 * np.arange(4):
+                middle = rate + 0.125 * rate_of(rate, at)
+                attitude = turned_once(middle, 0.25)[0] @ attitude
+                rate = rate + 0.25 * rate_of(middle, at + 0.125)
         return np.array(found)
 
     return attitudes
@@ -47,7 +47,9 @@ def integrated(rate_of: Callable[[np.ndarray, float], np.ndarray], start: np.nda
 
 def free(rate: np.ndarray, _: float) -> np.ndarray:
     """Euler's equations of a body with three different inertias."""
-    return np.cross(INERTIA * rate, rate) / INERTIA
+    x, y, z = rate.tolist()
+    a, b, c = INERTIA.tolist()
+    return np.array([(b - c) * y * z / a, (c - a) * z * x / b, (a - b) * x * y / c])
 
 
 tumbling = integrated(free, SPIN_RAD_S * np.array([0.5, 0.6, 0.4]))

@@ -44,9 +44,12 @@ def strangers(path: Path) -> list[str]:
     place = path.relative_to(ROOT).as_posix()
     own = {path.stem.replace("_", "-")} if path.parent == HOME else set()
     names = NAMES - own if place.split("/")[1] in RUNNING else NAMES - {ALSO_A_WORD}
+    source = path.read_text(encoding="utf-8")
+    if not any(name in source for name in names):  # most files, and reading them as Python takes the time
+        return []
     return [
         f"{place}:{node.lineno}: {node.value}"
-        for node in texts(ast.parse(path.read_text(encoding="utf-8")))
+        for node in texts(ast.parse(source))
         if node.value in names and (place, node.value) not in ANOTHER_MEANING
     ]
 

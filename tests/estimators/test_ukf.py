@@ -9,7 +9,7 @@ from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.estimators.ukf import Ukf
 from tests.estimators.estimator_ticks import TABLE_1, Craft
 
-SECONDS = 5000
+SECONDS = 3000
 
 
 def run(craft: Craft, seconds: int = SECONDS, **settings: object) -> Ukf:

@@ -63,9 +63,10 @@ def comment_lines(source: str) -> tuple[set[int], set[int]]:
 
 def without_reason(source: str) -> list[str]:
     """``line NAME`` of each constant of a module that says nothing of its value."""
-    beside, alone = comment_lines(source)
+    found = list(constants(ast.parse(source).body))
+    beside, alone = comment_lines(source) if found else (set(), set())
     bare = []
-    for names, statement, after in constants(ast.parse(source).body):
+    for names, statement, after in found:
         match after:
             case ast.Expr(value=ast.Constant(value=str())):
                 continue

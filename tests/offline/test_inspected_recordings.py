@@ -11,6 +11,7 @@ import pytest
 from magcal_service.recordings.inspect.inspection import inspect
 from magcal_service.recordings.reader import read_recording
 from tests.cli.cli_inputs import run
+from tests.diagnosis.diagnosis_runs import undrawn
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
@@ -40,7 +41,8 @@ def verdicts(path: Path, folder: Path) -> list[tuple[int, bool, list[str]]]:
     """Exit code, trust and the codes of the findings of calibrate and diagnose; exit code of replay."""
     folder.mkdir()
     calibrated = run("calibrate", path, "--json", folder / "calibrated.json")
-    diagnosed = run("diagnose", path, "--out", folder)
+    with undrawn():
+        diagnosed = run("diagnose", path, "--out", folder)
     found = []
     for done, file in ((calibrated, "calibrated.json"), (diagnosed, "diagnosis.json")):
         content = json.loads((folder / file).read_text())

@@ -73,7 +73,7 @@ def test_another_flight_has_less_residual_with_it(
     physics: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By replay through the daemon, from another temperature at the start."""
-    path = flown(12, 6000.0, tmp_path, 30.0)
+    path = flown(12, 3000.0, tmp_path, 23.0)
     (tmp_path / "physics.toml").write_text(physics, encoding="utf-8")
     after = {}
     for name, line in (("without", ""), ("with", f'physics = "{tmp_path / "physics.toml"}"\n')):
@@ -87,7 +87,7 @@ def test_another_flight_has_less_residual_with_it(
         after[name] = float(found[1])
         if line:
             assert re.search(
-                r"physics\.toml: empirical \(channel:temperature\): compensated in \d+ of 6000 samples", out
+                r"physics\.toml: empirical \(channel:temperature\): compensated in \d+ of 3000 samples", out
             )
     assert after["without"] > 1.45 * NOISE_NT
     assert after["with"] < 1.2 * NOISE_NT

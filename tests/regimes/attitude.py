@@ -118,7 +118,9 @@ def rigid_body(inertia: Floats, rate: Floats, start: Floats, seconds: float) -> 
     knots = np.arange(-10.0 * step, seconds + 20.0 * step, step)
     i1, i2, i3 = (float(value) for value in inertia)
 
-    def slope(s: tuple[float, ...]) -> tuple[float, ...]:
+    State = tuple[float, float, float, float, float, float, float]
+
+    def slope(s: State) -> State:
         w, x, y, z, p, q, r = s
         # the quaternion leads from body to space: dq/dt = q (0, rate) / 2
         return (
@@ -131,11 +133,14 @@ def rigid_body(inertia: Floats, rate: Floats, start: Floats, seconds: float) -> 
             (i1 - i2) / i3 * p * q,
         )
 
-    def moved(s: tuple[float, ...], d: tuple[float, ...], h: float) -> tuple[float, ...]:
-        return tuple(a + h * b for a, b in zip(s, d, strict=True))
+    def moved(s: State, d: State, h: float) -> State:
+        w, x, y, z, p, q, r = s
+        dw, dx, dy, dz, dp, dq, dr = d
+        return w + h * dw, x + h * dx, y + h * dy, z + h * dz, p + h * dp, q + h * dq, r + h * dr
 
-    q = start / np.linalg.norm(start)
-    state = (*(float(v) for v in q), *(float(v) for v in rate))
+    w, x, y, z = (start / np.linalg.norm(start)).tolist()
+    p, q, r = rate.tolist()
+    state = (w, x, y, z, p, q, r)
     found = []
     for _ in knots:
         found.append(state[:4])
@@ -143,8 +148,8 @@ def rigid_body(inertia: Floats, rate: Floats, start: Floats, seconds: float) -> 
         k2 = slope(moved(state, k1, step / 2.0))
         k3 = slope(moved(state, k2, step / 2.0))
         k4 = slope(moved(state, k3, step))
-        mean = tuple((a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
-        state = moved(state, mean, step)
+        mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
+        state = moved(state, (*mean,), step)
     course = np.array(found)
 
     def body(t: Floats) -> Floats:
