@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.interface import Effect, Finding, value_of
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.view import View
 
 ORDER: Final = 8
@@ -56,6 +57,13 @@ White noise of the stated level has 1. Choice: white noise 8 % below what is sta
 _OF_LEVEL: Final = (0.8, 1.05)
 """Times the stated noise's square, what all that is left is where it is the noise: nothing slow on top of it, but what
 the sampling of a few thousand samples makes of it."""
+
+_MODEL_S: Final = 5.0
+"""Sample period from which on a field model's errors fade within ten samples, as a noise does [s]: those of degree 14
+and more change over 500 km and less, which an orbit passes in a minute."""
+
+_MODEL_NT: Final = 45.0
+"""What a field model errs by at the most but for one in twenty, 1 sigma [nT]: twice the usual 22."""
 
 _AT_ONCE: Final = 8
 """Columns filtered at a time; choice: 8 of 60 000 rows are 4 MB, and their sums as much again."""
@@ -219,6 +227,9 @@ def _find(view: View) -> Finding | None:
     coloured = nats > _LEAST_NATS and max(abs(correlation), float(np.abs(coefficients).max())) > _LEAST_CORRELATION
     if not coloured and not (other and stated is not None and level > stated):
         return None
+    lasting = level**2 - (stated or 0.0) ** 2 if other else correlation * level**2
+    if _is_field_models(view.scene) and 0.0 < lasting < _MODEL_NT**2:
+        return None
     sigma = 2.0 / math.sqrt(len(view.residual_nt))
     parameters = {
         "correlation": value_of(correlation, sigma, "1"),
@@ -227,6 +238,11 @@ def _find(view: View) -> Finding | None:
     if stated is not None:
         parameters["stated_nt"] = value_of(stated, 0.0, "nT")
     return Finding(parameters, max(nats, _LEAST_NATS), share=0.0)  # noise explains no mismatch
+
+
+def _is_field_models(scene: Scene) -> bool:
+    """Whether what lasts for some samples may be the errors of a field model along an orbit."""
+    return scene.in_orbit and scene.position_ecef_km is not None and scene.period_s >= _MODEL_S
 
 
 EFFECT = Effect(
