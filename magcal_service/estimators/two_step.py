@@ -193,10 +193,11 @@ class _Problem:
 
     def _normal(self, y: Array) -> Array:
         """Normal matrix with the tie; the noise's share is left in where subtracting it would leave too little."""
-        full = self._sums.information(y, self._white_nt, corrected=False) + np.diag(self._tie)
+        information, tie = self._sums.information(y, self._white_nt, corrected=False), np.diag(self._tie)
+        full = information + tie
         if not self._corrected:
             return full
-        corrected = self._sums.information(y, self._white_nt, corrected=True) + np.diag(self._tie)
+        corrected = information - self._sums.noise_information(y, self._white_nt) + tie
         root = np.linalg.inv(np.linalg.cholesky(full))
         enough = np.linalg.eigvalsh(root @ corrected @ root.T)[0] > 0.2
         return corrected if enough else full

@@ -183,12 +183,13 @@ class MagnitudeSums:
         jacobian = coefficient_jacobian(y)
         information: Array = jacobian.T @ self.normal @ jacobian
         if corrected:
-            information = information - self._noise_information(y, noise_nt)
+            information = information - self.noise_information(y, noise_nt)
         return information
 
-    def _noise_information(self, y: Array, noise_nt: float) -> Array:
-        """Mean of what noise adds to the rows 2 w'J(B): 4 s^2 times the sum of R_i'R_i, R_i = e_i'J(B) + w'J(A^-1 e_i).
+    def noise_information(self, y: Array, noise_nt: float) -> Array:
+        """Mean of what noise adds to ``information`` (9, 9): the rows 2 w'J(B) gain 4 s^2 times the sum of R_i'R_i.
 
+        R_i = e_i'J(B) + w'J(A^-1 e_i).
         R_i is linear in (B, 1), so the sum follows from the second moments.
         """
         a, b = np.eye(3) + d_matrix(y), y[BIAS]
