@@ -1,5 +1,6 @@
 """What all tests share: property tests draw the same examples every time, so a red suite stays red until mended."""
 
+import gc
 import logging
 import os
 from collections.abc import Iterator
@@ -21,7 +22,19 @@ def _level_of_the_log() -> Iterator[None]:
     """A command that a test runs in its own process sets the root's level, and others would log more than theirs."""
     level = logging.getLogger().level
     yield
-    logging.getLogger().setLevel(level)
+    if logging.getLogger().level != level:  # to set it makes every logger forget what it knows
+        logging.getLogger().setLevel(level)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Ten thousand tests and what they import stay to the end: no search for garbage goes through them."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
