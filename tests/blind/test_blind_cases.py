@@ -151,8 +151,8 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 def test_driver_is_left_out_when_said(kind: str) -> None:
     """Without its driver a case has no channel that the answer names, and none of the driver's kind."""
     units = {"thermal_bias": "degC", "thermal_scale": "degC", "current_loop": "A", "torquer": "A m2"}
-    with_it = draw_case(31, kind)
-    without_it = draw_case(31, kind, driver_recorded=False)
+    with_it = _drawn(kind)
+    without_it = draw_case(11, kind, driver_recorded=False)
     assert set(with_it.answer.effects[0].driver) <= {channel.name for channel in with_it.channels}
     assert with_it.answer.effects[0].driver
     assert not without_it.answer.effects[0].driver

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -18,8 +20,8 @@ from tests.daemon.pipeline_streams import handle_all, paper, paper_craft
 SECONDS = 1400
 
 
-@pytest.fixture
-def pipeline() -> Pipeline:
+@pytest.fixture(scope="module")
+def flown() -> Pipeline:
     """A craft after 900 s of the paper's scenario: trusted."""
     pipeline = Pipeline(paper_craft())
     handle_all(pipeline, messages(0, 900))
@@ -27,9 +29,21 @@ def pipeline() -> Pipeline:
     return pipeline
 
 
+@pytest.fixture
+def pipeline(flown: Pipeline) -> Pipeline:
+    """Such a craft for a test of its own."""
+    return deepcopy(flown)
+
+
+@cache
+def sent() -> tuple[Message, ...]:
+    """The paper's flight: a reference and a sample a second."""
+    return tuple(paper(11, SECONDS).messages())
+
+
 def messages(first_s: int, end_s: int, later_s: int = 0) -> list[Message]:
-    """What the paper's craft sends in a stretch of time, so much later: a reference and a sample a second."""
-    stretch = list(paper(11, SECONDS).messages())[2 * first_s : 2 * end_s]
+    """What the paper's craft sends in a stretch of time, so much later."""
+    stretch = [*sent()][2 * first_s : 2 * end_s]
     return [replace(one, time_ns=one.time_ns + later_s * 10**9) for one in stretch] if later_s else stretch
 
 

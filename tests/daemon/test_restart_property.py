@@ -29,8 +29,8 @@ from magcal_service.wire.messages import (
 from tests.daemon.pipeline_streams import START_NS, paper
 from tests.daemon.restart_worker import Worker, published
 
-SECONDS = 420
-AFTER_S = 150  # what is compared after the cut: whole spin windows, a start, the verdict's memory
+SECONDS = 300
+AFTER_S = 110  # what is compared after the cut: whole spin windows, a start, the verdict's memory
 FULL_SCALE_NT = 80_000.0
 
 PHYSICS = """
@@ -179,7 +179,7 @@ def test_a_stream_cut_anywhere_goes_on_to_the_last_bit_in_a_fresh_process(method
 def test_a_cut_between_a_command_and_the_next_tick_goes_on_to_the_last_bit(elsewhere: Worker) -> None:
     """What a freeze has left to the first tick after it is carried over."""
     config = craft("ukf", physics=False, adaptive=False, told=True)
-    messages = stream([("freeze", 200, 1), ("resume", 280, 1)])
+    messages = stream([("freeze", 110, 1), ("resume", 190, 1)])
     at = 1 + next(i for i, one in enumerate(messages) if isinstance(one, Command) and one.name == "resume")
     whole = Pipeline(config)
     published(whole, messages[:at])
@@ -191,16 +191,16 @@ def test_a_cut_between_a_command_and_the_next_tick_goes_on_to_the_last_bit(elsew
 def test_a_cut_in_the_midst_of_a_trouble_goes_on_to_the_last_bit(what: str, elsewhere: Worker) -> None:
     """Each trouble a minute before the cut, an end of it after: what is only kept while it lasts must not be lost."""
     config = craft("ukf", physics=True, adaptive=True, told=True)
-    messages = stream([(what, 200, 80), ("resume", 300, 1)])
+    messages = stream([(what, 120, 80), ("resume", 220, 1)])
     whole = Pipeline(config)
     early, late = (
         next(i for i, message in enumerate(messages) if message.time_ns >= START_NS + at_s * 10**9)
-        for at_s in (205, 262)
+        for at_s in (125, 182)
     )
     published(whole, messages[:early])
     state = msgpack.packb(whole.export_state())
     between = published(whole, messages[early:late])
-    later = [message for message in messages[late:] if message.time_ns < START_NS + (262 + AFTER_S) * 10**9]
+    later = [message for message in messages[late:] if message.time_ns < START_NS + (182 + AFTER_S) * 10**9]
     from_late = elsewhere(config, msgpack.packb(whole.export_state()), later)
     ours = published(whole, later)
     assert from_late == ours

@@ -20,7 +20,7 @@ from tests.estimators.method_data import PAPER_X, RateTick, paper_field, play
 
 NAMES = [method.name for method in methods()]
 NOISE_NT = 30.0
-SECONDS, GAP_AT = 1000, 600
+SECONDS, GAP_AT = 700, 420
 
 every_method = pytest.mark.parametrize("name", NAMES)
 

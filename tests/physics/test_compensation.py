@@ -37,7 +37,7 @@ from tests.physics.modelled import effects_on
 from tests.physics.test_model_file import drawn, forms, ids
 
 UNITS = {"temperature": "degC", "current": "A", "magnetic moment": "A m2", "angular rate": "rad/s", "counts": "counts"}
-LIVE_ROWS = 250
+LIVE_ROWS = 180
 NEEDS_COURSE = ("inferred:detumbling", "inferred:dumping")
 
 

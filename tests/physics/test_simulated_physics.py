@@ -99,7 +99,7 @@ def test_a_replay_with_the_model_comes_to_the_noise_and_without_it_does_not(
     assert thermal is not None
     strong = replace(thermal, bias_nt_per_k=(80.0, -60.0, 120.0), time_constant_s=3000.0)
     strong_scenario = replace(scenario, effects=replace(scenario.effects, thermal=strong))
-    path = record_simulation(Simulation(strong_scenario, 2, 4500.0), tmp_path)
+    path = record_simulation(Simulation(strong_scenario, 2, 3000.0), tmp_path)
     bias = replace(THERMAL[0], amplitudes={"nt_per_k": np.array(strong.bias_nt_per_k)})
     model = model_of(bias, THERMAL[1], origin_ns=scenario.start_ns)
     (tmp_path / "physics.toml").write_text(text_of(model), encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,15 +17,21 @@ from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.reasons import REMEDIES, Reason
 from magcal_service.wire.codec import encode
 from magcal_service.wire.messages import Estimate, Verdict
-from tests.trust.trust_runs import added, craft, errors_in_sigma, from_second, good, run, stretched
+from tests.trust.trust_runs import Run, added, craft, errors_in_sigma, from_second, good, run, stretched
 
 CHANGE = 1000  # tick from which a good stream is spoiled: it is trusted by then
 START = {Reason.COLLECTING, Reason.POOR_COVERAGE, Reason.NO_SOLUTION, Reason.NOT_SETTLED}
 
 
+@cache
+def flown(seed: int) -> Run:
+    """A good stream, judged."""
+    return run(good(seed))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_papers_scenario_is_trusted_without_a_doubt_on_the_way(seed: int) -> None:
-    result = run(good(seed))
+    result = flown(seed)
     assert result.last.verdict is Verdict.TRUSTED
     assert result.last.reasons == ()
     assert result.reasons() <= START
@@ -33,7 +40,7 @@ def test_the_papers_scenario_is_trusted_without_a_doubt_on_the_way(seed: int) ->
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_trusted_is_right(seed: int) -> None:
-    assert np.abs(errors_in_sigma(run(good(seed)).state)).max() < 4.5
+    assert np.abs(errors_in_sigma(flown(seed).state)).max() < 4.5
 
 
 @pytest.mark.parametrize("seed", range(2))

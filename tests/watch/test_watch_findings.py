@@ -17,8 +17,8 @@ from sim_sensor.scenario import Scenario
 from tests.watch.watch_runs import NOISE_NT, Clean, Known, craft, flight, fly, stream
 
 LEFT_OUT: dict[str, tuple[Scenario, float]] = {
-    "thermal_bias": (flight(thermal_nt_per_k=6.0), 4800.0),
-    "thermal_scale": (flight(scale_per_k=4e-4), 4800.0),
+    "thermal_bias": (flight(thermal_nt_per_k=6.0), 3900.0),
+    "thermal_scale": (flight(scale_per_k=4e-4), 3900.0),
     "current_loop": (flight(panel_nt_per_a=500.0, towards=(1.0, -1.0, 1.0)), 3000.0),
     "torquer": (flight(torquer_nt=250.0), 2200.0),
     "bias_step": (flight(step_nt=200.0, step_at_s=1700.0), 3000.0),
@@ -112,7 +112,7 @@ def test_noise_with_a_memory_is_no_drift_and_no_temperature() -> None:
     assert finding.effects == ("coloured_noise",)
 
 
-@pytest.mark.parametrize(("rate_rpm", "noise_nt"), [(0.5, 100.0), (2.0, 20.0), (7.5, 100.0), (15.0, 300.0)])
+@pytest.mark.parametrize(("rate_rpm", "noise_nt"), [(0.5, 100.0), (2.0, 20.0), (15.0, 300.0)])
 def test_where_nothing_is_left_out_nothing_is_found(rate_rpm: float, noise_nt: float) -> None:
     """Three windows each, slow and fast turns, quiet and loud sensors, all drivers on board."""
     flown = clean(rate_rpm, noise_nt)

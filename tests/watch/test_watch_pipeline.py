@@ -29,7 +29,7 @@ from tests.watch.watch_runs import craft, flight, fly, stream
 COIL = flight(torquer_nt=250.0)
 COIL_S = 1700.0
 HOT = flight(thermal_nt_per_k=6.0)
-HOT_S = 4800.0
+HOT_S = 3900.0
 BY_TEMPERATURE = ModelTerm(
     "thermal_bias", "channel:temperature", "", {"nt_per_k": np.array([3.0, -2.4, 4.62])}, constants=ZERO
 )

@@ -21,7 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 ORBITS = [(51.6, -70.0, 0.0), (97.5, 10.0, 20.0), (70.0, 40.0, 330.0), (98.0, -30.0, 200.0), (35.0, 60.0, 100.0)]
 """Inclination, node and place in the orbit at the beginning [deg]."""
 
-MINUTES = [4.0, 10.0, 30.0]
+MINUTES = [4.0, 30.0]
 
 
 @dataclass(frozen=True)
