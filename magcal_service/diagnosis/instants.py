@@ -17,6 +17,7 @@ from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
 
 if TYPE_CHECKING:
     from magcal_service.diagnosis.screen import Candidate, Screen
@@ -74,25 +75,27 @@ def jumps_instead(search: Screen, fit: Fit, floor_nt: float) -> Fit:
     fit: at its end; ``floor_nt``: least noise that evidence is counted in [nT].
     """
     for term in fit.terms:
-        jumps = term.hypothesis.effect.replace("_drift", "_step")
+        jumps = term.hypothesis.at_once
         beside = next((other for other in fit.terms if other.hypothesis.effect == jumps), None)
-        if not term.hypothesis.in_place or beside is None:
+        if beside is None:
             continue
         forms = [form for form in search.hypotheses if form.effect == jumps]
         without = solve(search.problem, fit.x, [other for other in fit.terms if other is not term])
-        single = [form for form in forms if len(form.nonlinear) == 1 and form.blocks[0].shape == (3,)]
-        sigma = max(without.white_rms_nt, floor_nt)
-        for one in search.screen(search.workspace(without), without, sigma, among=single)[:1]:
+        space, sigma = search.workspace(without), max(without.white_rms_nt, floor_nt)
+        single = [form for form in forms if [block.shape for block in form.blocks] == [(3,)] and _count(form) == 1]
+        for one in search.screen(space, without, sigma, among=single)[:1]:
             theta = np.sort(np.concatenate([beside.theta, one.theta]))
-            found = [
-                form for form in forms if len(form.nonlinear) == len(theta) and form.blocks[0].shape == (len(theta), 3)
-            ]
             rest = [other for other in fit.terms if other is not term and other is not beside]
-            terms = [[*rest, Term(form, theta, np.zeros(form.size))] for form in found]
-            fit = _better(
-                fit, [trial for each in terms if all_within_physics(trial := solve(search.problem, fit.x, each))]
-            )
+            each = [form for form in forms if _count(form) == len(theta) and form.blocks[0].shape == (len(theta), 3)]
+            terms = [Term(form, theta, np.zeros(form.size)) for form in each]
+            trials = [solve(search.problem, fit.x, [*rest, two]) for two in terms]
+            return _better(fit, [trial for trial in trials if all_within_physics(trial)])
     return fit
+
+
+def _count(form: Hypothesis) -> int:
+    """Number of its instants."""
+    return len(form.nonlinear)
 
 
 def _other_courses(search: Screen, fit: Fit, index: int) -> Iterator[Fit]:

@@ -128,6 +128,7 @@ class Hypothesis:
     refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
         always.
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
+    at_once: effect of the same change at an instant, for one that takes a while.
     as_well: other effects that act exactly so, and are met as often: the field alone never tells them apart.
     samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
         none.
@@ -151,6 +152,7 @@ class Hypothesis:
     proposals: Proposals | None = None
     refines: str = ""
     in_place: bool = False
+    at_once: str = ""
     as_well: tuple[str, ...] = ()
     samples_in: Callable[[Array], int] | None = None
     moves_s: Callable[[Array], Array | float] | None = None

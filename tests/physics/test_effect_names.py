@@ -45,11 +45,11 @@ def texts(tree: ast.AST) -> Iterator[ast.Constant]:
 
 
 def references(tree: ast.AST) -> set[int]:
-    """What stands in ``confused_with=`` and ``as_well=``: whom an effect may be taken for is its own to say."""
+    """What stands in ``confused_with=`` and the like: whom an effect may be taken for is its own to say."""
     return {
         id(part)
         for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg in ("confused_with", "as_well")
+        if isinstance(node, ast.keyword) and node.arg in ("confused_with", "as_well", "at_once")
         for part in ast.walk(node.value)
     }
 

@@ -34,8 +34,11 @@ Level = Callable[[Array, Array, Array], Array]
 """Of the whole change, how much has come about at times, between two others that it begins and ends at [s]."""
 
 
-def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
-    """Nothing before one instant, a constant from another one on, and evenly from the one to the other between them."""
+def ramp(scene: Scene, effect: str, act: Act, block: Block, at_once: str) -> Hypothesis:
+    """Nothing before one instant, a constant from another one on, and evenly from the one to the other between them.
+
+    ``at_once``: effect of the same change at an instant.
+    """
     first, last = np.array_split(instants(scene).grid, 2)
     numbers = Nonlinear("from_s", "s", first, role="edge"), Nonlinear("to_s", "s", last, role="edge")
 
@@ -56,12 +59,13 @@ def ramp(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
         is_free=True,
         proposals=proposals,
         in_place=True,
+        at_once=at_once,
         samples_in=lambda theta: _between(scene, theta[0], theta[1]),
     )
 
 
-def relaxing_from(scene: Scene, effect: str, act: Act, block: Block) -> Hypothesis:
-    """Nothing before an instant, from then on relaxing to an end."""
+def relaxing_from(scene: Scene, effect: str, act: Act, block: Block, at_once: str) -> Hypothesis:
+    """Nothing before an instant, from then on relaxing to an end; ``at_once`` as in ``ramp``."""
     span_s = max(float(np.ptp(scene.time_s)), 1.0)
     shortest = FEWEST_IN_A_CHANGE * scene.period_s / _CONSTANTS
     longest = max(span_s / _CONSTANTS, 2.0 * shortest)
@@ -85,6 +89,7 @@ def relaxing_from(scene: Scene, effect: str, act: Act, block: Block) -> Hypothes
         is_free=True,
         proposals=proposals,
         in_place=True,
+        at_once=at_once,
         samples_in=lambda theta: _between(scene, theta[0], theta[0] + _CONSTANTS * theta[1]),
     )
 

@@ -16,8 +16,8 @@ from magcal_service.physics.scene.scene import Scene
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     smooth = drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
-    between = ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"))
-    end = relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"))
+    between = ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"), at_once="bias_step")
+    end = relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"), at_once="bias_step")
     for form in (*smooth, between, end):
         yield replace(form, as_well=("thermal_bias",) if warms_unseen(scene) else ())
 

@@ -23,8 +23,10 @@ def _forms(scene: Scene) -> Iterator[Hypothesis]:
     yield from drifts(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("per_s", "1/s"))
     for hypothesis in drifts(scene, "scale_drift", lambda s: gains(scene.calibrated_nt, s), Block("per_s", "1/s")):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".strip(", "))
-    yield ramp(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("between", "1"))
-    yield relaxing_from(scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block("end", "1"))
+    for course, block in ((ramp, "between"), (relaxing_from, "end")):
+        yield course(
+            scene, "scale_drift", lambda s: gains(scene.clean_field_nt, s), Block(block, "1"), at_once="scale_step"
+        )
 
 
 EFFECT = Effect(
