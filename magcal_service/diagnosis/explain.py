@@ -6,7 +6,7 @@ Several effects by forward selection with a backward check; rivals by their evid
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -19,7 +19,7 @@ from magcal_service.diagnosis.instants import has_other_course, jumps_instead, t
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics, within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.rivals import is_as_sudden, is_recorded, tempered
+from magcal_service.diagnosis.rivals import best_of_each, is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
 from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
@@ -317,8 +317,8 @@ class Search(Screen):
     def compared(self, fit: Fit, floor_nt: float, given_up: frozenset[str] = frozenset()) -> Explained:
         """A fit with the rivals of each of its terms, as far as their differences stand out of the blocks' scatter.
 
-        Terms whose own evidence does not are left out; one that a rival beats even so gives it its place, for good:
-        ``given_up`` are the labels of those that did.
+        Terms whose own evidence does not are left out; one that a rival beats even so gives it its place, for good,
+        where the rival keeps it: ``given_up`` are the labels of those that did.
         """
         while True:
             sigma = max(fit.white_rms_nt, floor_nt)
@@ -339,9 +339,14 @@ class Search(Screen):
             open_ = [c for c in ranked if c.hypothesis.label not in given_up]
             other = self._with_better(fit, index, open_, _LIKELIER, _OF_BLOCKS)
             if other is not None:
-                left = given_up | {fit.terms[index].hypothesis.label}
-                return self.compared(self.refreshed(other), floor_nt, left)
-        best = tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
+                left, before = given_up | {fit.terms[index].hypothesis.label}, (self.problem, self.hypotheses)
+                found = self.compared(self.refreshed(other), floor_nt, left)
+                if len(found.fit.terms) == len(fit.terms):
+                    return found
+                self.look_at(*before)
+                gone = other.terms[index].hypothesis.effect  # in its own place it has come to nothing
+                rivals[index] = [c for c in ranked if c.hypothesis.effect != gone]
+        best = tuple(best_of_each(ranked, lambda hypothesis: hypothesis.effect) for ranked in rivals)
         courses = tuple(
             has_other_course(term, ranked, CLASS_NATS) for term, ranked in zip(fit.terms, rivals, strict=True)
         )
@@ -354,7 +359,7 @@ class Search(Screen):
             [candidate for candidate in ranked if candidate.hypothesis.effect == term.hypothesis.effect]
             for term, ranked in zip(fit.terms, rivals, strict=True)
         )
-        return tuple(_best_of_each(ranked, lambda hypothesis: hypothesis.driver) for ranked in own)
+        return tuple(best_of_each(ranked, lambda hypothesis: hypothesis.driver) for ranked in own)
 
     def _with_better(
         self,
@@ -387,11 +392,3 @@ class Search(Screen):
 def held_out(fit: Fit) -> float:
     """Sum of squares on rows that took no part, as the sensor's own noise [nT^2]."""
     return float((fit.sensor_held_out**2).sum())
-
-
-def _best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:
-    """The best form of each effect or driver, best first."""
-    best: dict[str, Candidate] = {}
-    for candidate in ranked:
-        best.setdefault(key(candidate.hypothesis), candidate)
-    return tuple(best.values())

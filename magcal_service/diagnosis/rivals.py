@@ -7,7 +7,7 @@ behind a drift so, and 30 before it once it was fitted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -95,6 +95,14 @@ def tempered(
             one = replace(one, nats=one.nats + (RECORDED_NATS if is_recorded(one.hypothesis) else -RECORDED_NATS))
         found.append(one)
     return sorted(found, key=lambda candidate: -candidate.nats)
+
+
+def best_of_each(ranked: Sequence[Candidate], key: Callable[[Hypothesis], str]) -> tuple[Candidate, ...]:
+    """The best form of each effect or driver, best first."""
+    best: dict[str, Candidate] = {}
+    for candidate in ranked:
+        best.setdefault(key(candidate.hypothesis), candidate)
+    return tuple(best.values())
 
 
 def is_as_sudden(rival: Hypothesis, mine: Hypothesis) -> bool:

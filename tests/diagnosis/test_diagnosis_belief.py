@@ -455,3 +455,26 @@ def test_noise_larger_than_any_sensors_is_none(share: float, stated: bool, expec
     noise_nt = share * float(scene().magnitude_nt.mean())
     rough = replace(named, fit=replace(named.fit, problem=replace(named.fit.problem, noise_nt=noise_nt)))
     assert reasons(rough, 0.0, False, stated) == expected
+
+
+def test_a_rival_that_comes_to_nothing_in_a_names_place_gives_it_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To first order it was ahead; expanded where it led itself it holds nothing, and is no rival any more."""
+    effects = tuple(effect_named(name) for name in ("bias_drift", "scale_step"))
+    alone, step = fits()
+    others = hypotheses_of(effects, step.problem)
+    search = Search(step.problem, [step.terms[0].hypothesis, *others], effects, close={one.label for one in others})
+    drift = next(one for one in search.hypotheses if one.effect == "bias_drift" and not one.variant)
+    ahead = solve(problem(), alone.x, [Term(drift, np.zeros(0), np.full(3, 0.03))])
+
+    def first_order(_: Search, fit: Fit, *_rest: object) -> Fit | None:
+        return ahead if fit is step else None
+
+    monkeypatch.setattr(Search, "_with_better", first_order)
+    monkeypatch.setattr(Search, "refreshed", lambda _, fit: alone if fit is ahead else fit)
+    found = search.compared(step, 0.3 * NOISE_NT)
+    assert [term.hypothesis.effect for term in found.fit.terms] == ["bias_step"]
+    assert search.problem is step.problem
+    names = [one.hypothesis.effect for one in found.rivals[0]]
+    assert names[0] == "bias_step"
+    assert "bias_drift" not in names
+    assert "scale_step" in names

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.collapse import is_collapsed
-from magcal_service.diagnosis.explain import _best_of_each
 from magcal_service.diagnosis.handover import model_term, terms_of
 from magcal_service.diagnosis.lines import folded, slots
 from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
+from magcal_service.diagnosis.rivals import best_of_each
 from magcal_service.diagnosis.screen import Candidate, _grid, _product, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
 from magcal_service.model import Array
@@ -138,7 +138,7 @@ def test_of_each_effect_the_best_form_is_kept_in_order() -> None:
         Candidate(replace(form(3), effect=name, variant=variant), np.zeros(0), None, nats)  # type: ignore[arg-type]
         for name, variant, nats in (("a", "x", 9.0), ("b", "", 8.0), ("a", "y", 7.0), ("c", "", 6.0))
     ]
-    assert [(one.hypothesis.effect, one.nats) for one in _best_of_each(ranked, lambda h: h.effect)] == [
+    assert [(one.hypothesis.effect, one.nats) for one in best_of_each(ranked, lambda h: h.effect)] == [
         ("a", 9.0),
         ("b", 8.0),
         ("c", 6.0),
