@@ -67,15 +67,19 @@ class Structure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beside:
-    """A fit, its residual with the model's columns out, and the search as it was there: itself it goes on elsewhere."""
+    """A fit, its residual with the model's columns out, without its tails and whole, and the search as it was there:
+    itself it goes on elsewhere."""
 
     search: Search
     fit: Fit
     space: Workspace
+    whole: Workspace
 
-    def products(self, shape: Shape) -> Products:
-        """Of a family's columns, which are not kept."""
-        return self.space.products(self.search.white(shape.columns(self.fit.unit)))
+    def products(self, shape: Shape) -> tuple[Products, Products]:
+        """Of a family's columns, which are not kept, with the residual without its tails, and with all of it."""
+        columns = self.search.white(shape.columns(self.fit.unit))
+        held = self.space.products(columns)
+        return held, replace(held, right=columns.T @ self.whole.residual / held.scale)
 
     def signal(self, shape: Shape, amplitudes: Array) -> Array:
         """(m,) what amplitudes of a family add to the residual [nT]."""
@@ -86,7 +90,7 @@ def _beside(search: Search, fit: Fit, floor_nt: float) -> tuple[_Beside, float]:
     """A fit's residual without its tails, and the noise that evidence in it is counted in first [nT]."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_TAIL * sigma)), sigma
+    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_TAIL * sigma), space), sigma
 
 
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
@@ -100,7 +104,7 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
     for _ in range(2):
         found = [_structure(shape, products, beside, sigma, cost) for shape, products in families]
         found.sort(key=lambda structure: -structure.nats)
-        left = (space.squares - found[0].squares) / space.count
+        left = (beside.whole.squares - found[0].squares) / space.count
         better = max(math.sqrt(max(left, 0.0)), floor_nt)
         if better > 0.98 * sigma:
             break
@@ -194,10 +198,13 @@ def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | N
     return float(found[0]) if space.gain(rows, sigma).nats > 0.5 * SIGNIFICANT_NATS else None
 
 
-def _structure(shape: Shape, products: Products, beside: _Beside, sigma: float, cost: float) -> Structure:
-    gain = products.gain(sigma)
-    squares = max(gain.squares - gain.effective * sigma**2, 0.0)
-    return Structure(shape, gain.nats - cost, squares, lambda: beside.signal(shape, gain.amplitudes))
+def _structure(
+    shape: Shape, products: tuple[Products, Products], beside: _Beside, sigma: float, cost: float
+) -> Structure:
+    """A family's evidence by what single samples count for at the most, and its size by all that they hold."""
+    held, whole = (each.gain(sigma) for each in products)
+    squares = max(whole.squares - whole.effective * sigma**2, 0.0)
+    return Structure(shape, held.nats - cost, squares, lambda: beside.signal(shape, whole.amplitudes))
 
 
 def significant(structure: Structure) -> bool:

@@ -96,9 +96,7 @@ def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> di
     return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
 
 
-FEWEST_IN_A_CHANGE: Final = 32
-"""Samples of the shortest change over a while: what is quicker is called a jump.  Shorter ones hold what a faint jump
-holds."""
+_FEWEST_SEEN: Final = 4  # samples; choice: fewer show no course of a change
 
 Proposals = Callable[[Sums, Sequence[Array]], Array]
 
@@ -187,7 +185,7 @@ class Hypothesis:
 
         So is one that hardly a sample sees come about, as between the last before a gap and the first after it.
         """
-        if self.samples_in is not None and self.samples_in(theta) < FEWEST_IN_A_CHANGE:
+        if self.samples_in is not None and self.samples_in(theta) < _FEWEST_SEEN:
             return True
         numbers = zip(self.nonlinear, theta, strict=True)
         return self.in_place and any(not n.role and value <= _NEARLY * n.grid.min() for n, value in numbers)

@@ -31,6 +31,8 @@ _SHARED: Final = 3.0
 """The same for ends of two or more axes or sides at one value, but for its sign: a turning field's are clear of it by a
 quarter, and seldom at one value."""
 
+_LEAST_CHANGE: Final = 0.01  # of the field: a room's changes by less, an orbit's by a fifth and more
+
 _ROUNDS: Final = 4  # fits without what is near a stop; choice: two agree as a rule
 
 _COURSE: Final = 10
@@ -97,23 +99,31 @@ def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
     levels beside it foretell.  It tells nothing of an axis that lies across the field, and little of one that is
     clipped by less than two steps of its lattice.  An end that comes eight times at the value of another's stop, or at
     its negative, is one, too: the axes of a sensor have one range.  So two ends at one value are stops by a count of
-    three times the values beside them.
+    three times the values beside them; both where the field's size changes.
     """
     ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
     often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
+    flown = _changes(magnitude_nt)
     flat = [one for one in often if _oftener(field_nt, one) > _SHARED]
-    found = [one for one in flat if _oftener(field_nt, one) > _FLAT_TO_NEXT or _is_shared(one, flat)]
+    found = [one for one in flat if _oftener(field_nt, one) > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))]
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
     told = bool(often) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
         found += _short(samples, found, doubtful)
-    found += [one for one in doubtful if one not in found and _is_shared(one, found)]
+    found += [one for one in doubtful if flown and one not in found and _is_shared(one, found)]
     if not told or not found:
         return tuple(one for one in ends if one in found)
     clipped = np.any([one.rows for one in found], axis=0)
     samples = _without_near(samples, found)
     return tuple(replace(one, near=samples.near(one) & ~clipped) for one in ends if one in found)
+
+
+def _changes(magnitude_nt: Array) -> bool:
+    """Whether the field's size changes, as along an orbit: on a turntable in one room axes end at one value again and
+    again, held there, and the magnitude tells nothing of what is missing."""
+    known = magnitude_nt[np.isfinite(magnitude_nt)]
+    return bool(len(known)) and float(np.ptp(known)) > _LEAST_CHANGE * float(np.mean(known))
 
 
 def _is_shared(end: Stop, among: list[Stop]) -> bool:

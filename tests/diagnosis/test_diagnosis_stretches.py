@@ -98,7 +98,7 @@ def test_stretches_are_not_looked_for_in_vectors() -> None:
     spoiled = np.zeros((SMALL, 3))
     spoiled[50:90] = [30.0, 0.0, 0.0]
     search, fit, space = small(vector=True, field_nt=spoiled)
-    assert _transients(_Beside(search, fit, space), 1.0, 0.0) is None
+    assert _transients(_Beside(search, fit, space, space), 1.0, 0.0) is None
 
 
 # Stretches at no regular times
@@ -116,14 +116,14 @@ def test_stretches_are_found_where_they_are_with_what_they_hold() -> None:
     search, fit = searching(flown(field))
     space = search.workspace(fit)
     sigma = math.sqrt(space.squares / space.count)
-    found = _transients(_Beside(search, fit, space), sigma, 2.0)
+    found = _transients(_Beside(search, fit, space, space), sigma, 2.0)
     assert found is not None
     assert found.shape.name == "transients"
     inside = field[:, 1] > 0.0
     assert np.mean(np.abs(found.signal[inside])) > 6.0 * np.mean(np.abs(found.signal[~inside]))
     seen = space.projected((field * fit.unit).sum(axis=1)[:, None])[:, 0]
     assert found.squares == pytest.approx(float(seen @ seen), rel=0.25)
-    dearer = _transients(_Beside(search, fit, space), sigma, 5.0)
+    dearer = _transients(_Beside(search, fit, space, space), sigma, 5.0)
     assert dearer is not None
     assert found.nats - dearer.nats == pytest.approx(3.0, abs=1e-9)
 
@@ -137,7 +137,7 @@ def test_samples_far_out_are_no_stretches() -> None:
     search, fit = searching(flown(field))
     space = search.workspace(fit)
     sigma = math.sqrt(space.squares / space.count)
-    assert _transients(_Beside(search, fit, space), sigma, 0.0) is None
+    assert _transients(_Beside(search, fit, space, space), sigma, 0.0) is None
     held = space.clipped(3.5 * sigma)
     assert np.abs(held.residual).max() < 3.6 * sigma
     assert held.squares == pytest.approx(float(held.residual @ held.residual))
@@ -146,10 +146,10 @@ def test_samples_far_out_are_no_stretches() -> None:
 
 def test_noise_has_no_stretches_and_what_fills_half_of_a_recording_is_none() -> None:
     quiet, at = searching(flown(np.zeros((COUNT, 3))))
-    assert _transients(_Beside(quiet, at, quiet.workspace(at)), NOISE_NT, 0.0) is None
+    assert _transients(_Beside(quiet, at, quiet.workspace(at), quiet.workspace(at)), NOISE_NT, 0.0) is None
     always = bursts(*np.arange(0.0, COUNT * PERIOD_S, 400.0), length_s=230.0, field_nt=(500.0, 0.0, 0.0))
     search, fit = searching(flown(always))
-    assert _transients(_Beside(search, fit, search.workspace(fit)), NOISE_NT, 0.0) is None
+    assert _transients(_Beside(search, fit, search.workspace(fit), search.workspace(fit)), NOISE_NT, 0.0) is None
 
 
 # Recorded drivers before inferred ones

@@ -108,6 +108,11 @@ ELSE = {
     * 200.0
     * np.stack([np.sin(TIME_S / 900.0 + k) for k in range(3)], axis=1),
     "a field in the gaps as well": levels() + 0.5 * levels(4),
+    "ten bursts, by chance at multiples of a cycle": (ON & np.isin(CYCLE, [3, 17, 22, 38, 41, 59, 66, 78, 90, 95]))[
+        :, None
+    ]
+    * 6.0
+    * levels(),
     "steps": 300.0 * np.sign(np.sin(TIME_S[:, None] / np.array([700.0, 900.0, 1300.0]))),
 }
 

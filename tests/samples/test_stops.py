@@ -140,14 +140,26 @@ def test_samples_near_many_stops_are_told_as_surely_as_near_one() -> None:
 
 
 def test_two_ends_at_one_value_are_stops_by_less_of_a_count() -> None:
-    """Where the magnitude is not known: at four times the values beside them, and not where they differ."""
+    """At four times the values beside them, and not where they differ; nor where the field is one, as in a room."""
     counts = np.array([40, 10, 10, 10, 10, 10, 10])
-    nowhere = np.full(2000, np.nan)
+    changing = np.linspace(30_000.0, 50_000.0, 2000)
     column = np.concatenate(
         [np.repeat(30_000.0 - 100.0 * np.arange(len(counts)), counts), np.linspace(-2e4, 2e4, 1900)]
     )
     other = column[::-1].copy()
     rest = 10.0 * np.arange(2000.0)
-    assert where(np.stack([column, other, rest], axis=1), nowhere) == [(0, 30_000.0), (1, 30_000.0)]
-    assert where(np.stack([column, -other, rest], axis=1), nowhere) == [(0, 30_000.0), (1, -30_000.0)]
-    assert where(np.stack([column, other + 100.0, rest], axis=1), nowhere) == []
+    unknown = np.where(np.arange(2000) < 50, changing, np.nan)  # too few to fit anything to
+    unknown[-1] = 50_000.0
+    assert where(np.stack([column, other, rest], axis=1), unknown) == [(0, 30_000.0), (1, 30_000.0)]
+    assert where(np.stack([column, -other, rest], axis=1), unknown) == [(0, 30_000.0), (1, -30_000.0)]
+    assert where(np.stack([column, other + 100.0, rest], axis=1), unknown) == []
+    assert where(np.stack([column, other, rest], axis=1), np.full(2000, 43_000.0)) == []
+
+
+def test_a_turntable_that_holds_each_axis_up_has_no_stop() -> None:
+    """Each in turn along the field of a room, eight stations of thirty samples, on a lattice of five sigma."""
+    angle = np.repeat(np.arange(8) * np.pi / 4.0, 30)
+    level = np.stack([20_000.0 * np.cos(angle), 20_000.0 * np.sin(angle), np.full(len(angle), 43_000.0)], axis=1)
+    held = np.concatenate([np.roll(level, axis, axis=1) for axis in range(3)])
+    field = rounded(held + np.random.default_rng(9081).normal(0.0, 30.0, held.shape), 150.0)
+    assert where(field, np.full(len(field), float(np.hypot(20_000.0, 43_000.0)))) == []

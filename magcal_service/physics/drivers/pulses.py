@@ -46,6 +46,10 @@ _SIZES: Final = (0.02, 0.1, 0.5, 2.0, 10.0)
 _FEWEST: Final = 20
 """Pulses from which on a beat is one: fewer are steps."""
 
+_ACTIVE: Final = 0.3
+"""Share of the pulses that have to be there, counted by their squares; choice: coils that rest two thirds of the time.
+A few bursts that begin at multiples of some cycle have less."""
+
 _LEAST_NATS: Final = 50.0
 """Evidence for pulses over their absence, for more than one direction over one, each beside what the search costs."""
 
@@ -144,7 +148,10 @@ def pulses(view: View) -> Finding | None:
     off_nats = float(_evidence(*sums.gaps(beat), size).sum())
     follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
     turning = nats - _of_one_direction(squares, products, fields)
-    clear = len(fields) >= _FEWEST and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
+    strength = (fields**2).sum(axis=1)
+    active = float(strength.sum() ** 2 / max(float(strength @ strength), 1e-300))
+    many = len(fields) >= _FEWEST and active > _ACTIVE * len(fields)
+    clear = many and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
     return _finding(view, beat, fields, nats) if clear and not _swells(view, beat, fields) else None
 
 

@@ -17,7 +17,7 @@ from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.change import RELAXATION_SHARES, instants
 from magcal_service.physics.drivers.instants import Rows
 from magcal_service.physics.drivers.temperature import Act
-from magcal_service.physics.interface import FEWEST_IN_A_CHANGE, Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.segments import Segments, Sums
 
@@ -27,7 +27,10 @@ _STRETCHES: Final = 96
 _CONSTANTS: Final = 3.0
 """Time constants in which the search takes a change that relaxes for done: 5 % of it are still to come."""
 
-_FEWEST: Final = 4 * FEWEST_IN_A_CHANGE  # samples of a recording: of fewer there is not as much before and after it
+_SHORTEST: Final = 32
+"""Samples of the shortest ramp: what is quicker is called a jump.  Shorter ones hold what a faint jump holds."""
+
+_FEWEST: Final = 4 * _SHORTEST  # samples of a recording: of fewer there is not as much before and after it
 
 
 Level = Callable[[Array, Array, Array], Array]
@@ -67,7 +70,7 @@ def ramp(scene: Scene, effect: str, act: Act, block: Block, at_once: str) -> Hyp
 def relaxing_from(scene: Scene, effect: str, act: Act, block: Block, at_once: str) -> Hypothesis:
     """Nothing before an instant, from then on relaxing to an end; ``at_once`` as in ``ramp``."""
     span_s = max(float(np.ptp(scene.time_s)), 1.0)
-    shortest = FEWEST_IN_A_CHANGE * scene.period_s / _CONSTANTS
+    shortest = _SHORTEST * scene.period_s / _CONSTANTS
     longest = max(span_s / _CONSTANTS, 2.0 * shortest)
     tau = Nonlinear("time_constant_s", "s", np.geomspace(shortest, longest, len(RELAXATION_SHARES)))
     numbers = Nonlinear("from_s", "s", instants(scene).grid, role="edge"), tau
@@ -136,7 +139,7 @@ def _pairs(places: Rows) -> Rows:
     """Rows (m, 2) that a change may begin and end at."""
     first, last = np.triu_indices(len(places), 1)
     pairs = np.stack([places[first], places[last]], axis=1)
-    return np.asarray(pairs[pairs[:, 1] - pairs[:, 0] >= FEWEST_IN_A_CHANGE])
+    return np.asarray(pairs[pairs[:, 1] - pairs[:, 0] >= _SHORTEST])
 
 
 def _drops(time_s: Array, firsts: Rows, segments: Segments, pairs: Rows, level: Level) -> Array:
