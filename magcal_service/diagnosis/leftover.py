@@ -27,9 +27,12 @@ _MOST_TERMS: Final = 5
 """Terms of a family that are named; choice: enough for a product on three axes and two others, few enough to read."""
 
 _TAIL: Final = 3.5
-"""Of the residual, what a single sample counts for at the most in the evidence for a family: one far out is none, but
-would be found in the shortest stretch, or by powers of the field where that points as it seldom does.  What lasts is
-there in all its samples."""
+"""Of the noise, what a single sample counts for at the most where stretches are looked for: one far out is none, but
+would be found in the shortest of them.  What lasts is there in all its samples."""
+
+_FAR: Final = 5.0
+"""Of the residual, the same for every other family: powers of the field follow a sample far out where it points as it
+seldom does.  Noise comes so far once in two million; what bends only at the largest fields is four sigma there."""
 
 _TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
 """Widths of a stretch that is tried [s]: a manoeuvre, a heater, a pass over a station.
@@ -90,7 +93,7 @@ def _beside(search: Search, fit: Fit, floor_nt: float) -> tuple[_Beside, float]:
     """A fit's residual without its tails, and the noise that evidence in it is counted in first [nT]."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_TAIL * sigma), space), sigma
+    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_FAR * sigma), space), sigma
 
 
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:
@@ -162,8 +165,8 @@ def with_wandering(search: Search, fit: Fit, found: list[Structure], floor_nt: f
     if search.problem.is_vector:
         return found
     beside, sigma = _beside(search, fit, floor_nt)
-    cost = math.log(len(found) + 1.0)
-    for one in tracks(search.problem.scene, beside.space.residual, fit.unit, search.spin_hz):
+    clipped, cost = beside.space.clipped(_TAIL * sigma).residual, math.log(len(found) + 1.0)
+    for one in tracks(search.problem.scene, clipped, fit.unit, search.spin_hz):
         between = f"{one.from_hz:.3g} and {one.to_hz:.3g} Hz"
         says = f"a body-fixed oscillation whose frequency wanders between {between}"
         shape = plain_shape("wandering", says, one.rows)
