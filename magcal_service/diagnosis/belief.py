@@ -65,6 +65,10 @@ _SLOW_ODDS: Final = 0.5
 """Odds of a change over minutes against a sudden one, before it is looked at: of jumps that were not seen to be
 sudden two of six were currents that fell as a battery filled."""
 
+_RATHER: Final = 1.05
+"""Times a name's class that a cause in no catalogue is likelier, from which on there is no name; choice: an even chance
+is none."""
+
 _SLOW: Final = "a change that takes minutes"
 
 _MOST_NATS: Final = 700.0
@@ -119,6 +123,20 @@ def posterior(explained: Explained, index: int) -> Posterior:
     effects = [c.hypothesis.effect for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
     effects += [*mine.as_well, *([UNLISTED] if slow > math.exp(-CLASS_NATS) else [])]
     return Posterior(weights[name] / total, tuple(rivals), tuple(dict.fromkeys((name, *effects))))
+
+
+def are_rather_unlisted(explained: Explained) -> bool:
+    """Whether of every name a cause in no catalogue is clearly likelier than the name and its class together."""
+    each = [posterior(explained, index) for index in range(len(explained.fit.terms))]
+    return bool(each) and all(_is_rather_unlisted(one) for one in each)
+
+
+def _is_rather_unlisted(believed: Posterior) -> bool:
+    if UNLISTED in believed.members:  # what it is has a form, which is not told from the name
+        return False
+    rivals = dict(believed.rivals)
+    listed = believed.own + sum(rivals.get(name, 0.0) for name in believed.members)
+    return rivals.get(UNLISTED, 0.0) > _RATHER * listed
 
 
 def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import with_left
+from magcal_service.diagnosis.belief import are_rather_unlisted, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import Explained, Search
@@ -71,6 +71,26 @@ class End:
         rest = None if len(self.whitening) else Rest.of(baseline, self.explained.fit)
         left_nt2 = self.left[0].squares if self.left and significant(self.left[0]) else 0.0
         return replace(self, rest=rest, explained=with_left(self.explained, left_nt2, rest, self.floor_nt))
+
+
+def without_unlikely(end: End, prepared: Prepared) -> End:
+    """The same, or without any name where a cause in no catalogue is likelier than every one of them, and is seen then:
+    what it is most like is told without names that take up parts of it.
+
+    Parameters
+    ----------
+    end: with what is left beside its names.
+    prepared: as it was searched.
+    """
+    if not are_rather_unlisted(end.explained):
+        return end
+    search = replace(end.search, close=set(end.search.close))
+    fit = search.refreshed(solve(search.problem, prepared.baseline.x))
+    phase = None if prepared.spin is None else prepared.spin.phase_rad
+    explained, left = _standing(search, prepared.baseline, Explained(fit), phase, end.floor_nt)
+    if not significant(left[0]):
+        return end
+    return replace(end, search=search, explained=explained, left=left).with_left(prepared.baseline)
 
 
 def in_form(

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import posterior, with_left
+from magcal_service.diagnosis.belief import are_rather_unlisted, posterior, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.doubts import reasons, stands_out
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
@@ -478,3 +478,19 @@ def test_a_rival_that_comes_to_nothing_in_a_names_place_gives_it_back(monkeypatc
     assert names[0] == "bias_step"
     assert "bias_drift" not in names
     assert "scale_step" in names
+
+
+@pytest.mark.parametrize(("lasting", "rather"), [(0.0, False), (100.0, False), (120.0, True), (900.0, True)])
+def test_a_cause_in_no_catalogue_that_is_clearly_likelier_leaves_no_name(lasting: float, rather: bool) -> None:
+    """By what lasts beside a hundred nats; an even chance leaves the name, and so does a slow change of the same."""
+    named = replace(explained([]), lasting_nats=lasting)
+    assert are_rather_unlisted(named) is rather
+    assert not are_rather_unlisted(replace(named, slower=(6.0,)))
+    assert not are_rather_unlisted(Explained(fits()[0]))
+
+
+def test_a_class_counts_as_a_whole_against_what_is_in_no_catalogue() -> None:
+    """Two names that are not told apart share what is left to names."""
+    alike = replace(explained([("bias_drift", 100.0)]), lasting_nats=100.0)
+    assert posterior(alike, 0).own == pytest.approx(0.25)
+    assert not are_rather_unlisted(alike)
