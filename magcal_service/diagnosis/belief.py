@@ -111,8 +111,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     }
     weights[name] = 1.0
     weights |= dict.fromkeys(mine.as_well, 1.0)
-    slow = _SLOW_ODDS * sum(explained.slower[index : index + 1])
-    weights[UNLISTED] = weights.get(UNLISTED, 0.0) + slow
+    weights[UNLISTED] = weights.get(UNLISTED, 0.0) + _slow_odds(explained, index)
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
     unlisted = min(max(lasting, shaped**2, _least_unlisted(explained, index)), _MOST_UNLISTED)
@@ -121,8 +120,18 @@ def posterior(explained: Explained, index: int) -> Posterior:
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     apart = [one + max(c.hypothesis.odds - mine.odds, 0.0) for c, one in zip(ranked, ahead, strict=True)]
     effects = [c.hypothesis.effect for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
-    effects += [*mine.as_well, *([UNLISTED] if slow > math.exp(-CLASS_NATS) else [])]
+    effects += [*mine.as_well, *([UNLISTED] if _may_be_slow(explained, index) else [])]
     return Posterior(weights[name] / total, tuple(rivals), tuple(dict.fromkeys((name, *effects))))
+
+
+def _slow_odds(explained: Explained, index: int) -> float:
+    """Odds of a change over minutes against a term's jump; 0 where it is none."""
+    return _SLOW_ODDS * sum(explained.slower[index : index + 1])
+
+
+def _may_be_slow(explained: Explained, index: int) -> bool:
+    """Whether a jump is not told apart from a change over minutes."""
+    return _slow_odds(explained, index) > math.exp(-CLASS_NATS)
 
 
 def are_rather_unlisted(explained: Explained) -> bool:
@@ -258,8 +267,7 @@ def unlisted(explained: Explained, index: int) -> str:
     minutes; empty where nothing does."""
     ranked, own = explained.rivals[index], explained.own_nats(index)
     near = (c for c in ranked if c.hypothesis.effect == UNLISTED and c.nats > own - CLASS_NATS)
-    slow = _SLOW_ODDS * sum(explained.slower[index : index + 1])
-    return next((said(c.hypothesis) for c in near), _SLOW if slow > math.exp(-CLASS_NATS) else "")
+    return next((said(c.hypothesis) for c in near), _SLOW if _may_be_slow(explained, index) else "")
 
 
 def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt: float) -> Explained:

@@ -104,8 +104,9 @@ def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
     ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
     often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
     flown = _changes(magnitude_nt)
-    flat = [one for one in often if _oftener(field_nt, one) > _SHARED]
-    found = [one for one in flat if _oftener(field_nt, one) > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))]
+    times = {one: _oftener(field_nt, one) for one in often}
+    flat = [one for one in often if times[one] > _SHARED]
+    found = [one for one in flat if times[one] > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))]
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
     told = bool(often) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
