@@ -130,8 +130,9 @@ def _describe(options: argparse.Namespace) -> int:
     descriptor = recording.descriptor
     lines = ["version = 1", "[samples]", f"file = {json.dumps(options.file.name)}"]
     lines.append(f"craft = {json.dumps(recording.stream[0].craft)}" if recording.stream else "")
-    if descriptor.magnetometer.noise_nt is not None:
-        lines += ["[magnetometer]", f"noise_nt = {descriptor.magnetometer.noise_nt!r}"]
+    stated = {name: getattr(descriptor.magnetometer, name) for name in ("noise_nt", "range_nt")}
+    known = [f"{name} = {value!r}" for name, value in stated.items() if value is not None]
+    lines += ["[magnetometer]", *known] if known else []
     if descriptor.spin is not None:
         lines += ["[spin]", f"axis = {list(descriptor.spin.axis)!r}", f"rate_rpm = {descriptor.spin.rate_rpm!r}"]
     print("\n".join(filter(None, lines)))

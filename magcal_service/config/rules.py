@@ -18,6 +18,9 @@ NAME_ACCEPTED: Final = "1 to 32 characters of A-Z a-z 0-9 _ - are accepted"
 
 MIN_RATE_RPM: Final = 0.01  # slower turns are longer than an orbit
 
+RANGE_NT: Final = (1000.0, 1e6)
+"""Accepted full scales of a sensor [nT]: the Earth's field is 18 000 and more, and 1 mT is no magnetometer of it."""
+
 _MAX_PORT: Final = 65_535  # a port has 16 bits
 
 _AXIS_LENGTHS: Final = (1e-6, 1e6)

@@ -85,7 +85,7 @@ class SensorConfig:
 
     noise_nt: float | None = number(None, 0.01, 100_000.0, unit="nT")
     stuck_samples: int = whole(10, 3, 100_000, unit="samples")
-    range_nt: float | None = number(None, 1000.0, 1e6, unit="nT")
+    range_nt: float | None = number(None, *rules.RANGE_NT, unit="nT")
     axis_stuck_s: float = number(60.0, 5.0, 86_400.0, unit="s")
 
 
@@ -246,7 +246,7 @@ class MagnetometerConfig:
 
     source: str = text(accepted="the source of its samples", check=rules.check_source)
     noise_nt: float | None = number(None, 0.01, 100_000.0, unit="nT")
-    range_nt: float | None = number(None, 1000.0, 1e6, unit="nT")
+    range_nt: float | None = number(None, *rules.RANGE_NT, unit="nT")
     axis_stuck_s: float | None = number(None, 5.0, 86_400.0, unit="s")
     stuck_samples: int | None = optional_whole(3, 100_000, unit="samples")
     prior_bias_nt: float | None = number(None, 1.0, 200_000.0, unit="nT")

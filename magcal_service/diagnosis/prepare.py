@@ -28,6 +28,7 @@ from magcal_service.physics.scene.view import View
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import cleaned, recorded_attitude, scene_of
+from magcal_service.recordings.specs import MagnetometerSpec
 from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
 
 MOST_ROWS: Final = 60_000
@@ -123,6 +124,7 @@ def prepare(
         None if nominal is None else nominal.rate_rad_s,
         used.recording.descriptor.magnetometer.noise_nt,
         alone,
+        used.recording.descriptor.magnetometer.range_nt,
     )
     return Prepared(used.recording, baseline.problem, baseline, spin, view, used.left_out, used.findings, form, sun)
 
@@ -150,16 +152,17 @@ class _Used:
 def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None) -> _Used:
     """The rows without those too many, spikes, spoiled or in a weak field; all where hardly any would be left."""
     usable, thinned = _usable(recording, stride)
-    noise_nt = recording.descriptor.magnetometer.noise_nt
+    stated = recording.descriptor.magnetometer
+    noise_nt = stated.noise_nt
     scene = scene_of(usable)
     x = baseline_start(scene, noise_nt)
     level_nt = noise_nt or _white(scene, x)
-    findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
+    findings, spoiled = _sample_findings(scene, x, level_nt, stated, effects)
     if spoiled.any() and np.count_nonzero(~spoiled) >= 10 * STATE_SIZE:
         sound = scene_of(usable.select(~spoiled))  # once more, by errors that they have no part in
         x = baseline_start(sound, noise_nt)
         level_nt = noise_nt or _white(sound, x)
-        findings, spoiled = _sample_findings(scene, x, level_nt, noise_nt, effects)
+        findings, spoiled = _sample_findings(scene, x, level_nt, stated, effects)
     spikes = _spikes(scene, x) & ~spoiled
     weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
     keep = ~(spikes | spoiled | weak)
@@ -289,11 +292,11 @@ def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
 
 
 def _sample_findings(
-    scene: Scene, x: Array, noise_nt: float, stated: float | None, effects: tuple[Effect, ...]
+    scene: Scene, x: Array, noise_nt: float, stated: MagnetometerSpec, effects: tuple[Effect, ...]
 ) -> tuple[dict[str, Finding], NDArray[np.bool_]]:
     """Effects that show in the samples themselves, and the rows that they spoil."""
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
-    view = View(cleaned(scene, x), residual, noise_nt, stated_noise_nt=stated)
+    view = View(cleaned(scene, x), residual, noise_nt, stated_noise_nt=stated.noise_nt, range_nt=stated.range_nt)
     spoiled = np.zeros(len(scene), dtype=bool)
     findings = {}
     for effect in effects:

@@ -48,8 +48,8 @@ CRAFT: Final = "craft"
 def craft_of(recording: Recording, method: str | None = None) -> CraftConfig:
     """The craft's configuration as the recording states it.
 
-    That of a session is the one it was recorded under; of another log what its descriptor says: noise, spin, and pauses
-    fit for its period.  ``method`` is the estimator where given, else the recorded one or ``ukf``.
+    That of a session is the one it was recorded under; of another log what its descriptor says: noise, range, spin, and
+    pauses fit for its period.  ``method`` is the estimator where given, else the recorded one or ``ukf``.
     """
     if recording.craft is not None:
         method = method or recording.craft.filter.method
@@ -61,15 +61,18 @@ def craft_of(recording: Recording, method: str | None = None) -> CraftConfig:
     steps_s = np.diff(np.unique(recording.time_ns)) * 1e-9
     period_s = float(np.median(steps_s)) if steps_s.size else 1.0
     ticks = TickConfig(gap_s=min(max(TickConfig().gap_s, 5.0 * period_s), TickConfig().step_confirm_s))
-    listed = (descriptor.magnetometer, *descriptor.beside) if descriptor.beside else ()
+    own = descriptor.magnetometer
+    listed = (own, *descriptor.beside) if descriptor.beside else ()
     return CraftConfig(
         CRAFT,
-        sensor=SensorConfig(noise_nt=None if listed else descriptor.magnetometer.noise_nt),
+        sensor=SensorConfig() if listed else SensorConfig(noise_nt=own.noise_nt, range_nt=own.range_nt),
         spin=spin,
         filter=FilterConfig(method=method or FilterConfig().method),
         ticks=ticks,
         max_sources=max(CraftConfig(CRAFT).max_sources, len(listed)),
-        magnetometers=tuple(MagnetometerConfig(one.source, noise_nt=one.noise_nt) for one in listed),
+        magnetometers=tuple(
+            MagnetometerConfig(one.source, noise_nt=one.noise_nt, range_nt=one.range_nt) for one in listed
+        ),
     )
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from magcal_service.base.errors import Fault, RecordingError
 from magcal_service.base.typed_toml import Table, nearest
 from magcal_service.base.units import CHANNEL_UNITS, FieldUnit
+from magcal_service.config.rules import RANGE_NT
 from magcal_service.recordings.channels import Axes, ChannelSpec, QuaternionOrder
 from magcal_service.recordings.descriptor import SAMPLES_IN_MEMORY, descriptor_of
 from magcal_service.recordings.reader import read_rows
@@ -54,6 +55,7 @@ def from_arrays(
     frame: str = "eci",
     position_ecef_km: npt.ArrayLike | None = None,
     noise_nt: float | None = None,
+    range_nt: float | None = None,
     spin_axis: str | tuple[float, float, float] = "z",
     spin_rpm: float | None = None,
     channels: Mapping[str, tuple[npt.ArrayLike, str]] | None = None,
@@ -63,6 +65,9 @@ def from_arrays(
     """A recording of arrays, one row per sample; the parameters are those of ``Recording.from_arrays``."""
     if craft is not None and not NAME.fullmatch(craft):
         raise RecordingError([Fault("craft", craft, "a name of 1 to 32 of A-Z a-z 0-9 _ - is accepted")])
+    low, high = RANGE_NT
+    if range_nt is not None and not low <= range_nt <= high:
+        raise RecordingError([Fault("range_nt", range_nt, f"{low:g} to {high:g} nT is accepted")])
     time_ns, utc = _times(time)
     count = len(time_ns)
     field = _columns("B", B, count, 3)
@@ -79,7 +84,7 @@ def from_arrays(
         path=Path(ARRAYS),
         samples=Path(ARRAYS),
         time=TimeSpec("time", TimeFormat.UNIX_S if utc else TimeFormat.ELAPSED_S, None),
-        magnetometer=MagnetometerSpec((), noise_nt, unit=FieldUnit.NT),
+        magnetometer=MagnetometerSpec((), noise_nt, range_nt=range_nt, unit=FieldUnit.NT),
         reference=ConstantReference(float(np.nanmean(reference.magnitude_nt))),
         position=None,
         spin=spin,

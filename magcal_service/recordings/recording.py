@@ -107,6 +107,7 @@ class Recording:
         frame: str = "eci",
         position_ecef_km: npt.ArrayLike | None = None,
         noise_nt: float | None = None,
+        range_nt: float | None = None,
         spin_axis: str | tuple[float, float, float] = "z",
         spin_rpm: float | None = None,
         channels: Mapping[str, tuple[npt.ArrayLike, str]] | None = None,
@@ -123,6 +124,7 @@ class Recording:
         frame: axes of H, ``"eci"``, ``"ecef"`` or ``"ned"``.
         position_ecef_km: places (n, 3) [km], Earth-fixed axes.
         noise_nt: white noise of the sensor, 1 sigma per axis [nT]; None: estimated.
+        range_nt: full scale of each axis [nT]: rows that reach it are left out; None: looked for in the samples.
         spin_axis, spin_rpm: the spin where there is one: body axis, and rate about it [rpm].
         channels: telemetry by name: values (n,) or (n, k), and their unit (``units.CHANNEL_UNITS``).
         attitude: quaternions (n, 4), scalar first, that turn vectors of inertial axes into body axes.
@@ -139,6 +141,7 @@ class Recording:
             frame=frame,
             position_ecef_km=position_ecef_km,
             noise_nt=noise_nt,
+            range_nt=range_nt,
             spin_axis=spin_axis,
             spin_rpm=spin_rpm,
             channels=channels,

@@ -10,7 +10,7 @@ straight line means something.  Error of the interpolation: ``reference_track`` 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -50,6 +50,7 @@ from magcal_service.wire.messages import (
 )
 
 WIDEST_PERIODS: Final = 2.5  # bridges one missing sample, with room for jitter, and never two
+_STATED: Final = ("noise_nt", "range_nt")  # of a sensor, by the same names in a descriptor and a configuration
 _HELD: Final = frozenset({"dimensionless", "counts", "magnetic moment"})
 
 M = TypeVar("M", bound=Message)
@@ -251,12 +252,13 @@ def _settings(session: Session, source: str) -> CraftConfig | None:
 
 
 def _configuration(session: Session, descriptor: Descriptor | None) -> CraftConfig | None:
-    """The recorded configuration; a descriptor's noise and spin are the newer word."""
+    """The recorded configuration; a descriptor's noise, range and spin are the newer word."""
     craft = session.configuration
     if craft is None or descriptor is None:
         return craft
-    if descriptor.magnetometer.noise_nt is not None:
-        craft = replace(craft, sensor=replace(craft.sensor, noise_nt=descriptor.magnetometer.noise_nt))
+    stated = {name: getattr(descriptor.magnetometer, name) for name in _STATED}
+    newer = {name: value for name, value in stated.items() if value is not None}
+    craft = replace(craft, sensor=replace(craft.sensor, **newer))
     spin = descriptor.spin
     if spin is not None and spin.rate_rpm:
         craft = replace(craft, spin=replace(craft.spin or SpinConfig(), axis=spin.axis, rate_rpm=spin.rate_rpm))
@@ -273,9 +275,8 @@ def _descriptor(
     channels: Sequence[Channel],
 ) -> Descriptor:
     """The session described as any log is."""
-    noise_nt = given.magnetometer.noise_nt if given is not None else None
-    if noise_nt is None and craft is not None:
-        noise_nt = craft.sensor.noise_nt
+    words = [*([given.magnetometer] if given is not None else []), *([craft.sensor] if craft is not None else [])]
+    noise_nt, range_nt = (_first(getattr(word, name) for word in words) for name in _STATED)
     spin = given.spin if given is not None else None
     if spin is None and craft is not None and craft.spin is not None:
         spin = SpinSpec(craft.spin.axis, craft.spin.rate_rpm)
@@ -286,7 +287,7 @@ def _descriptor(
         path=path if given is None else given.path,
         samples=path,
         time=TimeSpec("timestamp", TimeFormat.UNIX_S if clock is Clock.UTC else TimeFormat.ELAPSED_S),
-        magnetometer=MagnetometerSpec(_columns("field_body_nt"), noise_nt, unit=FieldUnit.NT),
+        magnetometer=MagnetometerSpec(_columns("field_body_nt"), noise_nt, range_nt=range_nt, unit=FieldUnit.NT),
         reference=spec,
         position=None
         if position is None
@@ -294,6 +295,11 @@ def _descriptor(
         spin=spin,
         channels=tuple(channel.spec for channel in channels),
     )
+
+
+def _first(values: Iterable[float | None]) -> float | None:
+    """The first of some values that is stated."""
+    return next((value for value in values if value is not None), None)
 
 
 def _columns(name: str) -> tuple[str, str, str]:

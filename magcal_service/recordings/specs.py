@@ -10,7 +10,7 @@ from typing import Final
 
 from magcal_service.base.typed_toml.keys import choice, number, section, sections, special, text, texts
 from magcal_service.base.typed_toml.record import Reading, read_part, read_record
-from magcal_service.config.rules import RESERVED_SOURCE
+from magcal_service.config.rules import RANGE_NT, RESERVED_SOURCE
 from magcal_service.recordings.accepted import read_accepted
 from magcal_service.recordings.channels import ChannelSpec, read_channels
 from magcal_service.recordings.defects import Code
@@ -153,11 +153,13 @@ def _source(reading: Reading, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MagnetometerSpec(FieldCells):
-    """The measured vector's three columns, their unit, the noise [nT, 1 sigma per axis] and the source where stated."""
+    """The measured vector's three columns and their unit; where stated the noise [nT, 1 sigma per axis], the source and
+    the full scale of each axis [nT]."""
 
     columns: tuple[str, ...] = texts(3)
     noise_nt: float | None = number(None, 1e-3, MAX_FIELD_NT, unit="nT")
     source: str = special(_source, "")
+    range_nt: float | None = number(None, *RANGE_NT, unit="nT")
 
 
 _SHORTEST_AXIS = 1e-6

@@ -54,6 +54,8 @@ _LEAST_SLOPE: Final = 0.1
 """Growth of |B| along the axis, per growth of the component, below which the magnitude says nothing of it; choice: the
 field lies 84 deg off the axis, or the ellipsoid has collapsed on a short arc."""
 
+_ROUNDING: Final = 1e-9  # of a range; a value in another unit becomes nT more exactly
+
 _FEWEST_FITTED: Final = 100  # samples; ten numbers are fitted
 
 _REACH: Final = 3.0
@@ -86,13 +88,14 @@ class Stop:
         return self.rows | self.near
 
 
-def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
+def stops(field_nt: Array, magnitude_nt: Array, range_nt: float | None = None) -> tuple[Stop, ...]:
     """Every stop among samples, axis by axis.
 
     Parameters
     ----------
     field_nt: (n, 3) B as measured [nT], in the order of their times.
     magnitude_nt: (n,) |H| [nT]; NaN where it is not known.
+    range_nt: full scale of each axis as it is stated [nT]: whatever reaches it is at a stop; None: not stated.
 
     An end that comes five times as often as the values beside it is a stop.  On a lattice that is not much finer than
     the noise it may come less often; there the magnitude tells: at a stop the readings are short, by more than the
@@ -101,15 +104,17 @@ def stops(field_nt: Array, magnitude_nt: Array) -> tuple[Stop, ...]:
     its negative, is one, too: the axes of a sensor have one range.  So two ends at one value are stops by a count of
     three times the values beside them; both where the field's size changes.
     """
-    ends = [_end(field_nt, axis, side) for axis in range(3) for side in (1.0, -1.0)]
-    often = [one for one in ends if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
+    ends = [_end(field_nt, axis, side, range_nt) for axis in range(3) for side in (1.0, -1.0)]
+    stated = [one for one in ends if abs(one.at_nt) == range_nt]
+    unsaid = [one for one in ends if one not in stated]
+    often = [one for one in unsaid if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
     flown = _changes(magnitude_nt)
     times = {one: _oftener(field_nt, one) for one in often}
     flat = [one for one in often if times[one] > _SHARED]
-    found = [one for one in flat if times[one] > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))]
+    found = [one for one in flat if times[one] > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))] + stated
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
-    told = bool(often) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
+    told = bool(often or stated) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
         found += _short(samples, found, doubtful)
     found += [one for one in doubtful if flown and one not in found and _is_shared(one, found)]
@@ -158,9 +163,13 @@ def _short(samples: _Samples, stopped: list[Stop], ends: list[Stop]) -> list[Sto
     return found
 
 
-def _end(field_nt: Array, axis: int, side: float) -> Stop:
-    end = side * float((side * field_nt[:, axis]).max())
-    return Stop(axis, side, end, field_nt[:, axis] == end, np.zeros(len(field_nt), dtype=bool))
+def _end(field_nt: Array, axis: int, side: float, range_nt: float | None) -> Stop:
+    """The samples at the largest value of a side; where that reaches a stated range, all that do."""
+    outwards = side * field_nt[:, axis]
+    end, near = float(outwards.max()), np.zeros(len(field_nt), dtype=bool)
+    if range_nt is not None and end >= range_nt * (1.0 - _ROUNDING):
+        return Stop(axis, side, side * range_nt, outwards >= range_nt * (1.0 - _ROUNDING), near)
+    return Stop(axis, side, side * end, outwards == end, near)
 
 
 def _oftener(field_nt: Array, end: Stop) -> float:

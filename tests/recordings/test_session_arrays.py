@@ -196,12 +196,14 @@ def test_a_file_of_another_program_is_refused(tmp_path: Path) -> None:
         read_recording(path)
 
 
-def test_a_descriptors_noise_and_spin_go_before_those_recorded(tmp_path: Path) -> None:
+def test_a_descriptors_noise_range_and_spin_go_before_those_recorded(tmp_path: Path) -> None:
     record(tmp_path, stream(100))
     (file,) = tmp_path.glob("*.mcap")
-    text = f'version = 1\n[samples]\nfile = "{file.name}"\n[magnetometer]\nnoise_nt = 7.0\n'
+    text = f'version = 1\n[samples]\nfile = "{file.name}"\n[magnetometer]\nnoise_nt = 7.0\nrange_nt = 6e4\n'
     (tmp_path / "R.toml").write_text(f'{text}[spin]\naxis = "x"\nrate_rpm = 3.0\n')
-    got = craft_of(read_recording(tmp_path / "R.toml"))
+    recording = read_recording(tmp_path / "R.toml")
+    got = craft_of(recording)
+    assert recording.descriptor.magnetometer.range_nt == got.sensor.range_nt == 6e4
     assert (got.sensor.noise_nt, got.spin and got.spin.axis, got.spin and got.spin.rate_rpm) == (
         7.0,
         (1.0, 0.0, 0.0),

@@ -163,3 +163,27 @@ def test_a_turntable_that_holds_each_axis_up_has_no_stop() -> None:
     held = np.concatenate([np.roll(level, axis, axis=1) for axis in range(3)])
     field = rounded(held + np.random.default_rng(9081).normal(0.0, 30.0, held.shape), 150.0)
     assert where(field, np.full(len(field), float(np.hypot(20_000.0, 43_000.0)))) == []
+
+
+def test_what_reaches_a_stated_range_is_at_a_stop_however_seldom_it_is() -> None:
+    """On a lattice where the samples alone show no stop; with those near it, and up to whatever lies beyond."""
+    field, size = turning(92)
+    coarse = stopped(rounded(field, 600.0), 2, 33_600.0)
+    assert where(coarse, size) == []
+    (stop,) = stops(coarse, size, 33_600.0)[-1:]
+    assert (stop.axis, stop.at_nt) == (2, 33_600.0)
+    assert np.array_equal(stop.rows, coarse[:, 2] >= 33_600.0)
+    assert stop.near.any()
+    one = np.zeros((200, 3))
+    one[7, 1] = -50_100.0
+    (alone,) = stops(one, np.full(200, np.nan), 50_000.0)
+    assert (alone.axis, alone.at_nt, np.flatnonzero(alone.rows).tolist()) == (1, -50_000.0, [7])
+
+
+def test_a_stated_range_that_nothing_reaches_changes_nothing() -> None:
+    """Beside a stop below it, which the samples show."""
+    field, size = turning(93)
+    short = stopped(field, 0, 40_000.0)
+    (stop,), (stated,) = stops(short, size), stops(short, size, 60_000.0)
+    assert (stop.axis, stop.at_nt) == (stated.axis, stated.at_nt) == (0, 40_000.0)
+    assert np.array_equal(stop.spoiled, stated.spoiled)

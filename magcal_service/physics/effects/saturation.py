@@ -16,6 +16,9 @@ from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.view import View
 from magcal_service.samples.stops import stops
 
+_STATED_NATS: Final = 30.0
+"""What a stated range is worth: a reading at it is no guess, were it one.  More than ``odds`` counts (10^12 to 1)."""
+
 _KNEES: Final = np.linspace(0.5, 0.97, 12)
 
 
@@ -39,7 +42,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
 def _find(view: View) -> Finding | None:
     """Hard stops: they spoil the samples at them, and those that would be near them without their noise."""
-    found = stops(view.scene.field_nt, view.scene.magnitude_nt)
+    found = stops(view.scene.field_nt, view.scene.magnitude_nt, view.range_nt)
     if not found:
         return None
     clipped = np.any([one.rows for one in found], axis=0)
@@ -54,7 +57,8 @@ def _find(view: View) -> Finding | None:
     time_s = view.scene.time_s
     window = (float(time_s[rows[0]]), float(time_s[rows[-1]]))
     spoiled = np.any([one.spoiled for one in found], axis=0)
-    return Finding(parameters, nats=float(len(rows)), share=1.0, spoiled=spoiled, time_s=window)
+    nats = float(len(rows)) + (_STATED_NATS if any(abs(one.at_nt) == view.range_nt for one in found) else 0.0)
+    return Finding(parameters, nats=nats, share=1.0, spoiled=spoiled, time_s=window)
 
 
 EFFECT = Effect(

@@ -23,6 +23,7 @@ class View:
     noise_nt: white noise, 1 sigma per axis [nT].
     spin: attitude of a steady spin, None where there is none or the reference is no vector.
     alone: the turn about a known axis where there is no such attitude.
+    range_nt: full scale of each axis as the descriptor states it [nT].
     nominal_axis, nominal_rate_rad_s: as the descriptor states them.
     stated_noise_nt: noise as the descriptor states it.
     """
@@ -35,6 +36,7 @@ class View:
     nominal_rate_rad_s: float | None = None
     stated_noise_nt: float | None = None
     alone: Turn | None = None
+    range_nt: float | None = None
 
     @property
     def turn(self) -> Turn | None:

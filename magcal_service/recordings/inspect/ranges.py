@@ -13,7 +13,7 @@ from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.table import FloatArray
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 from magcal_service.samples.ellipsoid import fitted
-from magcal_service.samples.stops import stops
+from magcal_service.samples.stops import Stop, stops
 
 _AXES: Final = "xyz"
 _WORD: Final = 65_536.0
@@ -22,6 +22,9 @@ _WORD: Final = 65_536.0
 _SHORTEST_STUCK: Final = 60  # rows; as the daemon's watch over axes has it
 _OTHERS_MOVE: Final = 30.0
 """Times its own usual step that an axis would have moved, going by the others."""
+
+_BEYOND: Final = 1.1
+"""Times a stated range that readings may go to; choice: a factor for each axis, set by the factory, is within that."""
 
 _LONGEST_START: Final = 30  # rows; choice: half a minute at 1 Hz, settling and not physics
 _SHARE_OF_START: Final = 0.02  # choice: of the log; longer is no start
@@ -65,12 +68,36 @@ def _wrapped(column: FloatArray, width: float) -> NDArray[np.intp] | None:
 
 def saturated(log: Log) -> Iterator[Seen]:
     """An axis stops at the end of its range: the rows at the stop, and those that noise has kept from it."""
-    for stop in stops(log.field_nt, log.magnitude_nt):
-        at, near = int(np.count_nonzero(stop.rows)), int(np.count_nonzero(stop.near))
-        says = f"{rows_text(at)} of {len(log)} stop at {stop.at_nt:g} nT on {_AXES[stop.axis]}: the end of the range"
-        says += f"; {near} more would be at it or within its noise" if near else ""
-        remedy = "they are left out; choose a wider range of the sensor"
-        yield Seen(Code.SATURATED, True, log.rows[stop.spoiled], says, remedy, Spoils.SAMPLES)
+    range_nt = log.recording.descriptor.magnetometer.range_nt
+    found = stops(log.field_nt, log.magnitude_nt, range_nt)
+    stated = [one for one in found if abs(one.at_nt) == range_nt]
+    exceeded = next((one for one in stated if float(np.median(_outwards(log, one))) > _BEYOND * abs(one.at_nt)), None)
+    if exceeded is not None:
+        says = f"{_at(log, exceeded, 'reach')}, the end of the range that the descriptor states"
+        says += f", and most of them go beyond it, up to {exceeded.side * float(_outwards(log, exceeded).max()):g} nT"
+        yield Seen(Code.SATURATED, False, log.rows[exceeded.rows], says, "correct magnetometer.range_nt [nT]")
+    for stop in found:
+        if stop not in stated:
+            yield _left_out(log, stop, f"{_at(log, stop, 'stop at')}: the end of the range")
+        elif exceeded is None:
+            yield _left_out(log, stop, f"{_at(log, stop, 'reach')}: the end of the range that the descriptor states")
+
+
+def _outwards(log: Log, stop: Stop) -> FloatArray:
+    """Readings at a stop, positive outwards [nT]."""
+    return np.asarray(stop.side * log.field_nt[stop.rows, stop.axis])
+
+
+def _left_out(log: Log, stop: Stop, says: str) -> Seen:
+    near = int(np.count_nonzero(stop.near))
+    says += f"; {near} more would be at it or within its noise" if near else ""
+    remedy = "they are left out; choose a wider range of the sensor"
+    return Seen(Code.SATURATED, True, log.rows[stop.spoiled], says, remedy, Spoils.SAMPLES)
+
+
+def _at(log: Log, stop: Stop, verb: str) -> str:
+    at = int(np.count_nonzero(stop.rows))
+    return f"{rows_text(at)} of {len(log)} {verb} {stop.at_nt:g} nT on {_AXES[stop.axis]}"
 
 
 def stuck_axis(log: Log) -> Iterator[Seen]:
