@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
-from magcal_service.diagnosis.instants import has_other_course, jumps_instead, timed
+from magcal_service.diagnosis.instants import has_other_course, in_stages, jumps_instead, timed
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics, within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
@@ -312,7 +312,8 @@ class Search(Screen):
             for h in self.hypotheses
             if h is mine or h.label in self.close or (moves and h.moves_s is not None) or is_as_sudden(h, mine)
         ]
-        return self.screen(space, fit, sigma, sorted(others), close)
+        ranked = [*self.screen(space, fit, sigma, sorted(others), close), *in_stages(self, fit, index, space, sigma)]
+        return sorted(ranked, key=lambda candidate: -candidate.nats)
 
     def compared(self, fit: Fit, floor_nt: float, given_up: frozenset[str] = frozenset()) -> Explained:
         """A fit with the rivals of each of its terms, as far as their differences stand out of the blocks' scatter.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import exchanged, solve
@@ -26,6 +27,7 @@ _FIRST: Final = 0.05
 """Share of the recording by which an instant is first moved to either side; a choice."""
 
 _LAST: Final = 0.01  # of the same: nearer the linear search tells instants apart by itself
+_LOOKS: Final = 3  # at each of two jumps in turn; choice: each look finds one beside the other, and two agree as a rule
 _MOST_STEPS: Final = 12  # solutions, from where one of the first steps was better
 
 
@@ -63,6 +65,42 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
     return fit
 
 
+def in_stages(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: float) -> list[Candidate]:
+    """Two jumps in place of a term that is a change over a while, to first order; none where it is none.
+
+    Two that follow one another soon are an even change to a sensor of some noise, and each is drawn out by the other:
+    no form of several instants is proposed for them.
+
+    Parameters
+    ----------
+    search: whose forms and noise they are.
+    fit: with the term; ``index``: its number; ``space``: the residual as if it had never been fitted.
+    sigma_nt: noise that evidence is counted in [nT].
+    """
+    jumps = fit.terms[index].hypothesis.at_once
+    forms = [form for form in search.hypotheses if jumps and form.effect == jumps]
+    single = [form for form in forms if _is_of(form, 1)]
+    pair = [form for form in forms if _is_of(form, 2)]
+    if not single or not pair or any(term.hypothesis.effect == jumps for term in fit.terms):
+        return []
+    found, beside = search.screen(space, fit, sigma_nt, among=single), []
+    for _ in range(_LOOKS):
+        if not found:
+            return []
+        first = found[0]
+        alone = exchanged(fit.problem, fit, index, Term(single[0], first.theta, first.gain.amplitudes))
+        found = search.screen(search.workspace(alone), alone, sigma_nt, among=single)
+        beside = [float(first.theta[0]), *(float(one.theta[0]) for one in found[:1])]
+    theta = np.unique(beside)
+    return search.at(pair[0], theta, space, fit, sigma_nt) if len(theta) == 2 else []
+
+
+def _is_of(form: Hypothesis, count: int) -> bool:
+    """Whether a form has so many instants, each with a vector of its own."""
+    shape = (3,) if count == 1 else (count, 3)
+    return _count(form) == count and [block.shape for block in form.blocks] == [shape]
+
+
 def jumps_instead(search: Screen, fit: Fit, floor_nt: float) -> Fit:
     """A fit whose change over a while stands beside jumps of the same kind, with one jump more in place of both.
 
@@ -82,11 +120,11 @@ def jumps_instead(search: Screen, fit: Fit, floor_nt: float) -> Fit:
         forms = [form for form in search.hypotheses if form.effect == jumps]
         without = solve(search.problem, fit.x, [other for other in fit.terms if other is not term])
         space, sigma = search.workspace(without), max(without.white_rms_nt, floor_nt)
-        single = [form for form in forms if [block.shape for block in form.blocks] == [(3,)] and _count(form) == 1]
+        single = [form for form in forms if _is_of(form, 1)]
         for one in search.screen(space, without, sigma, among=single)[:1]:
             theta = np.sort(np.concatenate([beside.theta, one.theta]))
             rest = [other for other in fit.terms if other is not term and other is not beside]
-            each = [form for form in forms if _count(form) == len(theta) and form.blocks[0].shape == (len(theta), 3)]
+            each = [form for form in forms if _is_of(form, len(theta))]
             terms = [Term(form, theta, np.zeros(form.size)) for form in each]
             trials = [solve(search.problem, fit.x, [*rest, two]) for two in terms]
             return _better(fit, [trial for trial in trials if all_within_physics(trial)])

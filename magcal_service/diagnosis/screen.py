@@ -196,11 +196,10 @@ class Screen:
         afresh: bool,
     ) -> Candidate | None:
         """The best of a hypothesis' grid or proposals; not ``afresh``, of what it was at its best with before."""
-        cost = math.log(self._forms[hypothesis.effect]) + hypothesis.odds
         grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
         if any(len(grid) == 0 for grid in grids) or LEAST_LEFT * hypothesis.least_nt > fit.rms_nt:
             return None
-        cost += sum(search_cost(number, self.problem) for number in hypothesis.nonlinear)
+        cost = self._cost(hypothesis)
         if grids and hypothesis.nonlinear[0].role == "instant" and hypothesis.proposals is None:
             found = self._instant(hypothesis, space, fit, sigma_nt)
             return None if found is None else Candidate(hypothesis, *found, found[1].nats - cost)
@@ -212,6 +211,16 @@ class Screen:
         if best is not None and afresh and hypothesis.nonlinear and hypothesis.nonlinear[0].role in _CHANGES:
             self._keep(hypothesis, best[0])
         return None if best is None else Candidate(hypothesis, *best, best[1].nats - cost)
+
+    def _cost(self, hypothesis: Hypothesis) -> float:
+        """Nats that choosing a form and its nonlinear numbers costs, and what odds there are against it."""
+        searched = sum(search_cost(number, self.problem) for number in hypothesis.nonlinear)
+        return math.log(self._forms[hypothesis.effect]) + hypothesis.odds + searched
+
+    def at(self, hypothesis: Hypothesis, theta: Array, space: Workspace, fit: Fit, sigma_nt: float) -> list[Candidate]:
+        """A hypothesis at given nonlinear numbers, whoever found them; none where the residual does not see it."""
+        gain = self._gain(hypothesis, theta, space, fit, sigma_nt)
+        return [] if gain is None else [Candidate(hypothesis, theta, gain, gain.nats - self._cost(hypothesis))]
 
     def _trials(
         self, hypothesis: Hypothesis, grids: Sequence[Array], space: Workspace, fit: Fit, afresh: bool

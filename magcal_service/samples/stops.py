@@ -43,6 +43,13 @@ _SURE: Final = 5.0
 """Standard errors that more is missing at the end than the levels beside it foretell; an end without a stop is long,
 for noise that points outwards leads there."""
 
+_OFTEN: Final = 2.0
+"""Factor by which an end comes more often than those beside it, to which a lattice's noise leaves none: it thins out
+towards the end.  Noise that is small beside the lattice's steps does not."""
+
+_SURE_IF_OFTEN: Final = 3.0
+"""Standard errors that are enough at an end that comes so often; choice: the two are independent of one another."""
+
 _MORE: Final = 0.1
 """Steps of the lattice by which more is missing at the end; choice: a bend that takes two fifths of the field's growth
 is foretold to that."""
@@ -116,7 +123,7 @@ def stops(field_nt: Array, magnitude_nt: Array, range_nt: float | None = None) -
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
     told = bool(often or stated) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
-        found += _short(samples, found, doubtful)
+        found += _short(samples, found, {one: times[one] for one in doubtful})
     found += [one for one in doubtful if flown and one not in found and _is_shared(one, found)]
     if not told or not found:
         return tuple(one for one in ends if one in found)
@@ -147,15 +154,17 @@ def _without_near(samples: _Samples, found: list[Stop]) -> _Samples:
     return samples
 
 
-def _short(samples: _Samples, stopped: list[Stop], ends: list[Stop]) -> list[Stop]:
-    """Of ends those that lack something, the surest first: what its samples lack is missing at no other end."""
+def _short(samples: _Samples, stopped: list[Stop], ends: dict[Stop, float]) -> list[Stop]:
+    """Of ends, and how much oftener they come than the values beside them, those that lack something, the surest first:
+    what its samples lack is missing at no other end."""
     found: list[Stop] = []
     while len(found) < len(ends):
         sound = samples.known.copy()
         for one in (*stopped, *found):
             sound &= ~one.rows
         excess, surest = max(
-            ((samples.excess(one, sound), one) for one in ends if one not in found), key=lambda pair: pair[0]
+            ((samples.excess(one, sound, times), one) for one, times in ends.items() if one not in found),
+            key=lambda pair: pair[0],
         )
         if excess < 1.0:
             break
@@ -244,8 +253,9 @@ class _Samples:
         clean = self.field_nt[:, axis] - self.residual_nt * radial
         return np.asarray(self.known & (stop.side * (clean - stop.at_nt) > -_REACH * self.noise_nt))
 
-    def excess(self, end: Stop, sound: NDArray[np.bool_]) -> float:
-        """What is missing at an end beyond what the levels beside it foretell, over what makes it a stop."""
+    def excess(self, end: Stop, sound: NDArray[np.bool_], times: float) -> float:
+        """What is missing at an end beyond what the levels beside it foretell, over what makes it a stop; ``times``: as
+        often as any of those it comes."""
         inside = np.abs(self.field_nt[:, end.axis] - end.at_nt)
         levels = np.unique(inside)[: _COURSE + 1]
         if len(levels) <= _COURSE:
@@ -256,16 +266,18 @@ class _Samples:
             return 0.0
         here, sigma = at_end
         foretold, uncertain, rough = _foretold(np.array(beside))
-        least = self._rounded(float(np.diff(levels).min()))
-        return (here - foretold) / max(least, _SURE * rough * math.hypot(sigma, uncertain))
+        step_nt = float(np.diff(levels).min())
+        sure = _SURE_IF_OFTEN if times > _OFTEN and self._undithered(step_nt) < _MORE else _SURE
+        return (here - foretold) / max(self._rounded(step_nt), sure * rough * math.hypot(sigma, uncertain))
 
     def _rounded(self, step_nt: float) -> float:
-        """What may be missing in the mean of many readings on a lattice that stop nowhere [nT].
+        """What may be missing in the mean of many readings on a lattice that stop nowhere [nT]."""
+        return step_nt * (_MORE + _ROUNDED * self._undithered(step_nt))
 
-        Noise leaves exp(-2 pi^2 sigma^2 / q^2) of the rounding's mean (Widrow & Kollar 2008).
-        """
+    def _undithered(self, step_nt: float) -> float:
+        """What noise leaves of the rounding's mean: exp(-2 pi^2 sigma^2 / q^2) (Widrow & Kollar 2008)."""
         noise = max(self.noise_nt**2 - step_nt**2 / 12.0, 0.0)
-        return step_nt * (_MORE + _ROUNDED * math.exp(-2.0 * math.pi**2 * noise / step_nt**2))
+        return math.exp(-2.0 * math.pi**2 * noise / step_nt**2)
 
     def _missing(self, end: Stop, rows: NDArray[np.intp]) -> tuple[float, float] | None:
         """What is missing along the axis in some rows, outwards, in the mean, and 1 sigma of it [nT].

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.instants import jumps_instead
+from magcal_service.diagnosis.instants import in_stages, jumps_instead
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
-from magcal_service.model import measure
+from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -47,3 +47,42 @@ def test_a_slow_change_beside_a_jump_gives_way_to_a_second_jump() -> None:
 def test_a_change_that_takes_a_while_stays_beside_a_jump() -> None:
     search, fit = found(900.0)
     assert jumps_instead(search, fit, 0.3 * NOISE_NT) is fit
+
+
+def alone(field: Array) -> tuple[Search, Fit]:
+    """A change of the bias (n, 3) [nT], fitted as one that is even over 1200 s."""
+    of = scene()
+    noise = np.random.default_rng(9062).normal(0.0, NOISE_NT, (len(of), 3))
+    problem = Problem(spoiled(measure(X, of.calibrated_nt + field + noise), of), NOISE_NT)
+    effects = (effect_named("bias_drift"), effect_named("bias_step"))
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    ramp = next(h for h in search.hypotheses if (h.effect, h.variant) == ("bias_drift", "over a while"))
+    term = Term(ramp, np.array([SECOND_S - 600.0, SECOND_S + 600.0]), SECOND_NT)
+    return search, search.refreshed(solve(problem, X, [term]))
+
+
+def names(search: Search, fit: Fit) -> list[str]:
+    """Forms in the term's place, best first, those within three nats of it only."""
+    found = search.compared(fit, 0.3 * NOISE_NT)
+    return [one.hypothesis.label for one in found.rivals[0] if one.nats > found.own_nats(0) - 3.0]
+
+
+def test_two_jumps_that_follow_one_another_are_not_an_even_change_alone() -> None:
+    """By a third of a microtesla each, ten minutes apart: the even change between them holds about as much."""
+    time_s = scene().time_s
+    reached = np.mean([time_s >= SECOND_S - 300.0, time_s >= SECOND_S + 300.0], axis=0)
+    search, fit = alone(np.outer(reached, SECOND_NT))
+    assert "bias_step[steps at 2 instants]" in names(search, fit)
+
+
+def test_an_even_change_is_no_two_jumps() -> None:
+    search, fit = alone(np.outer(np.clip((scene().time_s - SECOND_S) / 1200.0 + 0.5, 0.0, 1.0), SECOND_NT))
+    assert names(search, fit) == ["bias_drift[over a while]"]
+
+
+def test_two_jumps_in_place_of_a_change_are_where_they_happened() -> None:
+    time_s = scene().time_s
+    field = np.outer(time_s >= FIRST_S, FIRST_NT) + np.outer(time_s >= SECOND_S, SECOND_NT)
+    search, fit = alone(field)
+    (pair,) = in_stages(search, fit, 0, search.workspace(fit, 0), fit.white_rms_nt)
+    assert pair.theta == pytest.approx([FIRST_S, SECOND_S], abs=12.0)

@@ -11,6 +11,7 @@ from magcal_service.samples.stops import stops
 X = np.array([4000.0, -2500.0, 1200.0, 0.03, -0.05, 0.02, 0.01, -0.02, 0.015])
 SIGMA_NT = 200.0
 COUNT = 6000
+SHALLOW_NT = 44_400.0
 
 
 def turning(seed: int, sigma_nt: float = SIGMA_NT) -> tuple[Array, Array]:
@@ -47,6 +48,17 @@ def test_a_stop_on_a_lattice_is_found_by_what_is_missing(axis: int, at_nt: float
     counts = np.unique(np.abs(field[:, axis] - at_nt), return_counts=True)[1]
     assert counts[0] < 5.0 * counts[1:6].max()
     assert where(field, size) == [(axis, at_nt)]
+
+
+def test_a_shallow_stop_shows_by_its_count_and_what_is_missing_together() -> None:
+    """Neither by itself: few samples reach it, and come less than three times as often as those beside them."""
+    field, size = turning(56)
+    coarse = rounded(field, 300.0)
+    field = stopped(coarse, 0, SHALLOW_NT)
+    counts = np.unique(np.abs(field[:, 0] - SHALLOW_NT), return_counts=True)[1]
+    assert 2.0 * counts[1:6].max() < counts[0] < 3.0 * counts[1:6].max()
+    assert where(field, size) == [(0, SHALLOW_NT)]
+    assert where(coarse, size) == []
 
 
 def test_without_magnitudes_only_the_count_shows_a_stop() -> None:
