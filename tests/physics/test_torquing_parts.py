@@ -237,3 +237,15 @@ def test_dumping_is_proposed_first_at_its_interval_with_every_hold(step: int, sl
     assert np.ptp(best[:, :3], axis=0) == pytest.approx(0.0)
     assert best[0, :3] == pytest.approx(numbers[:3])
     assert len(set(found[:, 0].tolist())) == 6
+
+
+def test_intervals_without_samples_take_no_place_among_the_sums() -> None:
+    """Two passes four days apart: every sample is in one interval, and none of the 17 000 between them is kept."""
+    times = np.concatenate([100.0 + TIME_S, 350_000.0 + TIME_S])
+    cuts = torquing._cuts(times, 20.0)
+    assert len(cuts) == 60 + 60
+    assert cuts[0, 0] == 0
+    assert cuts[-1, -1] == len(times)
+    assert (cuts[1:, 0] == cuts[:-1, -1]).all()
+    interval = np.repeat(np.arange(len(cuts)), cuts[:, -1] - cuts[:, 0])
+    assert np.floor(times / 20.0) == pytest.approx(np.floor(times[cuts[interval, 0]] / 20.0))

@@ -314,11 +314,14 @@ def _dumping_tried(scene: Scene, periods: Array, holds: Array, middle_s: float, 
 
 
 def _cuts(times_s: Array, period_s: float) -> NDArray[np.intp]:
-    """Where the slots of each interval begin, and the last ends, among rising times (g,): (intervals, slots + 1)."""
-    first, last = np.floor(times_s[[0, -1]] / period_s)
-    begin = np.arange(first, last + 1.0)[:, None] * period_s
-    found: NDArray[np.intp] = np.searchsorted(times_s, begin + np.arange(_SLOTS + 1) / _SLOTS * period_s)
-    return found
+    """Where the slots of each interval begin, and the last ends, among rising times (g,): (intervals, slots + 1).
+
+    Intervals without any of the times are left out: between passes days apart nearly all are.
+    """
+    number = np.floor(times_s / period_s)
+    begin = np.unique(np.concatenate([number, number + 1.0])) * period_s  # the next, where a quotient was rounded down
+    found: NDArray[np.intp] = np.searchsorted(times_s, begin[:, None] + np.arange(_SLOTS + 1) / _SLOTS * period_s)
+    return found[found[:, -1] > found[:, 0]]
 
 
 def _intervals(span_s: float) -> Array:
