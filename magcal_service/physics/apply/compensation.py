@@ -44,6 +44,9 @@ from magcal_service.wire.messages import (
 _WARM: Final = 3.0
 """Time constants after which a temperature that began unknown is known to 5 %."""
 
+_AXIS_LATER: Final = 1.02
+"""Times as many samples before the spin axis in space is worked out again.  Choice: two percent more hardly move it."""
+
 _ABSURD_NT: Final = 1e100
 """No disturbance reaches it; its products still fit a double."""
 
@@ -75,6 +78,8 @@ class CompensationMemory:
     _start_covariance: Array
     _start_fields: Array
     _axis_sums: Array
+    _axis: Array | None
+    _axis_due: float
     _decay: Array
     _mean_decay: Array
     _decays: int
@@ -111,6 +116,7 @@ class Compensation(Stateful, CompensationMemory):
         self._decay, self._mean_decay, self._decays = np.ones(count), np.ones(count), 0
         self._start_known = self._start_free = False
         self._axis_sums = no_axis_sums()
+        self._axis, self._axis_due = None, 0.0
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -344,7 +350,10 @@ class Compensation(Stateful, CompensationMemory):
             return None
         along = float(calibrated @ np.array(spin.axis_body)) / size
         self._axis_sums = axis_sums_with(self._axis_sums, np.array(reference) / size, along)
-        return axis_of(self._axis_sums)
+        count = float(self._axis_sums[4, 4])
+        if count >= self._axis_due:
+            self._axis, self._axis_due = axis_of(self._axis_sums), _AXIS_LATER * count
+        return self._axis
 
     def _grown(self, sample: ReferenceSample) -> ReferenceSample:
         """The reference brought to the magnitude that acts; computed once a second, held in between."""
