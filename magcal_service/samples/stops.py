@@ -20,6 +20,16 @@ _FEWEST: Final = 8
 _BESIDE: Final = 5
 """Values beside the end that its count is compared with; an axis with fewer stays within the steps of its lattice."""
 
+_FEWEST_ALIKE: Final = 3
+"""Different samples with one value at the end, on a lattice so fine that none would come twice; choice: two may be a
+sample that was sent again."""
+
+_BY_CHANCE: Final = 1e-6
+"""Probability of so many by chance, below which they are a stop: of a hundred thousand recordings one."""
+
+_NEXT: Final = 30
+"""Samples beside the end whose distances tell how often a level of the lattice comes there; choice: to a fifth."""
+
 _FLAT_TO_NEXT: Final = 5.0
 """Factor by which the largest value has to repeat more often than any of those beside it.
 
@@ -104,24 +114,27 @@ def stops(field_nt: Array, magnitude_nt: Array, range_nt: float | None = None) -
     magnitude_nt: (n,) |H| [nT]; NaN where it is not known.
     range_nt: full scale of each axis as it is stated [nT]: whatever reaches it is at a stop; None: not stated.
 
-    An end that comes five times as often as the values beside it is a stop.  On a lattice that is not much finer than
-    the noise it may come less often; there the magnitude tells: at a stop the readings are short, by more than the
-    levels beside it foretell.  It tells nothing of an axis that lies across the field, and little of one that is
-    clipped by less than two steps of its lattice.  An end that comes eight times at the value of another's stop, or at
-    its negative, is one, too: the axes of a sensor have one range.  So two ends at one value are stops by a count of
-    three times the values beside them; both where the field's size changes.
+    An end that comes five times as often as the values beside it is a stop, and so is one that comes three times where
+    each value comes once.  On a lattice that is not much finer than the noise it may come less often; there the
+    magnitude tells: at a stop the readings are short, by more than the levels beside it foretell.  It tells nothing of
+    an axis that lies across the field, and little of one that is clipped by less than two steps of its lattice.  An end
+    that comes eight times at the value of another's stop, or at its negative, is one, too: the axes of a sensor have
+    one range.  So two ends at one value are stops by a count of three times the values beside them; both where the
+    field's size changes.
     """
     ends = [_end(field_nt, axis, side, range_nt) for axis in range(3) for side in (1.0, -1.0)]
     stated = [one for one in ends if abs(one.at_nt) == range_nt]
     unsaid = [one for one in ends if one not in stated]
+    seldom = [one for one in unsaid if _is_seldom(field_nt, one)]
     often = [one for one in unsaid if np.count_nonzero(one.rows) >= _FEWEST and not one.rows.all()]
     flown = _changes(magnitude_nt)
     times = {one: _oftener(field_nt, one) for one in often}
     flat = [one for one in often if times[one] > _SHARED]
-    found = [one for one in flat if times[one] > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))] + stated
+    found = [one for one in flat if times[one] > _FLAT_TO_NEXT or (flown and _is_shared(one, flat))]
+    found += [*stated, *(one for one in seldom if one not in found)]
     doubtful = [one for one in often if one not in found]
     samples = _Samples(field_nt, magnitude_nt, ~np.any([one.rows for one in ends], axis=0))
-    told = bool(often or stated) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
+    told = bool(often or found) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
         found += _short(samples, found, {one: times[one] for one in doubtful})
     found += [one for one in doubtful if flown and one not in found and _is_shared(one, found)]
@@ -185,6 +198,19 @@ def _oftener(field_nt: Array, end: Stop) -> float:
     """How many times as often it comes as any of the values beside it; 0 where there are few."""
     _, counts = np.unique(np.abs(field_nt[~end.rows, end.axis] - end.at_nt), return_counts=True)
     return float(np.count_nonzero(end.rows) / counts[:_BESIDE].max()) if len(counts) >= _BESIDE else 0.0
+
+
+def _is_seldom(field_nt: Array, end: Stop) -> bool:
+    """Whether its value would hardly come so often by chance, on a lattice of many more levels than samples there."""
+    others = ~end.rows
+    alike = len(np.unique(field_nt[end.rows], axis=0))
+    inside = np.sort(np.abs(field_nt[others, end.axis] - end.at_nt))[:_NEXT]
+    if alike < _FEWEST_ALIKE or len(inside) < _NEXT or len(np.unique(inside)) < _NEXT:
+        return False
+    step_nt = float(np.diff(np.unique(field_nt[:, end.axis])).min())
+    expected = _NEXT * step_nt / float(inside[-1])
+    # of the first sample there nothing is said: it makes the end; Poisson's tail by its first term
+    return (alike - 1) * math.log(max(expected, 1e-300)) - math.lgamma(alike) < math.log(_BY_CHANCE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,6 +61,20 @@ def test_a_shallow_stop_shows_by_its_count_and_what_is_missing_together() -> Non
     assert where(coarse, size) == []
 
 
+def test_a_value_that_comes_thrice_where_each_comes_once_is_a_stop() -> None:
+    """By no magnitude.  Two are none, nor is one sample sent three times, nor what comes so on a coarser lattice."""
+    field, _ = turning(57)
+    nowhere, fine = np.full(COUNT, np.nan), rounded(field, 0.01)
+    third = float(np.sort(fine[:, 1])[-3])
+    assert where(stopped(fine, 1, third), nowhere) == [(1, third)]
+    assert where(stopped(fine, 1, float(np.sort(fine[:, 1])[-2])), nowhere) == []
+    held = fine.copy()
+    top = int(np.argmax(fine[:, 1]))
+    held[top : top + 3] = held[top]
+    assert where(held, nowhere) == []
+    assert where(rounded(stopped(fine, 1, third), 100.0), nowhere) == []
+
+
 def test_without_magnitudes_only_the_count_shows_a_stop() -> None:
     """None is found where the end comes too seldom for it, and one is where it comes often."""
     field, size = turning(51)
