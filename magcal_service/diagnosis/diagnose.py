@@ -312,6 +312,7 @@ def _simulation(prepared: Prepared, given: Array | None) -> tuple[Array, Array]:
         field_nt=scene.field_nt[:half],
         calibrated_nt=scene.calibrated_nt[:half],
         clean_field_nt=scene.clean_field_nt[:half],
+        undisturbed_nt=None,
         magnitude_nt=scene.magnitude_nt[:half],
         reference_eci_nt=None,
         position_ecef_km=None,

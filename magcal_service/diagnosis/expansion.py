@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term, disturbances
-from magcal_service.model import STATE_SIZE, Array, measure
+from magcal_service.model import STATE_SIZE, measure
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.vectors import Vectors
 
 
-def clean_vectors(fit: Fit) -> tuple[Array, Array, Array]:
-    """Vectors (n, 3) that a fit has calibrated, free of radial noise, those measured that would give them, and how far
-    along its course it moves the reference (n,) [s]."""
+def clean_vectors(fit: Fit) -> Vectors:
+    """The vectors of a fit."""
     scene = fit.problem.scene
     body, magnitude = disturbances(fit.terms, scene)
     aimed = fit.problem.is_vector
@@ -22,7 +22,8 @@ def clean_vectors(fit: Fit) -> tuple[Array, Array, Array]:
     for term in fit.terms:
         if term.hypothesis.moves_s is not None:
             moved_s += term.hypothesis.moves_s(term.amplitudes)
-    return clean, measure(fit.x[:STATE_SIZE], clean + body), moved_s
+    x = fit.x[:STATE_SIZE]
+    return Vectors(clean, measure(x, clean + body), moved_s, measure(x, clean))
 
 
 def anew(term: Term, hypothesis: Hypothesis) -> Term:

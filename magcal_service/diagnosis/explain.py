@@ -26,6 +26,7 @@ from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.diagnosis.sudden import slower
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.vectors import Vectors
 
 HELD_OUT_SHARE: Final = 0.3
 """Of the drop in squares inside, at least so much has to be seen on blocks that took no part."""
@@ -164,13 +165,11 @@ class Search(Screen):
         then hold the radial noise that they were freed of one by one.
         """
         for _ in range(_MOST_REFRESHED):
-            clean, measured, moved_s = self.clean(fit)
-            scene = self.problem.scene
-            further_s = moved_s if scene.moved_s is None else moved_s - scene.moved_s
-            moved_nt2 = float(
-                np.mean((clean - scene.calibrated_nt) ** 2 + (further_s * scene.magnitude_slope)[:, None] ** 2)
-            )
-            problem = replace(self.problem, scene=scene.recalibrated(clean, measured, moved_s))
+            found, scene = self.clean(fit), self.problem.scene
+            further_s = _moved(found.moved_s) - _moved(scene.moved_s)
+            moved_nt = found.calibrated_nt - scene.calibrated_nt
+            moved_nt2 = float(np.mean(moved_nt**2 + (further_s * scene.magnitude_slope)[:, None] ** 2))
+            problem = replace(self.problem, scene=scene.recalibrated(found))
             self.look_at(problem, ())  # forms and columns of the vectors before go before there are new ones
             self.look_at(problem, self.forms(problem))
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
@@ -183,7 +182,7 @@ class Search(Screen):
         """Every hypothesis of the catalogue on a problem."""
         return hypotheses_of(self.effects, problem)
 
-    def clean(self, fit: Fit) -> tuple[Array, Array, Array]:
+    def clean(self, fit: Fit) -> Vectors:
         """As ``clean_vectors``."""
         return clean_vectors(fit)
 
@@ -388,6 +387,10 @@ class Search(Screen):
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
+
+
+def _moved(moved_s: Array | None) -> Array:
+    return np.zeros(1) if moved_s is None else moved_s
 
 
 def held_out(fit: Fit) -> float:

@@ -75,6 +75,7 @@ def continued(scene: Scene, turn: Turn, x: Array) -> Scene:
         field_nt=measure(x[:9], body),
         calibrated_nt=body,
         clean_field_nt=np.concatenate([scene.clean_field_nt, measure(x[:9], turned)]),
+        undisturbed_nt=measure(x[:9], body),
         magnitude_nt=np.tile(scene.magnitude_nt, 2),
         reference_eci_nt=None if scene.reference_eci_nt is None else np.tile(scene.reference_eci_nt, (2, 1)),
         position_ecef_km=_places(scene, later),

@@ -24,6 +24,7 @@ from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin, turn_alone
+from magcal_service.physics.scene.vectors import Vectors
 from magcal_service.physics.scene.view import View
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
@@ -224,7 +225,7 @@ def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float],
 def _quiet(fit: Fit) -> Fit:
     """The same fit on a scene whose vectors are the reference's or the room's, as the fit turns them, free of noise."""
     clean = fit.problem.target(fit.x)
-    scene = fit.problem.scene.recalibrated(clean, measure(fit.x[:STATE_SIZE], clean))
+    scene = fit.problem.scene.recalibrated(Vectors(clean, measure(fit.x[:STATE_SIZE], clean)))
     return solve(replace(fit.problem, scene=scene), fit.x)
 
 

@@ -271,6 +271,7 @@ class Effect:
     derived: further parameters computed from those that were fitted.
     absorbed: what of it the nine errors absorb; empty where nothing.
     not_live: drivers and forms that no single moment determines, so that they are not compensated live.
+    bends: it acts on the field as it would be without it: live, on what a first look at it leaves.
     needs_rate: live, it needs the craft's rate.
     in_orbit_only: it does not occur anywhere else.
     switched: what one switches off to make it go away, with its article; empty where nobody can.
@@ -296,6 +297,7 @@ class Effect:
     derived: Callable[[Values], Values] = lambda _: {}
     absorbed: str = ""
     not_live: tuple[str, ...] = ()
+    bends: bool = False
     needs_rate: bool = False
     in_orbit_only: bool = False
     switched: str = ""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_service.model import Array
-from magcal_service.physics.apply.forward import at_origin, bind, followed
+from magcal_service.physics.apply.forward import at_origin, bind, followed, less
 from magcal_service.physics.apply.model_file import PhysicsModel
+from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.scene.scene import Scene
 
 
@@ -26,6 +27,8 @@ def effects_on(scene: Scene, model: PhysicsModel) -> tuple[Array, Array]:
     placed = at_origin(scene, model)
     for term in model.terms:
         field, growth = bind(term, placed).disturbance()
+        if effect_named(term.effect).bends:
+            field, growth = bind(term, less(placed, field, model.x)).disturbance()
         body += field
         magnitude += growth
     for curve in model.empirical:

@@ -12,7 +12,7 @@ import pytest
 
 from magcal_service.daemon.commands import Commander
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.model import Array, d_matrix
+from magcal_service.model import Array, calibrate, d_matrix
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.live_drivers import stale_after_s
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel, text_of
@@ -326,3 +326,18 @@ def test_a_channel_that_sends_fewer_values_than_the_model_has_coils_costs_the_ef
     wanted = scene.field_nt[0] - np.linalg.solve(np.eye(3) + d_matrix(X), [10.0, 0.0, 0.0])
     assert compensation.correct(sample).field_body_nt == pytest.approx(wanted, abs=1e-6)
     assert compensation.missing == ("torquer",)
+
+
+@pytest.mark.parametrize("variant", ["", "of the field alone"])
+def test_a_cube_is_taken_off_as_one_of_the_field_without_it(variant: str) -> None:
+    """Of the measured field's it would be too much or too little, by 3 d / |B|: 5 % here."""
+    scene, per_nt2 = flight(), np.array([1.5e-11, -1.5e-11, 1.5e-11])
+    cube = ModelTerm("cubic_response", "none", variant, {"per_nt2": per_nt2})
+    compensation = Compensation(model_of(cube, origin_ns=scene.origin_ns, x=X))
+    clean = np.array([30_000.0, -25_000.0, 40_000.0])
+    bent = (calibrate(X, clean[None])[0] if variant else clean) ** 3
+    added = np.linalg.solve(np.eye(3) + d_matrix(X), per_nt2 * bent)
+    sample = MagnetometerSample(**common(0), field_body_nt=triple(clean + added))  # type: ignore[arg-type]
+    left = np.array(compensation.correct(sample).field_body_nt) - clean
+    assert np.linalg.norm(added) > 700.0
+    assert np.linalg.norm(left) < 0.01 * np.linalg.norm(added)

@@ -17,6 +17,7 @@ from magcal_service.physics import effects
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear, Values, value_of
+from magcal_service.physics.scene.vectors import Vectors
 from tests.physics.scenes import NOISE_NT, X, arrays, scene, some_numbers, view
 
 NAMES = (
@@ -311,6 +312,6 @@ def test_what_is_worked_out_once_belongs_to_one_recording() -> None:
     """It stays with the scene when that is calibrated anew, and goes when anything else is replaced."""
     first = replace(scene())
     assert first.once("answer", lambda: 42) == 42
-    again = first.recalibrated(first.calibrated_nt, first.clean_field_nt)
+    again = first.recalibrated(Vectors(first.calibrated_nt, first.clean_field_nt))
     assert again.once("answer", lambda: 0) == 42
     assert replace(first, magnitude_nt=2.0 * first.magnitude_nt).once("answer", lambda: 0) == 0

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import KEPT, Scene, Warmed
+from magcal_service.physics.scene.vectors import Vectors, undisturbed
 
 _BETWEEN_S: Final = 3600.0
 """Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
@@ -40,6 +41,7 @@ class JointScene(Scene):
             field_nt=np.concatenate([part.field_nt for part in parts]),
             calibrated_nt=np.concatenate([part.calibrated_nt for part in parts]),
             clean_field_nt=np.concatenate([part.clean_field_nt for part in parts]),
+            undisturbed_nt=np.concatenate([undisturbed(part) for part in parts]),
             magnitude_nt=np.concatenate([part.magnitude_nt for part in parts]),
             moved_s=np.concatenate([np.zeros(len(part)) if part.moved_s is None else part.moved_s for part in parts]),
             in_orbit=all(part.in_orbit for part in parts),
@@ -52,12 +54,11 @@ class JointScene(Scene):
         number = max(int(np.searchsorted(shifts, at_s, side="right")) - 1, 0)
         return self.parts[number].time_s + shifts[number]
 
-    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array, moved_s: Array | None = None) -> JointScene:
-        """The same recordings with other calibrated vectors (n, 3) and ``moved_s`` (n,), of all one after another."""
-        ends = np.cumsum([len(part) for part in self.parts])[:-1]
-        moved = np.zeros(len(calibrated_nt)) if moved_s is None else moved_s
-        each = zip(*(np.split(values, ends) for values in (calibrated_nt, clean_field_nt, moved)), strict=True)
-        return JointScene.of([part.recalibrated(*own) for part, own in zip(self.parts, each, strict=True)])
+    def recalibrated(self, found: Vectors) -> JointScene:
+        """The same recordings with other vectors, of all one after another."""
+        ends = np.cumsum([len(part) for part in self.parts])
+        own = (slice(end - len(part), end) for part, end in zip(self.parts, ends, strict=True))
+        return JointScene.of([part.recalibrated(found.part(rows)) for part, rows in zip(self.parts, own, strict=True)])
 
 
 def offsets_s(parts: Sequence[Scene]) -> list[float]:

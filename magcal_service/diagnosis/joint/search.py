@@ -21,6 +21,7 @@ from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.vectors import Vectors
 
 COMMON_SHARE: Final = 0.5
 """Of what amplitudes of every recording's own hold, what common ones have to hold to be preferred: one craft has one
@@ -103,12 +104,10 @@ class JointSearch(Search):
                     return self.refreshed(trial)
         return fit
 
-    def clean(self, fit: Fit) -> tuple[Array, Array, Array]:
+    def clean(self, fit: Fit) -> Vectors:
         """As ``clean_vectors``, of all recordings one after another."""
         assert isinstance(fit.problem, JointProblem)
-        each = [clean_vectors(one) for one in fit.problem.fits(fit.x, fit.terms)]
-        clean, measured, moved_s = (np.concatenate(parts) for parts in zip(*each, strict=True))
-        return clean, measured, moved_s
+        return Vectors.together([clean_vectors(one) for one in fit.problem.fits(fit.x, fit.terms)])
 
 
 def _other_starts(term: Term) -> Iterator[Array]:

@@ -21,7 +21,7 @@ import numpy as np
 from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array, calibrate, d_matrix
 from magcal_service.physics.apply.empirical import NAME
-from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described
+from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described, less
 from magcal_service.physics.apply.live_curves import added_now, name_of
 from magcal_service.physics.apply.live_drivers import Held, Place, fresh, hold, positions_km, with_place
 from magcal_service.physics.apply.live_reference import GROWTH_NS, KNOT_S, grown, growth_of, shifts_s
@@ -271,7 +271,11 @@ class Compensation(Stateful, CompensationMemory):
             bound = self._bound(self._terms.field[index], scene, memory, row.time_ns)
             if begins_anew:
                 return self._from_start(bound, self._terms.groups[index], memory)
-            found: list[float] = bound.disturbance()[0][-1].tolist()
+            added_nt = bound.disturbance()[0]
+            if effect_named(bound.hypothesis.effect).bends:
+                scene = less(scene, added_nt, self.model.x)
+                added_nt = self._bound(self._terms.field[index], scene, memory, row.time_ns).disturbance()[0]
+            found: list[float] = added_nt[-1].tolist()
         return found
 
     def _from_start(self, bound: Bound, group: int, memory: Memory) -> list[float]:

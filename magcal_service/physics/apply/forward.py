@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_service.base.errors import MagcalError
-from magcal_service.model import Array
+from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
@@ -59,6 +59,15 @@ def bind(term: ModelTerm, scene: Scene, memory: Memory | None = None) -> Bound:
     if moves_s is None or memory is not None or len(scene) < FEWEST_FOR_MEANS:  # a moment has no course
         return bound
     return _bound(term, replace(given, moved_s=moves_s(bound.amplitudes) + np.zeros(len(scene))))
+
+
+def less(scene: Scene, added_nt: Array, x: Array) -> Scene:
+    """A scene less what a term adds (n, 3) [nT] by a first look: what bends the field acts on it as it is without.
+
+    ``x``: nine errors (9,).
+    """
+    clean = calibrate(x, scene.clean_field_nt) - added_nt
+    return replace(scene, calibrated_nt=clean, undisturbed_nt=measure(x, clean))
 
 
 def _bound(term: ModelTerm, given: Scene) -> Bound:

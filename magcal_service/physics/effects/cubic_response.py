@@ -14,19 +14,21 @@ from magcal_service.physics.columns import AFTER_BIAS, Columns
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.vectors import undisturbed
 
 _MOST_PER_NT2: Final = 0.1 / 50e3**2
 """A cube's size at the most [1/nT^2]: a tenth at 50 uT, ten times the linearity of the poorest AMR sensors."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield from _forms(scene.clean_field_nt)
+    yield from _forms(undisturbed(scene))
     for hypothesis in _forms(scene.calibrated_nt):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".removesuffix(", "))
 
 
 def _forms(field: Array) -> Iterator[Hypothesis]:
-    """Cubes of ``field`` (n, 3): what is measured, or the field where the bias arises behind what bends."""
+    """Cubes of ``field`` (n, 3): what is measured, as it would be without them; or the field where the bias arises
+    behind what bends."""
     own = np.zeros((3, len(field), 3))
     across = np.zeros((6, len(field), 3))
     index = 0
@@ -54,7 +56,8 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.CUBE, ""),),
     title="the sensor's answer bends with the field",
-    equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2; or of w behind a bias that does not bend",
+    equation="d_i = c_i B_i^3 + sum_j c_ij B_i B_j^2, with B as it would be without d; or of w behind a bias that does "
+    "not bend",
     units={"per_nt2": "1/nT2", "cross_per_nt2": "1/nT2", "common_per_nt2": "1/nT2"},
     prior=(5.0, 3000.0),
     valid="small against the field: 0.02-0.5 % of full scale",
@@ -66,4 +69,5 @@ EFFECT = Effect(
         "The answer bends with the field's size, by {common_per_nt2.size}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    bends=True,
 )

@@ -19,6 +19,7 @@ from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene import main_field, motion, sunlight
 from magcal_service.physics.scene.recent import Recent
+from magcal_service.physics.scene.vectors import Vectors
 
 KEPT = (
     "memo",
@@ -103,9 +104,7 @@ class Scene:
     origin_ns: source time of the origin [ns].
     utc: whether the source time is UTC.
     field_nt: (n, 3) measured vector B, sensor axes [nT].
-    calibrated_nt: (n, 3) w = (I + D) B - b - d by what is known so far, radial noise subtracted [nT].
-    clean_field_nt: (n, 3) the measured vector that would give ``calibrated_nt``: what columns are made of, because the
-        residual is the radial noise, and a column that holds it too would explain it.
+    calibrated_nt, clean_field_nt, moved_s, undisturbed_nt: as ``Vectors``.
     magnitude_nt: (n,) |H_ref| [nT].
     reference_eci_nt: (n, 3) H_ref, ECI [nT], or None where only its magnitude is known.
     position_ecef_km: (n, 3) or None.
@@ -118,8 +117,6 @@ class Scene:
     turning_rad_s: (3,) or (n, 3) the craft's turn where neither attitude nor gyro gives it, or None.
     sun_ahead_deg: how far along the ecliptic the Sun stands ahead of where it is at the stated time [deg]; other than 0
         where telemetry shows its light and shadow elsewhere.
-    moved_s: (n,) how far along its course the fit so far moves the reference [s]; what moves it is expanded halfway
-        there.  None: nowhere.
     is_solved: whether the attitude was solved from the samples, not recorded.
     """
 
@@ -140,6 +137,7 @@ class Scene:
     in_orbit: bool = True
     sun_ahead_deg: float = 0.0
     moved_s: Array | None = None
+    undisturbed_nt: Array | None = None
     is_solved: bool = False
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -153,9 +151,9 @@ class Scene:
         found: T = self.memo[name]
         return found
 
-    def recalibrated(self, calibrated_nt: Array, clean_field_nt: Array, moved_s: Array | None = None) -> Scene:
-        """The same recording with other calibrated vectors and ``moved_s``; what does not depend on them is kept."""
-        scene = replace(self, calibrated_nt=calibrated_nt, clean_field_nt=clean_field_nt, moved_s=moved_s)
+    def recalibrated(self, found: Vectors) -> Scene:
+        """The same recording with other vectors; what does not depend on them is kept."""
+        scene = replace(self, **found._asdict())
         for name in KEPT:
             if name in self.__dict__:
                 scene.__dict__[name] = self.__dict__[name]
