@@ -11,7 +11,7 @@ import pytest
 
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.model import Array
-from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind
+from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind, less
 from magcal_service.physics.apply.model_file import (
     ModelError,
     ModelSpin,
@@ -56,6 +56,9 @@ def drawn(hypothesis: Hypothesis) -> tuple[ModelTerm, Array, Array]:
     if hypothesis.moves_s is not None:  # expanded where these amplitudes move the reference
         moved = replace(flight(), moved_s=hypothesis.moves_s(amplitudes) + np.zeros(ROWS))
         there = effect_named(hypothesis.effect).hypotheses(moved)
+        columns = next(one for one in there if one.label == hypothesis.label).columns(theta)
+    if effect_named(hypothesis.effect).bends:  # columns of the field as it would be without these amplitudes
+        there = effect_named(hypothesis.effect).hypotheses(less(flight(), columns.field(amplitudes), X))
         columns = next(one for one in there if one.label == hypothesis.label).columns(theta)
     growth = columns.growth(amplitudes) + np.zeros(ROWS)
     return model_term(hypothesis, theta, amplitudes), columns.field(amplitudes), growth
@@ -115,8 +118,6 @@ def test_a_later_part_of_the_flight_has_what_the_whole_flight_has_there(hypothes
     term, body, growth = drawn(hypothesis)
     if "skin_s" in term.nonlinear:  # short enough to forget within the flight
         term = replace(term, nonlinear={"time_constant_s": 200.0, "skin_s": 60.0})
-        body, growth = effects_on(flight(), model(term))
-    if effect_named(hypothesis.effect).bends:  # columns are those of a first look
         body, growth = effects_on(flight(), model(term))
     found = effects_on(cut(flight(), first, ROWS), model(term))
     part = slice(5 + _SETTLES.get(hypothesis.effect, 0), -10)  # slopes are one-sided at a cut
