@@ -23,7 +23,7 @@ from magcal_service.config.settings import CraftConfig
 from magcal_service.daemon.craft import Craft, CraftMemory, learned
 from magcal_service.daemon.plain_branch import PlainBranch, newest_of
 from magcal_service.daemon.settling import Settling
-from magcal_service.estimators.interface import Phase
+from magcal_service.estimators.interface import GoesOn, Phase
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit
 from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
@@ -119,18 +119,22 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self.ticks, self.plain = self.plain.ticks, None
 
     def _try_start(self, settling: Settling, compensation: Compensation) -> None:
-        """Give an estimator all ticks so far, compensated; it takes over where it has a start."""
-        fit = settling.settled()
-        if fit is None:
+        """Let an estimator take over that goes on from the start's fit, or that all ticks so far have started."""
+        settled = settling.settled()
+        if settled is None:
             return
-        estimator, monitor = self._fresh_estimator(), TrustMonitor(self.config)
+        fit, estimator, monitor = settled.fit, self._fresh_estimator(), TrustMonitor(self.config)
         plain = PlainBranch(self.config, compensation.model.x)
+        goes_on = isinstance(estimator, GoesOn) and settled.is_sure
+        if isinstance(estimator, GoesOn) and goes_on:
+            estimator.begin_with(fit.x, fit.x_covariance, self.config.sensor.noise_nt or fit.sigma_nt)
         for tick, raw in settling.compensated(fit.amplitudes):
-            try:
-                outcome, state = learned(estimator, tick)
-            except np.linalg.LinAlgError:
-                return
-            monitor.observe(tick, outcome, state)
+            if not goes_on:
+                try:
+                    outcome, state = learned(estimator, tick)
+                except np.linalg.LinAlgError:
+                    return
+                monitor.observe(tick, outcome, state)
             plain.harm.compensated(*newest_of(tick))
             plain.harm.plain(*newest_of(replace(tick, field_body_nt=raw)))
         if estimator.estimate().phase is not Phase.RUNNING:

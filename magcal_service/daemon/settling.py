@@ -5,10 +5,12 @@ linearly: with B_0 the sample compensated for y = 0 and g its field for y = 1,
 
     e = |(I + D)(B_0 - y g exp(-t / tau)) - b| - |H|.
 
-y and the nine errors are fitted together to the ticks so far, y with a prior of half the swing between light and
-shadow.  As long as a vector may be wrong by more than the noise for what is not known of y, nothing is compensated: the
-craft is one without ``physics.toml``, and says so.  Then an estimator is given all ticks again, compensated by that y,
-and takes over once it has a start; what remains unknown is in the covariance of the vectors.
+y and the nine errors are fitted together to the ticks so far: y with a prior of half the swing between light and
+shadow, the nine errors with one about the file's, which are of the same sensor on another day; without it, y would take
+as long to know as they do.  As long as a vector may be wrong by more than the noise for what is not known of y, nothing
+is compensated: the craft is one without ``physics.toml``, and says so.  Then an estimator goes on from the nine errors
+of that fit where vectors are as sure as a start of its own makes them; else it is given all ticks again, compensated by
+that y, and takes over once it has a start.  What remains unknown of y is in the covariance of the vectors.
 """
 
 from __future__ import annotations
@@ -22,16 +24,31 @@ import numpy as np
 from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit, magnitude_fit
+from magcal_service.estimators.parts.start_gates import BAD_FIT, handover_sigma, vector_sigma
 from magcal_service.model import Array
 from magcal_service.physics.apply.compensation import Compensation
+from magcal_service.physics.apply.model_file import PhysicsModel
 from magcal_service.ticks.assembler import Tick, TickAssembler
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample
 
 _PRIOR: Final = 0.5
 """1 sigma of a temperature at the start, in units of the swing between light and shadow; light keeps it within one."""
 
+_OTHER_DAY: Final = 3.0
+"""Times their own sigma by which the file's nine errors are off on another day, 1 sigma of the prior.
+
+Choice: a fit's own sigma holds for its recording; what is left out of the model moves each day's fit by some of them.
+"""
+
+_ONE_PERCENT: Final = np.array([500.0] * 3 + [0.01] * 6)
+"""At least so much of each bias [nT] and each element of D: one percent of the largest field of a low orbit, and of a
+gain.  Choice: a quiet day's fit is sure to a few nT, and a small craft's offset moves by hundreds from day to day."""
+
+_CONTRADICTED: Final = 3.0
+"""Sigmas of that prior beyond which today's errors are others, and the file's are no prior for them."""
+
 _FIRST: Final = 150
-"""Ticks before the first look: in fewer the nine errors are not known."""
+"""Ticks before the first look: in fewer the residual's level is not known."""
 
 _LATER: Final = 1.2
 """Times as many ticks before the next one: the ticks are given again at each that may be the last."""
@@ -46,7 +63,8 @@ _AT_WORST: Final = 0.3
 """By how much a decay exp(-t / tau) is off its mean since the start at most, at twice the time constant."""
 
 _WORSE: Final = 1.02
-"""Times the residual without compensation that the one with it may have: else the model does not fit."""
+"""Times the residual without compensation that the one with it may have, where the file's noise is less: else the model
+does not fit."""
 
 _LATEST: Final = 5400
 """Ticks after which a model that has fitted no better than none with any start does not fit: an orbit."""
@@ -59,6 +77,11 @@ _MOST_OPEN: Final = 6000
 
 No tick is kept while frozen or without a reference.
 """
+
+
+def other_day_sigma(model: PhysicsModel) -> Array:
+    """1 sigma (9,) by which a sensor's nine errors on another day are off a file's [nT, -]."""
+    return np.asarray(np.maximum(_OTHER_DAY * model.sigma, _ONE_PERCENT))
 
 
 @dataclass(init=False, repr=False, eq=False)
@@ -75,6 +98,20 @@ class SettlingMemory:
     _skipped: int
     _seen: int
     _look: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """A start that is known.
+
+    Parameters
+    ----------
+    fit: its y, and the nine errors beside it.
+    is_sure: whether a filter may go on from those nine errors.
+    """
+
+    fit: MagnitudeFit
+    is_sure: bool
 
 
 class Settling(Stateful, SettlingMemory):
@@ -151,24 +188,37 @@ class Settling(Stateful, SettlingMemory):
             for old in [time_s for time_s in open_ones if time_s <= times_s[-1]]:
                 del open_ones[old]
 
-    def settled(self) -> MagnitudeFit | None:
-        """The start where it is known well enough and the model fits no worse than none; else None."""
+    def settled(self) -> Settled | None:
+        """The start where it is known well enough and the model fits; else None.
+
+        It fits where it leaves no more than nine errors without it; or than its file says that it leaves, where the
+        nine errors are sure: few ticks are fitted by nine that are free and wrong.
+        """
         step = max(1, len(self._kept) // _FITTED)
         ticks, fields = self._kept[::step], np.array([one[-1] for one in self._kept_fields[::step]])
         raw = np.array([one[-1] for one in self._kept_raw[::step]])
         field_nt = np.array([tick.field_body_nt[-1] for tick in ticks])
         magnitude_nt = np.array([tick.reference_magnitude_nt[-1] for tick in ticks])
-        x = self._compensation.model.x
+        model = self._compensation.model
+        known = other_day_sigma(model)
         try:
-            fit = magnitude_fit(x, field_nt, magnitude_nt, fields, _PRIOR)
-            plain = magnitude_fit(x, raw, magnitude_nt)
+            fit = magnitude_fit(model.x, field_nt, magnitude_nt, fields, _PRIOR, known)
+            is_same = bool(np.all(np.abs(fit.x - model.x) < _CONTRADICTED * known))
+            if not is_same:
+                fit = magnitude_fit(model.x, field_nt, magnitude_nt, fields, _PRIOR)
+            plain = magnitude_fit(model.x, raw, magnitude_nt)
         except np.linalg.LinAlgError:
             return None
         early = fields[: max(1, len(fields) // 8)]  # hardly decayed
         squares = np.einsum("nki,kl,nli->n", early, fit.covariance, early) / 3.0
         unknown_nt = _AT_WORST * float(np.sqrt(np.mean(squares)))
         is_known = unknown_nt <= fit.sigma_nt or len(self._kept) >= _MOST
-        return fit if is_known and fit.sigma_nt <= _WORSE * plain.sigma_nt else None
+        limit_nt = handover_sigma(fit.sigma_nt, float(magnitude_nt.mean()))
+        is_sure = is_same and vector_sigma(fit.x_covariance, field_nt) <= limit_nt
+        left_nt = BAD_FIT * model.sample_noise_nt if is_sure else 0.0
+        if not is_known or fit.sigma_nt > max(_WORSE * plain.sigma_nt, left_nt):
+            return None
+        return Settled(fit, is_sure)
 
     def compensated(self, start: Array) -> Iterator[tuple[Tick, Array]]:
         """The ticks that are kept, compensated by a start (k,), and their samples (n, 3) as they came [nT]."""

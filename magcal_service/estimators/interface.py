@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from magcal_service.config.settings import CraftConfig
 from magcal_service.model import Array
@@ -125,6 +125,14 @@ class Estimator(Protocol):
         """Restore an exported state; ``SnapshotError`` where it does not fit."""
 
 
+@runtime_checkable
+class GoesOn(Protocol):
+    """An estimator that can go on from nine errors that are known (``Method.takes_prior``)."""
+
+    def begin_with(self, x: Array, covariance: Array, noise_nt: float) -> None:
+        """Run from now on, from a state (9,) and its covariance (9, 9) [nT, -]."""
+
+
 @dataclass(frozen=True, slots=True)
 class Method:
     """An entry of the registry.
@@ -140,7 +148,7 @@ class Method:
     estimates_matrix: whether it estimates D; without, D is zero and its sigma stays the prior's.
     takes_wide_prior: whether it finds errors of tens of percent of the field from a prior as wide; without, the prior
         has to be one that the tangent at zero still fits.
-    takes_prior: whether it can go on from nine errors that are known (``offline.prior``).
+    takes_prior: whether it can go on from nine errors that are known (``GoesOn``).
     bound: the information set whose Cramer-Rao bound its results are held against.
     """
 

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 import numpy as np
 
 from magcal_service.base.errors import MISSING, Fault, InputRefusedError, Lacking
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators import find_method, methods
+from magcal_service.estimators.interface import GoesOn
 from magcal_service.estimators.parts.start_gates import handover_sigma, vector_sigma
-from magcal_service.model import Array
 from magcal_service.offline.given import Given
 from magcal_service.recordings.recording import Recording
 from magcal_service.trust.reasons import Reason
 
 _ONLY_UNFINISHED: Final = {Reason.NOT_SETTLED, Reason.UNPROTECTED, Reason.CONSTANT_REFERENCE}
 """Reasons that say a result is not finished; every other says that it may be wrong."""
-
-
-@runtime_checkable
-class GoesOn(Protocol):
-    """An estimator that can go on from nine errors that are known (``Method.takes_prior``)."""
-
-    def begin_with(self, x: Array, covariance: Array, noise_nt: float) -> None:
-        """Run from now on, from a state (9,) and its covariance (9, 9) [nT, -]."""
 
 
 def refuse_unfit(given: Given, recording: Recording, craft: CraftConfig) -> None:

@@ -26,7 +26,7 @@ from magcal_service.wire.messages import (
 )
 from sim_sensor.scenario import PositionPlan, Scenario
 from sim_sensor.simulation import Simulation
-from tests.physics.live_models import NOISE_NT, craft, hot, model_of, physics
+from tests.physics.live_models import HOT_X, NOISE_NT, craft, hot, model_of, physics
 
 DURATION_S = 1200.0
 DAY_NS = 86_400 * 10**9
@@ -59,13 +59,18 @@ def start_of(start_degc: float) -> float:
     return (start_degc - (COLD_DEGC + SWING_K * MEAN_LIGHT)) / SWING_K
 
 
+MOVED = np.array([300.0, -300.0, 300.0, 0.004, 0.004, -0.004, 0.003, 0.003, -0.003])
+"""Of the nine errors since the file's day."""
+
+
 @cache
-def flown(start_degc: float) -> tuple[Pipeline, list[tuple[float, str]], Array, Array, Array]:
+def flown(start_degc: float, moved: float = 0.0) -> tuple[Pipeline, list[tuple[float, str]], Array, Array, Array]:
     """The pipeline, its events with their times [s], each vector's error (n, 3), variance (n,), whether doubted."""
     scenario = warming(start_degc)
     simulation = Simulation(scenario, 5, DURATION_S)
     truth = simulation.arrays().ambient_body_nt
-    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    file = physics(*model(), origin_ns=scenario.start_ns - DAY_NS, x=HOT_X + moved * MOVED)
+    pipeline = Pipeline(craft("hot", file))
     error, variance, doubtful, events = [], [], [], []
     for message in simulation.messages():
         if isinstance(message, TelemetrySample):
@@ -80,15 +85,15 @@ def flown(start_degc: float) -> tuple[Pipeline, list[tuple[float, str]], Array, 
     return pipeline, events, np.array(error), np.array(variance), np.array(doubtful)
 
 
-STARTS = (45.0,)
+FLIGHTS = ((45.0, 0.0), (45.0, 1.0))
 
 
-@pytest.mark.parametrize("start_degc", STARTS)
-def test_the_start_is_known_in_minutes_and_within_its_sigma(start_degc: float) -> None:
-    """Three time constants, which it was waited for before, are an hour."""
-    pipeline, events, _, _, _ = flown(start_degc)
+@pytest.mark.parametrize(("start_degc", "moved"), FLIGHTS)
+def test_the_start_is_known_in_minutes_and_within_its_sigma(start_degc: float, moved: float) -> None:
+    """Three time constants, which it was waited for once, are an hour; beside nine free errors it takes 13 minutes."""
+    pipeline, events, _, _, _ = flown(start_degc, moved)
     known_s = next(time_s for time_s, what in events if what == "start_known")
-    assert known_s < 1000.0
+    assert known_s < 500.0
     assert pipeline.compensates
     assert pipeline.compensation is not None
     sigma = float(np.sqrt(pipeline.compensation._start_covariance[0, 0]))
@@ -96,10 +101,10 @@ def test_the_start_is_known_in_minutes_and_within_its_sigma(start_degc: float) -
     assert abs(pipeline.compensation.start[0] - start_of(start_degc)) < 4.0 * sigma
 
 
-@pytest.mark.parametrize("start_degc", STARTS)
-def test_from_then_on_the_vectors_are_right_to_what_they_say(start_degc: float) -> None:
+@pytest.mark.parametrize(("start_degc", "moved"), FLIGHTS)
+def test_from_then_on_the_vectors_are_right_to_what_they_say(start_degc: float, moved: float) -> None:
     """The heat moves the field by up to 4 uT; what is left of it is within the published sigma."""
-    _, events, error, variance, doubtful = flown(start_degc)
+    _, events, error, variance, doubtful = flown(start_degc, moved)
     known = round(next(time_s for time_s, what in events if what == "start_known")) + 2
     square = (error[known:] ** 2).mean(axis=1)
     assert 0.4 < float(np.mean(square / variance[known:])) < 1.3  # one start, one error: mostly less than 1 sigma
@@ -190,6 +195,7 @@ def test_a_model_that_fits_with_no_start_is_given_up_within_an_orbit(monkeypatch
     """As long as none is found, and after it was given up, the craft is one without the file, and says so."""
     monkeypatch.setattr(settling, "_LATEST", 400)
     monkeypatch.setattr(settling, "_WORSE", 0.1)
+    monkeypatch.setattr(settling, "BAD_FIT", 0.1)
     scenario = warming(45.0)
     pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
     bare = Pipeline(craft("hot", None))

@@ -36,6 +36,7 @@ class MagnitudeFit:
     ----------
     x: nine errors (9,).
     amplitudes, covariance: y (k,) and its covariance (k, k), the nine errors unknown beside it.
+    x_covariance: of the nine errors (9, 9), the amplitudes being what they were found to be.
     residual_nt: e (n,) of every sample [nT].
     sigma_nt: of most of them.
     """
@@ -43,6 +44,7 @@ class MagnitudeFit:
     x: Array
     amplitudes: Array
     covariance: Array
+    x_covariance: Array
     residual_nt: Array
     sigma_nt: float
 
@@ -58,7 +60,12 @@ def are_near(residual_nt: Array) -> Array:
 
 
 def magnitude_fit(
-    x: Array, field_nt: Array, magnitude_nt: Array, fields_nt: Array | None = None, prior: float = 1.0
+    x: Array,
+    field_nt: Array,
+    magnitude_nt: Array,
+    fields_nt: Array | None = None,
+    prior: float = 1.0,
+    known: Array | None = None,
 ) -> MagnitudeFit:
     """Fit from x (9,) on.
 
@@ -67,18 +74,24 @@ def magnitude_fit(
     field_nt, magnitude_nt: B (n, 3) and |H| (n,) [nT].
     fields_nt: g (n, k, 3) [nT per unit]; None: the nine errors alone.
     prior: 1 sigma of each amplitude about zero.
+    known: 1 sigma of each of the nine errors about x (9,); None: nothing is known of them.
     """
     g = np.zeros((len(field_nt), 0, 3)) if fields_nt is None else fields_nt
-    state = np.concatenate([x, np.zeros(g.shape[1])])
-    unit = np.concatenate([_UNIT, np.ones(g.shape[1])])
+    first = np.concatenate([x, np.zeros(g.shape[1])])
+    state, unit = first, np.concatenate([_UNIT, np.ones(g.shape[1])])
+    of_x = np.zeros(STATE_SIZE) if known is None else known**-2.0
+    ties = np.concatenate([of_x, np.full(g.shape[1], prior**-2.0)])
     damping, residual = 1e-3, _residual(state, field_nt, magnitude_nt, g)
     near = are_near(residual)
     for _ in range(_STEPS):
-        normal, right = _equations(state, field_nt[near], residual[near], g[near], unit, prior)
+        weighed = _remembered(residual) * ties  # samples that remember one another are worth so much less
+        normal, right = _equations(state, first, field_nt[near], residual[near], g[near], unit, weighed)
         damped = normal + damping * np.trace(normal) / len(normal) * np.eye(len(normal))
         step = -np.linalg.solve(damped, right) * unit
         tried = _residual(state + step, field_nt, magnitude_nt, g)
-        before, after = (_cost(at, one[near], prior) for at, one in ((state, residual), (state + step, tried)))
+        before, after = (
+            _cost(at - first, one[near], weighed) for at, one in ((state, residual), (state + step, tried))
+        )
         if not after < before:
             damping *= 10.0
             continue
@@ -86,16 +99,19 @@ def magnitude_fit(
         near = are_near(residual)
         if before - after < _ARRIVED * before / math.sqrt(len(residual)):
             break
-    normal, _ = _equations(state, field_nt[near], residual[near], g[near], unit, prior)
+    weight = _remembered(residual)
+    normal, _ = _equations(state, first, field_nt[near], residual[near], g[near], unit, weight * ties)
     sigma_nt = float(np.sqrt(np.mean(residual[near] ** 2)))
-    covariance = sigma_nt**2 * _remembered(residual) * np.linalg.pinv(normal)[STATE_SIZE:, STATE_SIZE:]
-    return MagnitudeFit(state[:STATE_SIZE], state[STATE_SIZE:], covariance, residual, sigma_nt)
+    variance = sigma_nt**2 * weight
+    covariance = variance * np.linalg.pinv(normal)[STATE_SIZE:, STATE_SIZE:]
+    of_errors = variance * np.outer(_UNIT, _UNIT) * np.linalg.pinv(normal[:STATE_SIZE, :STATE_SIZE])
+    return MagnitudeFit(state[:STATE_SIZE], state[STATE_SIZE:], covariance, of_errors, residual, sigma_nt)
 
 
-def _cost(state: Array, residual_nt: Array, prior: float) -> float:
-    """Mean square, the prior of the amplitudes counted in units of it."""
+def _cost(moved: Array, residual_nt: Array, ties: Array) -> float:
+    """Mean square, what ties the unknowns counted in units of it."""
     square = float(np.mean(residual_nt**2))
-    return square * (1.0 + float(np.sum(state[STATE_SIZE:] ** 2)) / (prior**2 * len(residual_nt)))
+    return square * (1.0 + float(ties @ moved**2) / len(residual_nt))
 
 
 def _remembered(residual_nt: Array) -> float:
@@ -111,9 +127,9 @@ def _residual(state: Array, field_nt: Array, magnitude_nt: Array, g: Array) -> A
 
 
 def _equations(
-    state: Array, field_nt: Array, residual_nt: Array, g: Array, unit: Array, prior: float
+    state: Array, first: Array, field_nt: Array, residual_nt: Array, g: Array, unit: Array, ties: Array
 ) -> tuple[Array, Array]:
-    """Normal matrix and right side of a step in ``unit``, with the prior of the amplitudes."""
+    """Normal matrix and right side of a step in ``unit``, tied to the first state by inverse variances (9 + k,)."""
     x, y = state[:STATE_SIZE], state[STATE_SIZE:]
     left = field_nt - np.einsum("nki,k->ni", g, y)
     w = calibrate(x, left)
@@ -121,8 +137,7 @@ def _equations(
     of_errors = np.einsum("ni,nij->nj", along, field_jacobian(left))
     of_fields = -np.einsum("ni,nki->nk", along + along @ d_matrix(x), g)
     columns = np.hstack([of_errors, of_fields]) * unit
-    normal, right = columns.T @ columns, columns.T @ residual_nt
-    tie = float(np.mean(residual_nt**2)) / prior**2
-    normal[STATE_SIZE:, STATE_SIZE:] += tie * np.eye(len(y))
-    right[STATE_SIZE:] += tie * y
+    weights = float(np.mean(residual_nt**2)) * ties
+    normal = columns.T @ columns + np.diag(weights * unit**2)
+    right = columns.T @ residual_nt + weights * unit * (state - first)
     return normal, right
