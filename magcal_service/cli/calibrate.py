@@ -134,8 +134,7 @@ def _table(result: Calibration, path: Path) -> str:
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"
     lines.append(
-        f"residual rms: {residuals.before:.1f} nT before{after}; "
-        f"noise floor {residuals.noise_floor:.1f} nT; held out: {held_out}"
+        f"residual rms: {residuals.before:.1f} nT before{after}; noise {residuals.noise}; held out: {held_out}"
     )
     lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt, path))
     return "\n".join(lines)

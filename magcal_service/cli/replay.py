@@ -63,7 +63,7 @@ def _replay(options: argparse.Namespace) -> int:
     residuals = residuals_of(inspection.usable, result, result.pipeline.config)
     print(_counts(recording, result))
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"
-    print(f"residual rms: {residuals.before:.1f} nT before{after} (noise floor {residuals.noise_floor:.1f} nT)")
+    print(f"residual rms: {residuals.before:.1f} nT before{after} (noise {residuals.noise})")
     if result.pipeline.compensation is not None:
         print(*compensation_lines(result.compensated, result.pipeline.compensation.model), sep="\n")
     if residuals.published is not None:

@@ -18,7 +18,7 @@ from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.result import as_json as joint_json
-from magcal_service.diagnosis.joint.result import summary as joint_summary
+from magcal_service.diagnosis.joint.words import summary as joint_summary
 from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors

@@ -69,7 +69,7 @@ _RATHER: Final = 1.05
 """Times a name's class that a cause in no catalogue is likelier, from which on there is no name; choice: an even chance
 is none."""
 
-_SLOW: Final = "a change that takes minutes"
+_SLOW: Final = "a drift over minutes by a cause in no catalogue"
 
 _MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""

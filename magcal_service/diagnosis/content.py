@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.words import advice, verdict_sentence
+from magcal_service.diagnosis.words import verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import DIAGNOSIS, head
 
@@ -42,6 +43,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
             "bias_before_nt": diagnosis.prepared.baseline.x[BIAS].tolist(),
             "bias_moved_nt": moved_nt,
             "bias_moved_sigma_nt": moved_sigma_nt,
+            "vectors_off_nt": diagnosis.misled.to_dict() if fit.terms else None,
         },
         "residual": str(diagnosis.prepared.form),
         "not_borne_out": [str(form) for form in diagnosis.refused],

@@ -14,6 +14,7 @@ from magcal_service.diagnosis.doubts import concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
+from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
@@ -90,6 +91,21 @@ class Diagnosis:
     def left_share(self) -> float:
         """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
         return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
+
+    @property
+    def may_last(self) -> float:
+        """Of the mismatch, what cannot be excluded to last beside the names."""
+        return 0.0 if self.rest is None else self.rest.unsafe_share
+
+    @property
+    def added_noise_nt(self) -> float:
+        """Noise that was found on top of the sensor's own, as by rounding [nT per axis]."""
+        return _added_nt(self.findings)
+
+    @property
+    def misled(self) -> Misled:
+        """How far off a calibration without the effects puts vectors."""
+        return Misled.of(self.prepared.baseline, self.fit)
 
     @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
@@ -195,7 +211,7 @@ def _on_rows(
         stated,
         end.rest,
         has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
-        added_noise_nt=max((_added_nt(one) for one in findings.values()), default=0.0),
+        added_noise_nt=_added_nt(findings),
     )
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -220,10 +236,10 @@ def _on_rows(
     )
 
 
-def _added_nt(finding: Finding) -> float:
-    """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where it says none."""
-    added = finding.parameters.get("added_noise_nt")
-    return 0.0 if added is None else float(np.max(added.value))
+def _added_nt(findings: Mapping[str, Finding]) -> float:
+    """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where none says so."""
+    added = [one.parameters["added_noise_nt"].value for one in findings.values() if "added_noise_nt" in one.parameters]
+    return max((float(np.max(one)) for one in added), default=0.0)
 
 
 def _modelled(

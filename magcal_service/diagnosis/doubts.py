@@ -55,7 +55,7 @@ def reasons(
     has_own_noise: bool = False,
     added_noise_nt: float = 0.0,
 ) -> tuple[str, ...]:
-    """What speaks against acting on a result, by the names of ``words.REASONS``.
+    """What speaks against acting on a result, by the names of ``advice.REASONS``.
 
     Parameters
     ----------

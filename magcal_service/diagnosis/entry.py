@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from magcal_service.diagnosis.separation import Separation
+from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.model import Array
 from magcal_service.physics.interface import Value, Values
 from magcal_service.physics.saying import labels_of
 
-MISMATCH: Final = "the mismatch"
+_LEAST_PROBABILITY: Final = 1e-4
+"""Probability below which a rival is not listed, but for the best: what has less changes no decision."""
 
-OF_ITS_OWN: Final = "the mismatch would be back without it"
-"""Shares of several effects in one residual: they need not add up to what all of them explain."""
+_MOST_RIVALS: Final = 4
+"""Rivals listed for an effect; choice: beyond the class itself they are for orientation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +41,10 @@ class Entry:
     measure: what would tell its class apart, the best first.
     drivers: (driver, probability) of the channels that drive it as well as this recording can tell, most probable
         first; empty for what has no driver.
-    unlisted: what is no effect and does as well, in words: a recorded channel's signal, a change that takes minutes;
+    unlisted: what is no effect and does as well, in words: a recorded channel's signal, a slow change;
         empty where nothing does.
-    share_of: what ``share_of_mismatch`` is a share of, in words.
+    as_well: of ``members``, those that act exactly so: the field alone never tells them apart.
+    extent: how much of what it has a part in, in words.
     """
 
     effect: str
@@ -60,7 +63,8 @@ class Entry:
     measure: tuple[Separation, ...] = ()
     drivers: tuple[tuple[str, float], ...] = ()
     unlisted: str = ""
-    share_of: str = MISMATCH
+    as_well: tuple[str, ...] = ()
+    extent: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -70,6 +74,7 @@ class Entry:
             "probability": round(self.probability, 6),
             "rivals": [{"effect": name, "probability": round(p, 6)} for name, p in self.rivals],
             "class": list(self.members),
+            "as_well": list(self.as_well),
             "separated_by": self.separated_by,
             "driver": self.driver,
             "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in self.drivers],
@@ -95,6 +100,14 @@ def _parameter(value: Value) -> dict[str, Any]:
         "labels": [list(names) for names in labels_of(value.value.shape, value.labels)],
         "range": None if value.bounds is None else list(value.bounds),
     }
+
+
+def listed_rivals(rivals: Sequence[tuple[str, float]], members: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Of rivals by their probabilities, most probable first, those that are said: the class, the likeliest of the
+    others, and the nearest in the catalogue, however unlikely that is."""
+    nearest = next((name for name, _ in rivals if name != UNLISTED), "")
+    likely = [name for name, p in rivals if p >= _LEAST_PROBABILITY or name == nearest]
+    return tuple(pair for pair in rivals if pair[0] in {*likely[:_MOST_RIVALS], *members})
 
 
 def plain(values: Array) -> Any:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.entry import MISMATCH, OF_ITS_OWN, Entry, plain
+from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import parameters_of
@@ -18,22 +18,10 @@ from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations
 from magcal_service.diagnosis.signals import UNLISTED, said, strongest
 from magcal_service.diagnosis.where import lines, span, where_of_term
+from magcal_service.diagnosis.words import percent
 from magcal_service.model import BIAS
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding
-
-_LEAST_PROBABILITY: Final = 1e-4
-"""Probability below which a rival is not listed, but for the best: what has less changes no decision."""
-
-_MOST_RIVALS: Final = 4
-"""Rivals listed for an effect; choice: beyond the class itself they are for orientation."""
-
-
-_SHARE_OF: Final = {
-    ActsOn.ATTITUDE: "what the turn differs by",
-    ActsOn.SAMPLES: "the mismatch in the rows it spoils",
-}
-"""What a finding's share is of, where that is no residual of all rows: two findings may each have 100 %."""
 
 
 def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
@@ -66,26 +54,27 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
     effect = _effect(diagnosis, term.hypothesis.effect)
     parameters = parameters_of(fit, index, effect)
     believed = posterior(diagnosis.explained, index)
-    nearest = next((name for name, _ in believed.rivals if name != UNLISTED), "")
-    rivals = [pair for pair in believed.rivals if pair[1] >= _LEAST_PROBABILITY or pair[0] == nearest]
+    where = where_of_term(diagnosis, index)
     return Entry(
         effect=effect.name,
         says=effect.sentence(parameters, term.hypothesis.driver),
         driver=term.hypothesis.driver,
         variant=term.hypothesis.variant,
         probability=believed.own,
-        rivals=tuple(rivals[:_MOST_RIVALS]),
+        rivals=listed_rivals(believed.rivals, believed.members),
         members=believed.members,
         separated_by=effect.separated_by,
         parameters=parameters,
-        where=where_of_term(diagnosis, index),
+        where=where,
         nats=diagnosis.explained.nats[index],
         constants=term.hypothesis.constants,
         seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
         measure=separations(diagnosis, index, believed.members),
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
         unlisted=unlisted(diagnosis.explained, index),
-        share_of=OF_ITS_OWN,
+        as_well=term.hypothesis.as_well,
+        # of several in one residual; these need not add up to what all of them explain
+        extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch would be back without it",
     )
 
 
@@ -114,8 +103,18 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         },
         nats=finding.nats,
         constants={},
-        share_of=_SHARE_OF.get(effect.acts_on, MISMATCH),
+        extent=_extent(effect, finding),
     )
+
+
+def _extent(effect: Effect, finding: Finding) -> str:
+    """How much a finding has a part in: of the samples that it spoils, which are in no fit, no share of a residual."""
+    if finding.spoiled is not None:
+        return f"{percent(float(finding.spoiled.mean()))} of the samples, which no fit uses"
+    if effect.acts_on is ActsOn.NOISE:
+        return "a part of the noise, and of no mismatch"
+    of = "what the turn differs by" if effect.acts_on is ActsOn.ATTITUDE else "the residual's variance"
+    return f"{percent(finding.share)} of {of}"
 
 
 def _unknown(diagnosis: Diagnosis) -> Entry:
@@ -131,8 +130,8 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
         says += (
-            f" Nearest is {nearest[0]}, which would take {100.0 * nearest[1]:.0f} % of it and is not borne out: on"
-            " blocks that took no part, or against its rivals and shapes without a name."
+            f" Nearest is {nearest[0]}: it would take {100.0 * nearest[1]:.0f} % of it, but held-out blocks, its rivals"
+            " or shapes without a name speak against it."
         )
     follows = strongest(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
     held = 0.0 if follows is None else min(1.0, follows[1] / max(structure.squares, 1e-9))
@@ -161,6 +160,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         where=where,
         nats=structure.nats,
         constants={},
+        extent=f"{percent(diagnosis.unexplained)} of the mismatch",
     )
 
 

@@ -71,7 +71,8 @@ def separations(diagnosis: Diagnosis, index: int, members: Sequence[str]) -> tup
     index: of the term.
     members: names of its class, its own included.
 
-    What cannot be worked out for a form, or tells nothing that the recording does not tell already, is left out.
+    What cannot be worked out for a form, or tells nothing that the recording does not tell already, is left out; so is
+    what leaves both as they are, where they act exactly alike.
     """
     fit = diagnosis.fit
     own = fit.terms[index]
@@ -79,17 +80,23 @@ def separations(diagnosis: Diagnosis, index: int, members: Sequence[str]) -> tup
     rivals = [c for c in diagnosis.explained.rivals[index] if c.hypothesis.effect in set(members) - {_name(own)}]
     found: list[Separation] = []
     for rival in rivals[:_MOST_RIVALS]:
-        found += _against(diagnosis, _Pair(diagnosis, own, _term(rival), others, index))
+        is_exact = rival.hypothesis.effect in own.hypothesis.as_well
+        found += _against(diagnosis, _Pair(diagnosis, own, _term(rival), others, index), is_exact)
     return tuple(sorted(found, key=lambda one: -one.nats))
 
 
-def _against(diagnosis: Diagnosis, pair: _Pair) -> list[Separation]:
-    """The best manoeuvre of each kind, and the records of drivers, against one rival."""
+def _against(diagnosis: Diagnosis, pair: _Pair, is_exact: bool) -> list[Separation]:
+    """The best manoeuvre of each kind, and the records of drivers, against one rival.
+
+    Where that acts exactly alike, however the craft turns and however long, only what switches one of them off counts.
+    """
     now = pair.expected(_Manoeuvre("", steady(pair.scene)), recorded_only=True)
     if now is None:
         return []
     found = []
     for kind in _manoeuvres(diagnosis, pair):
+        if is_exact and not any(manoeuvre.off for manoeuvre in kind):
+            continue
         nats = [(pair.expected(manoeuvre), manoeuvre.do) for manoeuvre in kind]
         known = [(value, do) for value, do in nats if value is not None]
         if known:

@@ -7,24 +7,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
-from magcal_service.diagnosis.result import moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     IN_DOUBT,
-    advice,
     belief,
-    members,
     modelled_sentence,
     next_step,
+    noise_in_words,
+    not_told_from,
     remaining,
-    share,
     verdict_sentence,
 )
 from magcal_service.model import BIAS, Array
-from magcal_service.physics.saying import measured
 
 _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
@@ -32,6 +30,9 @@ _MOST_EFFECTS: Final = 3
 _WORSE: Final = 1.02
 """Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse;
 below the noise by as much, that this is no floor."""
+
+_MOST_LINES: Final = 8
+"""Of the verdict's sentence; choice: a class of four names with their titles takes five."""
 
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
@@ -44,30 +45,31 @@ def summary(
     lines = [verdict_line(diagnosis.verdict, diagnosis.reasons)]
     lines += reason_lines(advice(diagnosis.reasons, diagnosis.concerned))
     sentence = verdict_sentence(diagnosis, found, held_out)
-    lines += wrapped(sentence, most=3)
+    lines += wrapped(sentence, most=_MOST_LINES)
     for entry in found[:_MOST_EFFECTS]:
-        lines += _of(entry)
+        lines += _of(entry, entry.says[1:].removesuffix(".") in sentence)
     if len(found) > _MOST_EFFECTS:
         lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
-    floor_nt = diagnosis.prepared.problem.noise_nt
-    lines.append(
-        f"rms on rows held out of the fit: {held_out['simulation']:.1f} nT simulation, "
-        f"{held_out['recalibrated']:.1f} nT recalibrated, {held_out['with_effects']:.1f} nT with effects; "
-        f"noise floor {floor_nt:.1f} nT"
+    floor_nt, is_stated = diagnosis.prepared.problem.noise_nt, diagnosis.prepared.view.stated_noise_nt is not None
+    lines += wrapped(
+        f"rms on held-out rows: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} "
+        f"nT recalibrated, {held_out['with_effects']:.1f} nT with effects; noise {noise_in_words(diagnosis)}",
+        "",
     )
-    if diagnosis.fit.terms and _WORSE * held_out["with_effects"] < floor_nt and not _states_noise(diagnosis):
-        lines.append(
-            "  the noise floor was taken with nine errors alone: it holds what was found, as far as that is fast"
-        )
+    if diagnosis.fit.terms and _WORSE * held_out["with_effects"] < floor_nt and not is_stated:
+        lines.append("  this noise was taken with nine errors alone: it holds what was found, as far as that is fast")
     if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
         lines.append("  recalibrated is worse than the simulation on these rows: what is missing moves it")
     lines += _vectors(diagnosis)
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
-        lines.append(
-            f"bias: without these effects a calibration is off by {measured(*moved_bias(diagnosis))} nT, which its "
-            f"residual does not show: {_vector(before)} instead of {_vector(after)} nT"
+        misled = diagnosis.misled
+        lines += wrapped(
+            f"vectors without these effects: off by {misled}, of which the residual shows {misled.shown_nt:.1f} nT",
+            "",
         )
+        start = ", at the start of the recording" if misled.from_start else ""
+        lines += wrapped(f"bias: {_vector(after)} nT{start}; by nine errors alone {_vector(before)} nT", "")
     if diagnosis.prepared.sun is not None:
         lines += wrapped(f"Sun: {diagnosis.prepared.sun}", "")
     if diagnosis.verdict is not Verdict.UNKNOWN or sentence == IN_DOUBT:  # else the sentence has said it
@@ -94,18 +96,13 @@ def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ", most=4)
 
 
-def _states_noise(diagnosis: Diagnosis) -> bool:
-    return diagnosis.prepared.recording.descriptor.magnetometer.noise_nt is not None
-
-
-def _of(entry: Entry) -> Iterator[str]:
-    yield from wrapped(f"{entry.effect}: {share(entry)}; {belief(entry)}")
-    yield from wrapped(entry.says, "    ", most=4)
+def _of(entry: Entry, is_said: bool) -> Iterator[str]:
+    """Lines of an effect; what it is and how large only where the verdict has not said it."""
+    yield from wrapped(f"{entry.effect}: {entry.extent}; {belief(entry)}")
+    yield from wrapped("" if is_said else entry.says, "    ", most=4)
     yield from wrapped(_alike(entry), "    ")
     if len(entry.members) > 1:
-        yield from wrapped(
-            f"cannot be told from {', '.join(members(entry))} here; what would: {next_step(entry)}", "    ", most=3
-        )
+        yield from wrapped(f"{not_told_from(entry)}; what would tell: {next_step(entry)}", "    ", most=3)
 
 
 def _vectors(diagnosis: Diagnosis) -> Iterator[str]:

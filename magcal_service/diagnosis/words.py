@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.doubts import SURE
@@ -15,6 +15,7 @@ from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.drivers.computed import COMPUTED
+from magcal_service.physics.interface import Effect
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12
@@ -22,90 +23,6 @@ _MOST_DECADES: Final = 12
 
 _MOST_LISTED: Final = 3
 """Names in one sentence; choice: more are a list, and it is elsewhere."""
-
-REASONS: Final[Mapping[str, tuple[str, str]]] = {
-    "recording_doubtful": (
-        "what was found on the recording itself has to be answered before any physics is named",
-        "answer each open finding of magcal inspect: mend the file, or accept it in [inspect]",
-    ),
-    "collapsed": (
-        "the nine errors ended at values that no sensor has",
-        "check units, axes and reference with magcal inspect; record over more attitudes",
-    ),
-    "poor_coverage": (
-        "the field did not point in enough directions to fix the nine errors",
-        "record over more attitudes: at least a turn about two axes, or most of an orbit",
-    ),
-    "unexplained_structure": (
-        "a mismatch is left for which no name is borne out",
-        "record more telemetry beside the magnetometer, and switch one suspect at a time",
-    ),
-    "mismatch_lasts": (
-        "too much of what the nine errors leave still lasts, or could, beside what was named: the cause resembles it,"
-        " but may be another one",
-        "record what drives it; see in the report where the rest sits, and record longer where it is faint",
-    ),
-    "not_converged": (
-        "the fit did not arrive at a solution; its numbers are where it stopped",
-        "record longer or over more attitudes, or give the sensor's noise as noise_nt",
-    ),
-    "name_uncertain": (
-        "another name, or a cause in no catalogue, does nearly as well",
-        "make one of the measurements that stand beside the name",
-    ),
-    "size_uncertain": (
-        "no number of an effect is three times its own sigma, or one ended where the search did: it is there, but"
-        " nobody can say how large",
-        "record longer, or record what drives it",
-    ),
-    "rough_residual": (
-        "what changes from one sample to the next is larger than any sensor's noise",
-        "state noise_nt; look for repeated or misplaced rows with magcal inspect",
-    ),
-    "noisier_than_stated": (
-        "more is left than the noise that was stated: the sensor is noisier, or something as quick as noise disturbs"
-        " it, such as a tone far above the sampling rate",
-        "state the noise that the sensor has on board; switch wheels, converters and transmitters off one by one",
-    ),
-    "field_model_doubtful": (
-        "the reference seems to err by more than twice what a field model does, smoothly along the orbit, which other"
-        " slow causes do as well: names and nine errors may hold a part of it",
-        "check coefficients, places and frames of the reference; record whole orbits",
-    ),
-    "gain_in_scatter": (
-        "what the effects gain on held-out blocks does not stand out of its scatter",
-        "record longer: twice the blocks halve the variance of the gain",
-    ),
-    "not_predicted": (
-        "a recording is not predicted by the numbers of the others: what was named is not common to them",
-        "see which recording and which effect it is; diagnose that recording alone",
-    ),
-    "not_enough_data": ("too few samples for held-out blocks", "record longer: 300 samples at least"),
-}
-"""What each reason against trusting a result means, and what would lift it."""
-
-
-def reason_in_words(reason: str) -> str:
-    """A reason as a clause; one that is new here by its own name."""
-    return REASONS[reason][0] if reason in REASONS else reason.replace("_", " ")
-
-
-def remedy(reason: str) -> str:
-    """What would lift a reason; empty for one that is new here."""
-    return REASONS[reason][1] if reason in REASONS else ""
-
-
-def advice(reasons: Sequence[str], concerned: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
-    """Every reason against acting on a result: what it means, what would lift it, and the effects it is about."""
-    return [
-        {
-            "reason": reason,
-            "means": reason_in_words(reason),
-            "remedy": remedy(reason),
-            "effects": list(concerned.get(reason, ())),
-        }
-        for reason in reasons
-    ]
 
 
 def odds(nats: float) -> str:
@@ -143,9 +60,9 @@ def chance(probability: float) -> str:
     return percent(min(probability, 0.99999))
 
 
-def titles(diagnosis: Diagnosis) -> dict[str, str]:
+def titles(effects: Sequence[Effect]) -> dict[str, str]:
     """What each effect of the catalogue is, by name, and what is in none."""
-    return {effect.name: effect.title for effect in diagnosis.effects} | {UNLISTED: "something that is in no catalogue"}
+    return {effect.name: effect.title for effect in effects} | {UNLISTED: "something that is in no catalogue"}
 
 
 IN_DOUBT: Final = "Recording and reference disagree, but the recording itself is in doubt: no physics is named from it."
@@ -181,8 +98,20 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     besides = f" besides {listed(titles)}" if titles else ""
     return (
         f"Something without a name makes {percent(unexplained)} of the mismatch{besides}{sized}: "
-        "no effect of the catalogue explains it, but where it sits is known."
+        "no effect of the catalogue explains it."
     )
+
+
+def noise_in_words(diagnosis: Diagnosis) -> str:
+    """The noise that residuals are held against, 1 sigma per axis: whose it is, and what rounding has to do with it.
+
+    It is estimated by what changes from one sample to the next, of which rounding is a part.
+    """
+    noise_nt, added_nt = diagnosis.prepared.problem.noise_nt, diagnosis.added_noise_nt
+    if diagnosis.prepared.view.stated_noise_nt is None:
+        return f"{noise_nt:.1f} nT estimated{', rounding included' * (added_nt > 0.0)}"
+    more = f"; rounding adds up to {added_nt:.1f} nT to it" if added_nt > 0.0 else ""
+    return f"{noise_nt:.1f} nT stated{more}"
 
 
 def explained_share(unexplained: float) -> str:
@@ -200,7 +129,7 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
         noisier = "noisier_than_stated" in diagnosis.reasons
         model_nt = None if error is None else error.rms_nt
         return agreed(held_out["with_effects"], problem.noise_nt, model_nt, noisier=noisier)
-    known = titles(diagnosis)
+    known = titles(diagnosis.effects)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:
         if diagnosis.inspection.open:
@@ -208,34 +137,50 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
         besides = list(dict.fromkeys(known[entry.effect] for entry in named))
         return nameless(diagnosis.unexplained, _sized(found), besides)
     first, others = named[0], named[1:]
-    beside = listed(list(dict.fromkeys(known[entry.effect] for entry in others if entry.effect != first.effect)))
-    cause = cause_sentence(first, known).removesuffix(".") + (f"; beside it {beside}" if beside else "")
+    beside = listed(list(dict.fromkeys(_beside(entry, known) for entry in others if entry.effect != first.effect)))
+    unsized = first.effect in diagnosis.concerned.get("size_uncertain", ())
+    cause = cause_sentence(first, known).removesuffix(".") + (", a size that this recording does not fix" * unsized)
+    cause += f"; beside it {beside}" if beside else ""
     if not diagnosis.fit.terms:
         return f"{cause}."
     return f"{cause}; {explained_share(diagnosis.left_share)}."
 
 
+def _beside(entry: Entry, known: Mapping[str, str]) -> str:
+    """What an effect is, where another is the first; how sure its name is, where it is not."""
+    is_open = entry.probability < SURE
+    return f"{known[entry.effect]}{f' (name open: {chance(entry.probability)})' if is_open else ''}"
+
+
 def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
-    """What an effect is and how large; where its name is not sure, the names between which it is open."""
-    alike = [name for name in entry.members if name != entry.effect] or [name for name, _ in entry.rivals]
-    if entry.probability >= SURE or not alike:
-        return entry.says
+    """What an effect is and how large; where its name is not sure, all that it may be, the likeliest first."""
     known = {**known, UNLISTED: entry.unlisted or known.get(UNLISTED, UNLISTED)}
-    names = [known.get(name, name) for name in (entry.effect, *alike)]
+    may_be = alternatives(entry.effect, entry.probability, entry.rivals, entry.members)
+    if entry.probability >= SURE or len(may_be) == 1:
+        return entry.says
     says = f"{entry.says[:1].lower()}{entry.says[1:]}"
-    rival, probability = _likeliest(entry)
-    likeliest = f" Likeliest is {known.get(rival, rival)}, {chance(probability)}." if probability > 0.5 else ""
-    return f"Not told apart: {'; '.join(names[:-1])}; or {names[-1]}.{likeliest} If the first: {says}"
+    return f"The name is open: {open_between(may_be, known)}. If {entry.effect}: {says}"
+
+
+def alternatives(
+    effect: str, probability: float, rivals: Sequence[tuple[str, float]], members: Sequence[str]
+) -> list[tuple[str, float]]:
+    """All that an effect may be, with probabilities, likeliest first: it, its class, and rivals that make it unsure."""
+    likeliest = max((p for _, p in rivals), default=0.0)
+    others = [pair for pair in rivals if pair[0] in members or pair[1] >= min(likeliest, probability, 1.0 - SURE)]
+    return sorted([(effect, probability), *others], key=lambda pair: -pair[1])
+
+
+def open_between(may_be: Sequence[tuple[str, float]], known: Mapping[str, str]) -> str:
+    """``60 % a (heat); or 40 % b (currents)``: what ``alternatives`` gave, in words."""
+    said = {name: f"{name} ({title})" for name, title in known.items()} | {UNLISTED: known[UNLISTED]}
+    parts = [f"{chance(p)} {said.get(name, name)}" for name, p in may_be]
+    return "; ".join([*parts[:-1], f"or {parts[-1]}"])
 
 
 def _likeliest(entry: Entry) -> tuple[str, float]:
     """The likeliest rival of an effect with its probability; none has 0."""
     return max(entry.rivals, key=lambda pair: pair[1], default=("", 0.0))
-
-
-def share(entry: Entry) -> str:
-    """An effect's share, and what it is a share of."""
-    return f"{percent(float(entry.where['share_of_mismatch']))} of {entry.share_of}"
 
 
 def belief(entry: Entry) -> str:
@@ -251,10 +196,18 @@ def belief(entry: Entry) -> str:
     )
 
 
-def members(entry: Entry) -> list[str]:
-    """The other names of an effect's class; for a cause in no catalogue what it would be."""
-    others = [name for name in entry.members if name != entry.effect]
+def members(entry: Entry, names: Sequence[str] | None = None) -> list[str]:
+    """The other names of an effect's class, or those of them; for a cause in no catalogue what it would be."""
+    others = [name for name in entry.members if name != entry.effect and (names is None or name in names)]
     return [entry.unlisted if name == UNLISTED and entry.unlisted else name for name in others]
+
+
+def not_told_from(entry: Entry) -> str:
+    """What would leave the same as an effect here, exactly or nearly; empty where nothing would."""
+    exact, near = members(entry, entry.as_well), members(entry, [n for n in entry.members if n not in entry.as_well])
+    parts = [f"exactly the same is left by {' or '.join(exact)}"] if exact else []
+    parts += [f"nearly the same by {' or '.join(near)}" if exact else f"nearly the same is left by {' or '.join(near)}"]
+    return "; ".join(parts if near else parts[:-1])
 
 
 def next_step(entry: Entry) -> str:
@@ -343,6 +296,10 @@ class Ended(Protocol):
         """Share of the mismatch that is left beside the names, in a shape or without one."""
 
     @property
+    def may_last(self) -> float:
+        """Share of the mismatch that cannot be excluded to last beside the names."""
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """What speaks against acting on it."""
 
@@ -359,4 +316,6 @@ def remaining(diagnosis: Ended) -> str:
     if diagnosis.left_share > 0.0:
         much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else "little"
         return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"
+    if "mismatch_lasts" in diagnosis.reasons:
+        return f"nothing stands out of the noise, but {percent(diagnosis.may_last)} of the mismatch could last unseen"
     return "nothing that could not be noise"

@@ -20,6 +20,7 @@ from magcal_service.offline import short_log
 from magcal_service.offline.given import Given, read_given
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import refuse_unfit
+from magcal_service.offline.remedies import remedy_of
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.offline.scale import scale_doubt
@@ -30,32 +31,13 @@ from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
 from magcal_service.residuals import noise_floor, rms
-from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import Verdict
 
 _UNFINISHED: Final = (Reason.NOT_SETTLED, Reason.UNPROTECTED)
 """Reasons of an estimate that more samples would mend: named after those that they would not."""
 
 _HELD_OUT_BLOCKS: Final = 10  # contiguous, every second one held out: ten minutes each of an orbit
-
-
-_LONGER: Final = "record for longer, or go on from an earlier result by --prior"
-
-_OF_A_RECORDING: Final = {
-    Reason.NOT_SETTLED: f"it ended before enough samples could be held against the estimate: {_LONGER}",
-    Reason.UNPROTECTED: "a disturbance too small to be seen yet may put vectors off by more than protection_nt: "
-    f"{_LONGER}",
-    Reason.POOR_COVERAGE: "more directions of the field in the body are needed: record for more of the orbit, or turn "
-    "the sensor about further axes",
-    Reason.COLLAPSED: "the solution shrinks an axis: check units and axes of sensor and reference",
-}
-"""Remedies where nobody can wait, for the recording is over."""
-
-_OF_ONE_PLACE: Final = (
-    "it ended before enough samples could be held against the estimate, and at one place a longer one is not trusted "
-    "either (constant_reference): take the numbers with their 3 sigma, or go on from an earlier result by --prior"
-)
-"""In place of those that say to record for longer, where the reference is one magnitude for all rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +48,7 @@ class Residuals:
     ----------
     before: with x = 0.
     after: with the estimate; where ``physics.toml`` is compensated, on the samples as they were compensated.
-    noise_floor: the noise that was given, or the white level of the residual after.
+    noise_floor: the noise that was given, or the white level of the residual after; ``is_stated``: whether it was.
     held_out: on blocks that took no part in a batch fit to the others; None where no such fit could be made.
     published: where ``physics.toml`` is compensated, |B_cal| - |H| of the vectors as they were published since the
         start, with the estimate of each moment; else None, and where no start was made.
@@ -77,6 +59,12 @@ class Residuals:
     noise_floor: float
     held_out: float | None
     published: float | None = None
+    is_stated: bool = False
+
+    @property
+    def noise(self) -> str:
+        """The noise that the residual is held against, and whose it is; an estimate has rounding in it."""
+        return f"{self.noise_floor:.1f} nT {'stated' if self.is_stated else 'estimated'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -133,9 +121,7 @@ class Calibration(NineErrors):
         """What to do about the first reason, empty where there is none."""
         if self.whole_log or not self.reasons:
             return self.whole_log
-        if self.of_one_place and self.reasons[0] is Reason.NOT_SETTLED:
-            return _OF_ONE_PLACE
-        return _OF_A_RECORDING.get(self.reasons[0], REMEDIES[self.reasons[0]])
+        return remedy_of(self.reasons[0], of_one_place=self.of_one_place)
 
     def to_dict(self) -> dict[str, Any]:
         """What ``calibrate --json`` writes, as plain data."""
@@ -178,9 +164,7 @@ class Calibration(NineErrors):
         reasons = f" ({', '.join(self.reasons)})" if self.reasons else ""
         head = f"Calibration by {self.method}: {self.verdict}{reasons}, {self.samples} samples"
         levels = self.residuals
-        tail = (
-            f"  residual {levels.before:.1f} -> {levels.after:.1f} nT at a noise floor of {levels.noise_floor:.1f} nT"
-        )
+        tail = f"  residual {levels.before:.1f} -> {levels.after:.1f} nT, noise {levels.noise}"
         return "\n".join([head, *([] if self.verdict is Verdict.NOT_STARTED else [self._table()]), tail])
 
 
@@ -324,6 +308,7 @@ def residuals_of(recording: Recording, result: Replay, craft: CraftConfig) -> Re
         noise_floor=noise if noise is not None else noise_floor(times_ns, after),
         held_out=_held_out(field, magnitude, craft),
         published=published,
+        is_stated=noise is not None,
     )
 
 

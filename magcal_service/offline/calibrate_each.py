@@ -23,7 +23,7 @@ def calibrate_each(
 def _answered(method: str, craft: str | None, source: str | None, path: Path) -> Answer:
     result = calibrate(read_recording(path, craft, source=source), method)
     levels = result.residuals
-    says = f"residual {levels.before:.1f} -> {levels.after:.1f} nT, noise floor {levels.noise_floor:.1f} nT"
+    says = f"residual {levels.before:.1f} -> {levels.after:.1f} nT, noise {levels.noise}"
     reasons = [str(reason) for reason in result.reasons]
     return Answer(
         trusted=result.trusted,

@@ -100,7 +100,8 @@ class Said:
     def percent(self) -> str:
         """A share as a percentage, without the sign."""
         at = self._largest
-        return _measured(abs(float(self.value[at])), float(self.sigma[at]), 100.0, "%")
+        value, sigma = abs(float(self.value[at])), float(self.sigma[at])
+        return _measured(value, sigma, 100.0, "%") if sigma > 0.0 else f"{100.0 * value:.3g} %"
 
     @property
     def falls(self) -> str:

@@ -17,7 +17,8 @@ import numpy as np
 
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
-from magcal_service.diagnosis.joint.result import as_json, summary
+from magcal_service.diagnosis.joint.result import as_json
+from magcal_service.diagnosis.joint.words import summary
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from tests.benchmarks.results import write

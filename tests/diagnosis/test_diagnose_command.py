@@ -101,10 +101,9 @@ def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, fold
     assert len(lines) <= 18
     assert "verdict: named" in lines
     assert any(line.startswith("  thermal_bias: ") for line in lines)
-    assert any(
-        line.startswith("rms on rows held out of the fit: ") and "noise floor 100.0 nT" in line for line in lines
-    )
-    assert any(line.startswith("bias: without these effects a calibration is off by ") for line in lines)
+    assert any(line.startswith("rms on held-out rows: ") and "noise 100.0 nT stated" in line for line in lines)
+    assert any(line.startswith("vectors without these effects: off by ") for line in lines)
+    assert any(line.startswith("bias: ") for line in lines)
     files = next(line for line in lines if line.startswith("files: "))
     assert all(str(folder / name) in files for name in ("diagnosis.json", "report.html", "physics.toml"))
 

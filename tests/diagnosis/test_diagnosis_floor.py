@@ -34,4 +34,4 @@ def test_less_than_the_noise_floor_is_left_only_where_it_held_the_cause(noise_nt
     diagnosis = diagnose(switching(noise_nt))
     lines = summary(diagnosis, entries(diagnosis), held_out_rms(diagnosis), ())
     assert lines[0].startswith("verdict: named")
-    assert any("the noise floor was taken with nine errors alone" in line for line in lines) is (noise_nt is None)
+    assert any("this noise was taken with nine errors alone" in line for line in lines) is (noise_nt is None)

@@ -19,6 +19,7 @@ from magcal_service.diagnosis.entry import plain
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.leftover import structures
 from magcal_service.diagnosis.linear import Gain
+from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.problem import Fit, Problem, Term
@@ -256,6 +257,7 @@ def made() -> Any:
         trusted=True,
         reasons=(),
         concerned={},
+        misled=Misled.of(fit, explained.fit),
     )
 
 
@@ -399,8 +401,8 @@ def test_what_has_no_name_is_described_with_the_nearest_that_has() -> None:
     shape = of.left[0].shape
     assert entry.says == (
         f"Something without a name is left, most like {shape.says}."
-        f" Nearest is idle, which would take {100.0 * share:.0f} % of it and is not borne out: on"
-        " blocks that took no part, or against its rivals and shapes without a name."
+        f" Nearest is idle: it would take {100.0 * share:.0f} % of it, but held-out blocks, its rivals"
+        " or shapes without a name speak against it."
     )
     assert (entry.effect, entry.variant, entry.rivals) == ("unknown", shape.name, ())
     assert entry.where["share_of_mismatch"] == 0.8123
@@ -440,6 +442,35 @@ def test_sums_of_a_diagnosis() -> None:
     assert sigma_nt**2 == pytest.approx(off @ made().fit.covariance[:3, :3] @ off / moved_nt**2)
 
 
+def test_how_far_vectors_are_off_without_the_effects_is_said_before_and_after_a_jump() -> None:
+    """Against the disturbance itself: its change is the whole difference of the two, and a bias is no answer alone."""
+    jump, at_s = 200.0, 0.5 * float(TIME_S[-1])
+    after = at_s <= TIME_S
+
+    def columns(theta: Any) -> Columns:
+        return Columns(body=along(0, (float(theta[0]) <= TIME_S).astype(float))[None])
+
+    form = replace(
+        body_form("jump", "", along(0, after)),
+        columns=columns,
+        nonlinear=(Nonlinear("at_s", "s", np.array([at_s]), role="instant"),),
+    )
+    problem = Problem(flown(jump * along(0, after.astype(float))), NOISE_NT)
+    alone = solve(problem, X)
+    fit = solve(problem, X, [Term(form, np.array([at_s]), np.array([jump]))])
+    off = Misled.of(alone, fit)
+    assert off.change_s == at_s
+    assert off.before_nt is not None
+    assert off.after_nt is not None
+    assert off.before_nt + off.after_nt == pytest.approx(jump, rel=0.25)
+    assert off.rms_nt == pytest.approx(math.sqrt(0.5 * (off.before_nt**2 + off.after_nt**2)), rel=0.05)
+    assert off.from_start
+    assert f"{off.before_nt:.1f} nT before {at_s:.1f} s" in str(off)
+    steady = made().misled
+    assert (steady.change_s, steady.most_nt >= steady.rms_nt > 0.0) == (None, True)
+    assert "at most" in str(steady)
+
+
 def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     content = json.loads(as_json(made()))
     fit = made().fit
@@ -451,6 +482,7 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     assert content["fit"]["sigma"]["bias_nt"] == pytest.approx(sigma[:3].tolist())
     assert content["fit"]["sigma"]["D"][0][0] == pytest.approx(sigma[3])
     assert content["fit"]["bias_before_nt"] == made().prepared.baseline.x[:3].tolist()
+    assert content["fit"]["vectors_off_nt"] == made().misled.to_dict()
     assert [effect["effect"] for effect in content["effects"]] == ["other", "one"]
     assert content["effects"][0]["evidence_nats"] == round(made().explained.nats[0], 2)
     assert (content["seconds"], content["spin"]) == (1.23, None)

@@ -147,6 +147,14 @@ def test_what_can_be_switched_off_is() -> None:
     assert off.nats > 1.2 * found[AGAIN].nats
 
 
+def test_what_acts_exactly_alike_is_told_by_switching_it_off_alone() -> None:
+    """Nothing that goes on as it did tells it, however long: odds are between two fitted courses only."""
+    current = term(form("current_loop", "channel:battery"), 150.0)
+    warm = form("thermal_bias", "channel:temperature")
+    alike = term(replace(warm, as_well=("current_loop",)), 150.0)
+    assert {do.partition(" the ")[0] for do in told(diagnosis(alike, current))} == {"switch off"}
+
+
 def test_no_turn_is_foretold_where_a_channel_would_change_with_it() -> None:
     """A panel's current in another attitude is not known; a temperature is taken to go on as it was."""
     current = term(form("current_loop", "channel:battery"), 150.0)

@@ -82,4 +82,4 @@ def test_a_jump_too_faint_to_be_seen_as_sudden_is_not_sure(size: float, is_sure:
     believed = posterior(named, 0)
     assert (believed.own >= SURE) is is_sure
     assert believed.members == (("bias_step",) if is_sure else ("bias_step", "unknown"))
-    assert unlisted(named, 0) == ("" if is_sure else "a change that takes minutes")
+    assert unlisted(named, 0) == ("" if is_sure else "a drift over minutes by a cause in no catalogue")

@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.advice import REASONS, advice, reason_in_words, remedy
 from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.empirical.modelled import Modelled
+from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.summary import reason_lines, summary
 from magcal_service.diagnosis.words import (
-    REASONS,
-    advice,
     belief,
     cause_sentence,
     chance,
     driver_in_words,
     modelled_sentence,
     next_step,
+    noise_in_words,
+    not_told_from,
     odds,
     percent,
-    reason_in_words,
     remaining,
-    remedy,
     strength,
     titles,
     verdict_sentence,
@@ -57,6 +57,9 @@ def diagnosis(
         unexplained=unexplained,
         left_share=max(unexplained, lasting),
         reasons=reasons,
+        may_last=0.26,
+        added_noise_nt=0.0,
+        misled=Misled(14.04, 20.06, 1234.0, 397.5),
         concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
@@ -71,6 +74,7 @@ def diagnosis(
         prepared=SimpleNamespace(
             sun=None,
             problem=SimpleNamespace(noise_nt=100.04, field_error=None),
+            view=SimpleNamespace(stated_noise_nt=100.04),
             baseline=SimpleNamespace(x=before),
             left_out={"spikes": 2},
         ),
@@ -92,8 +96,9 @@ def entry(
         separated_by="a heater test",
         measure=(),
         drivers=(),
-        share_of="the mismatch",
+        extent=f"{percent(share)} of the mismatch",
         unlisted="",
+        as_well=(),
     )
 
 
@@ -222,9 +227,32 @@ def test_a_name_that_is_not_sure_is_said_with_those_it_is_not_told_from() -> Non
     open_name = entry("a", "b", "c", probability=0.6)
     said = verdict_sentence(diagnosis(Verdict.NAMED, terms=1), [open_name], HELD_OUT)
     assert said == (
-        "Not told apart: heat; currents; or a step. If the first: it is hot; "
+        "The name is open: 60 % a (heat); 20 % b (currents); or 20 % c (a step). If a: it is hot; "
         "what is left of the mismatch is not seen in the noise."
     )
+
+
+def test_the_likeliest_is_said_first_whichever_was_fitted() -> None:
+    """With all of the class, however unlikely, and every rival that makes the name unsure."""
+    found = entry("a", "b", probability=0.3)
+    found.rivals = (("c", 0.5), ("d", 0.17), ("b", 0.03), ("z", 0.0001))
+    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED).effects))
+    assert said.startswith("The name is open: 50 % c (a step); 30 % a (heat); 17 % d (a tone); or 3 % b (currents).")
+    sure = entry("a", "b", probability=0.96)
+    assert cause_sentence(sure, titles(diagnosis(Verdict.NAMED).effects)) == "It is hot."
+
+
+def test_a_name_beside_another_says_where_it_is_open() -> None:
+    found = [entry("a"), entry("b", "c", probability=0.7)]
+    said = verdict_sentence(diagnosis(Verdict.NAMED), found, HELD_OUT)
+    assert said == "It is hot; beside it currents (name open: 70 %)."
+
+
+def test_a_size_that_is_not_fixed_is_not_said_as_one() -> None:
+    """An engineer who reads but the headline took "swings by -1212 ± 2179 nT" for what to compensate."""
+    of = diagnosis(Verdict.NAMED)
+    of.concerned = {"size_uncertain": ("a",)}
+    assert verdict_sentence(of, [entry("a")], HELD_OUT) == "It is hot, a size that this recording does not fix."
 
 
 # One number does not contradict another
@@ -257,13 +285,15 @@ def test_no_sentence_contradicts_another() -> None:
         assert f"{odds(one.nats)} that something is there" in said
         assert ("but its name is open" in said) is not sure
         assert ("that it is this rather than a rival" in said) is sure
-        assert head.startswith("Not told apart: heat") is not sure
+        assert head.startswith("The name is open: ") is not sure
         if not sure:
             best = max(one.rivals, key=lambda pair: pair[1])
             assert said.endswith(f"{chance(one.probability)} this, {chance(best[1])} {best[0]}")
-            assert all(TITLES[name] in head for name in one.members)
-            likeliest = f"Likeliest is {TITLES[best[0]]}, {chance(best[1])}. If the first"
-            assert (likeliest in head) is (best[1] > 0.5)
+            said = {one.effect: one.probability, **dict(one.rivals)}
+            assert all(f"{chance(said[name])} {name} ({TITLES[name]})" in head for name in one.members)
+            first = max(said, key=lambda name: said[name])
+            assert head.startswith(f"The name is open: {chance(said[first])} {first} ")
+            assert "If a: it is hot" in head
         for text in summary(diagnosis(Verdict.NAMED, terms=1), [one], HELD_OUT, []):
             assert "that it is there" not in text
     assert min(kinds.values()) > 50
@@ -275,7 +305,21 @@ def test_the_measurement_that_promises_most_is_asked_for() -> None:
     alike.measure = (Separation("spin faster", "b", 32.0), Separation("record longer", "b", 8.0))
     assert next_step(alike) == "spin faster (8 sigma, odds beyond 10^12 to 1 expected against b)"
     lines = summary(diagnosis(Verdict.NAMED, terms=1), [alike], HELD_OUT, [])
-    assert f"    cannot be told from b here; what would: {next_step(alike)}" in lines
+    assert f"    nearly the same is left by b; what would tell: {next_step(alike)}" in lines
+
+
+def test_what_leaves_exactly_the_same_is_not_said_to_do_so_nearly() -> None:
+    """And the other way round; nothing where an effect stands alone."""
+    found = entry("a", "b", "c", "unknown", probability=0.3)
+    found.unlisted = "a drift of something else"
+    assert not_told_from(found) == "nearly the same is left by b or c or a drift of something else"
+    found.as_well = ("c",)
+    assert not_told_from(found) == ("exactly the same is left by c; nearly the same by b or a drift of something else")
+    found.as_well = ("b", "c", "unknown")
+    assert not_told_from(found) == "exactly the same is left by b or c or a drift of something else"
+    assert not_told_from(entry("a")) == ""
+    words, _ = REASONS["name_uncertain"]
+    assert "nearly" not in words
 
 
 def test_what_has_no_rival_is_told_from_none() -> None:
@@ -286,7 +330,7 @@ def test_what_has_no_rival_is_told_from_none() -> None:
 
 def test_what_has_no_name_is_said_beside_what_has() -> None:
     unknown = diagnosis(Verdict.UNKNOWN, unexplained=0.61)
-    tail = "no effect of the catalogue explains it, but where it sits is known."
+    tail = "no effect of the catalogue explains it."
     alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
     assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
     makes = "makes 61 % of the mismatch besides currents, 310.4 nT rms of it in the shape that fits best"
@@ -315,6 +359,25 @@ def test_what_lasts_without_a_shape_remains_too() -> None:
     assert remaining(little).endswith("in no shape that could be told: little")
 
 
+def test_what_may_last_unseen_is_not_called_noise() -> None:
+    """A result was not to be acted on because too much lasts, and "nothing that could not be noise" was left."""
+    of = diagnosis(Verdict.NAMED, terms=1, reasons=("mismatch_lasts",))
+    assert remaining(of) == "nothing stands out of the noise, but 26 % of the mismatch could last unseen"
+    of.reasons = ("name_uncertain",)
+    assert remaining(of) == "nothing that could not be noise"
+
+
+def test_the_noise_is_said_with_whose_it_is_and_what_rounding_adds() -> None:
+    of = diagnosis(Verdict.NAMED)
+    assert noise_in_words(of) == "100.0 nT stated"
+    of.added_noise_nt = 57.74
+    assert noise_in_words(of) == "100.0 nT stated; rounding adds up to 57.7 nT to it"
+    of.prepared.view.stated_noise_nt = None
+    assert noise_in_words(of) == "100.0 nT estimated, rounding included"
+    of.added_noise_nt = 0.0
+    assert noise_in_words(of) == "100.0 nT estimated"
+
+
 def test_what_remains_is_what_the_names_do_not_explain() -> None:
     """64.4 % explained stood beside 2.65 % left."""
     both = diagnosis(Verdict.NAMED, terms=1, unexplained=0.0265, lasting=0.356, reasons=("mismatch_lasts",))
@@ -335,19 +398,16 @@ def test_a_name_beside_a_cause_in_no_catalogue_says_so() -> None:
     """In words that are no name of an effect."""
     found = entry("a", share=0.8, probability=0.86)
     found.rivals = (("unknown", 0.14),)
-    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED)))
-    assert said == "Not told apart: heat; or something that is in no catalogue. If the first: it is hot."
+    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED).effects))
+    assert said == "The name is open: 86 % a (heat); or 14 % something that is in no catalogue. If a: it is hot."
 
 
 def test_a_cause_in_no_catalogue_that_is_likelier_than_the_name_is_said_first() -> None:
     """Odds beyond all doubt that something is there, and a thousandth that it is this, were the whole answer."""
     found = entry("a", probability=0.001)
     found.rivals = (("unknown", 0.999),)
-    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED)))
-    assert said == (
-        "Not told apart: heat; or something that is in no catalogue. "
-        "Likeliest is something that is in no catalogue, 99.9 %. If the first: it is hot."
-    )
+    said = cause_sentence(found, titles(diagnosis(Verdict.NAMED).effects))
+    assert said == "The name is open: 99.9 % something that is in no catalogue; or 0.1 % a (heat). If a: it is hot."
 
 
 def test_what_has_no_name_is_given_no_probability() -> None:
@@ -373,22 +433,21 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
     assert lines == [
         "verdict: named, not trusted",
         "  do not act on this:",
-        "    name_uncertain (heat): another name, or a cause in no catalogue, does nearly as well; make one of the "
-        "measurements",
-        "    that stand beside the name",
+        "    name_uncertain (heat): less than 95 % speak for a name: other names, or a cause in no catalogue, have "
+        "the rest;",
+        "    make one of the measurements that stand beside the name",
         "    brand_new: brand new",
-        "  Not told apart: heat; or currents. If the first: it is hot; beside it a tone; "
-        "what is left of the mismatch is not",
-        "  seen in the noise.",
+        "  The name is open: 90 % a (heat); or 10 % b (currents). If a: it is hot; beside it a tone; what is left of "
+        "the",
+        "  mismatch is not seen in the noise.",
         "  a: 80 % of the mismatch; odds of 7 to 1 that something is there, but its name is open: 90 % this, 10 % b",
-        "    It is hot.",
-        "    cannot be told from b here; what would: a heater test",
+        "    nearly the same is left by b; what would tell: a heater test",
         "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
-        "    It is hot.",
-        "rms on rows held out of the fit: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; "
-        "noise floor 100.0 nT",
-        "bias: without these effects a calibration is off by 13.00 ± 0.50 nT, which its residual does not show: "
-        "(10.0, 20.0, 30.0) instead of (13.0, 16.0, 42.0) nT",
+        "rms on held-out rows: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise 100.0 nT "
+        "stated",
+        "vectors without these effects: off by 14.0 nT rms (at most 20.1 nT, at 1234 s), of which the residual shows "
+        "397.5 nT",
+        "bias: (13.0, 16.0, 42.0) nT; by nine errors alone (10.0, 20.0, 30.0) nT",
         "left: nothing that could not be noise",
         "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
         "files: out/diagnosis.json, out/report.html",
@@ -399,7 +458,7 @@ def test_a_summary_of_many_effects_shows_three_and_counts_the_rest() -> None:
     three = summary(diagnosis(Verdict.NAMED, terms=1), [entry(name) for name in "abc"], HELD_OUT, [])
     five = summary(diagnosis(Verdict.NAMED, terms=1), [entry(name) for name in "abcda"], HELD_OUT, [])
     assert not [line for line in three if "more, in the files" in line]
-    assert five[8] == "  and 2 more, in the files"
+    assert "  and 2 more, in the files" in five
     assert sum(line.endswith("that it is this") for line in five) == 3
 
 
@@ -430,7 +489,7 @@ def test_without_terms_no_bias_is_said_to_have_moved() -> None:
 
 
 def test_what_is_long_takes_four_lines_of_118_and_no_more() -> None:
-    lines = summary(diagnosis(Verdict.NAMED, terms=1), [entry("a", says="word " * 100)], HELD_OUT, [])
+    lines = summary(diagnosis(Verdict.NAMED, terms=1), [entry("b"), entry("a", says="word " * 100)], HELD_OUT, [])
     words = [line for line in lines if line.startswith("    word")]
     assert [len(line) for line in words] == [118, 118, 118, 117]
     assert words[0] == "    " + " ".join(["word"] * 23)

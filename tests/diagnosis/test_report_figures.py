@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import magcal_service.diagnosis.report as package
+from magcal_service.diagnosis.report.curves import _ranges
 from magcal_service.diagnosis.report.drawing import AFTER, AFTER_POINTS, BEFORE, BEFORE_POINTS, DIVERGING, picture
 from magcal_service.diagnosis.report.figures import coastlines
 from magcal_service.views import PAGE
@@ -31,6 +32,15 @@ def contrast(one: str, other: str) -> float:
 
 LIGHT, DARK = re.findall(r"--card:(#[0-9a-f]+)", (PAGE / "base.css").read_text("utf-8"))
 """What a figure is drawn on."""
+
+
+def test_what_takes_few_values_has_a_range_for_each() -> None:
+    """Something that is on or off was one point in the figure that shows the residual against it."""
+    number, centres = _ranges(np.array([0.0, 120.0, 120.0, 0.0, 120.0]))
+    assert (number.tolist(), centres.tolist()) == ([0, 1, 1, 0, 1], [0.0, 120.0])
+    number, centres = _ranges(np.arange(1000.0))
+    assert np.bincount(number).tolist() == [50] * 20
+    assert centres[0] == pytest.approx(24.5)
 
 
 def drawn() -> str:

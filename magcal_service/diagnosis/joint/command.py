@@ -12,7 +12,8 @@ from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
-from magcal_service.diagnosis.joint.result import as_json, model_of, summary
+from magcal_service.diagnosis.joint.result import as_json, model_of
+from magcal_service.diagnosis.joint.words import summary
 from magcal_service.diagnosis.report.frame import Origin, check_packages
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.stages import WRITING

@@ -134,6 +134,11 @@ class JointDiagnosis:
         """Of the mismatch, what is left beside the names: in a shape, or lasting without one."""
         return max(self.unexplained, 0.0 if self.rest is None else self.rest.share)
 
+    @property
+    def may_last(self) -> float:
+        """Of the mismatch, what cannot be excluded to last beside the names."""
+        return 0.0 if self.rest is None else self.rest.unsafe_share
+
 
 def diagnose_together(
     inspections: Sequence[Inspection],
@@ -308,7 +313,7 @@ def _parts(fit: Fit) -> list[Fit]:
 
 
 def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
-    """What speaks against acting on a result, by the names of ``words.REASONS``."""
+    """What speaks against acting on a result, by the names of ``advice.REASONS``."""
     fit, named = found.fit, bool(found.fit.terms)
     predicts = any(joint(term).common for term in fit.terms) and all(
         one.stands_out and one.kept > 0.0 for one in found.compared.predicted if one.shows

@@ -7,15 +7,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
 from magcal_service.diagnosis.joint.light import light_lines
-from magcal_service.diagnosis.joint.result import agreement, commonness, effect_of, left_share, says, sentence
+from magcal_service.diagnosis.joint.result import left_share
+from magcal_service.diagnosis.joint.words import agreement, commonness, effect_of, says, sentence
 from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.words import advice, chance, driver_in_words, percent
+from magcal_service.diagnosis.words import chance, driver_in_words, percent
 from magcal_service.model import BIAS
 from magcal_service.physics.saying import measured
 

@@ -152,6 +152,9 @@ def _plain(caption: str, label: str, x: Array, residual: Array) -> Against:
 
 def _ranges(x: Array) -> tuple[NDArray[np.intp], Array]:
     """Range number (n,) and the mean of x in each: equally many samples a range, or one range a value."""
+    values, of_value = np.unique(x, return_inverse=True)
+    if len(values) <= _BINS:
+        return of_value, values
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1)))
     number = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     used, number = np.unique(number, return_inverse=True)

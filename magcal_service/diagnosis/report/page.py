@@ -10,26 +10,27 @@ from typing import Any, Final
 
 import numpy as np
 
+from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.report.figures import curve_picture, pictures, track
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
-from magcal_service.diagnosis.result import held_out_rms, moved_bias
+from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.diagnosis.words import (
-    advice,
     belief,
     chance,
     driver_in_words,
     expected,
     members,
     modelled_sentence,
+    noise_in_words,
+    not_told_from,
     odds,
     percent,
     remaining,
-    share,
     strength,
     titles,
     verdict_sentence,
@@ -69,7 +70,8 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         remaining=remaining(diagnosis),
         modelled=None if diagnosis.modelled is None else _modelled(diagnosis.modelled),
         errors=_errors(diagnosis),
-        moved=measured(*moved_bias(diagnosis)),
+        misled=diagnosis.misled if diagnosis.fit.terms else None,
+        noise=noise_in_words(diagnosis),
         unseen=_unseen(diagnosis, found),
         rows=_rows(diagnosis),
         facts=_facts(diagnosis),
@@ -109,7 +111,7 @@ def _places(located: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
     effect = next(effect for effect in diagnosis.effects if effect.name == entry.effect)
-    known = titles(diagnosis)
+    known = titles(diagnosis.effects)
     return {
         "entry": entry,
         "title": effect.title,
@@ -118,16 +120,15 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "source": effect.source,
         "absorbed": effect.absorbed,
         "driver": driver_in_words(entry.driver),
-        "share": share(entry),
+        "share": entry.extent,
         "members": members(entry),
+        "not_told_from": not_told_from(entry),
         "rivals": [
             {
                 "name": name,
                 "title": (entry.unlisted if name == UNLISTED else "") or known.get(name, ""),
                 "probability": p,
-                "here": "cannot be told apart"
-                if name in entry.members
-                else f"told apart, {_apart(entry.probability, p)}",
+                "here": _here(entry, name, p),
             }
             for name, p in entry.rivals
         ],
@@ -142,9 +143,14 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
     }
 
 
-def _apart(own: float, rival: float) -> str:
-    """How far two names are told apart, as odds."""
-    return odds(math.log(own) - math.log(rival) if min(own, rival) > 0.0 else _BEYOND)
+def _here(entry: Entry, rival: str, probability: float) -> str:
+    """How a rival stands against the name."""
+    if rival in entry.as_well:
+        return "leaves exactly the same"
+    own = entry.probability
+    nats = abs(math.log(own) - math.log(probability)) if min(own, probability) > 0.0 else _BEYOND
+    than = f"{'likelier' if probability > own else 'less likely'}, {odds(nats)}"
+    return f"not told apart: {than}" if rival in entry.members else than
 
 
 def _parameter_rows(name: str, value: Value) -> list[dict[str, Any]]:
@@ -236,7 +242,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         begin, end = (np.datetime64(int(ns), "ns").astype("datetime64[s]") for ns in recording.time_ns[[0, -1]])
         facts.append(("from, to (UTC)", f"{begin} to {end}"))
     facts.append(("samples used", f"{len(scene)}, one every {scene.period_s:.3g} s"))
-    facts.append(("noise, 1 sigma per axis", f"{diagnosis.prepared.problem.noise_nt:.1f} nT"))
+    facts.append(("noise, 1 sigma per axis", noise_in_words(diagnosis)))
     if diagnosis.spin is not None:
         axis = ", ".join(f"{v:.3f}" for v in diagnosis.spin.axis_body.tolist())
         facts.append(("spin", f"{diagnosis.spin.rate_rpm:.4g} rpm about ({axis}) in the body"))

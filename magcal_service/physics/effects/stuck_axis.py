@@ -66,6 +66,9 @@ EFFECT = Effect(
     confused_with=("saturation", "quantisation"),
     separated_by="the value: a stop is at the end of the range, a frozen register anywhere",
     source="bus and register faults; found by exact repetition",
-    says=("An axis repeats {value_nt.signed} from {from_s} s to {to_s} s.",),
+    says=(
+        "An axis repeats one value while the others move, over {share_of_samples.percent} of the samples; longest is "
+        "{axis.place} at {value_nt.signed}, from {from_s} s to {to_s} s.",
+    ),
     find=_find,
 )

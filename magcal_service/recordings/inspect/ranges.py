@@ -118,7 +118,8 @@ def stuck_axis(log: Log) -> Iterator[Seen]:
         if usual[axis] <= 1.1 * log.resolution[axis] and not whole:
             continue
         value = log.field_nt[rows[0], axis]
-        says = f"{_AXES[axis]} repeats {value:g} nT over {rows_text(len(rows))} of {len(log)} while the others move"
+        says = f"{_AXES[axis]} repeats one value over {rows_text(len(rows))} of {len(log)} while the others move"
+        says += f", the first time {value:g} nT" if len(at) > 1 else f", {value:g} nT"
         remedy = "they cannot be used; power-cycle the sensor, and check magnetometer.columns"
         yield Seen(Code.STUCK_AXIS, not whole, log.rows[rows], says, remedy, Spoils.SAMPLES)
 

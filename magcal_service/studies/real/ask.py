@@ -146,7 +146,7 @@ def _together(recordings: Sequence[Recording]) -> Answer:
 
 
 def _shared(diagnosis: Any, one: Any) -> SharedNumber:
-    from magcal_service.diagnosis.joint.result import agreement
+    from magcal_service.diagnosis.joint.words import agreement
 
     return SharedNumber(
         one.effect,

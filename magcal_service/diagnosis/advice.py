@@ -1,0 +1,90 @@
+"""What each reason against acting on a diagnosis means, and what would lift it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+REASONS: Final[Mapping[str, tuple[str, str]]] = {
+    "recording_doubtful": (
+        "what was found on the recording itself has to be answered before any physics is named",
+        "answer each open finding of magcal inspect: mend the file, or accept it in [inspect]",
+    ),
+    "collapsed": (
+        "the nine errors ended at values that no sensor has",
+        "check units, axes and reference with magcal inspect; record over more attitudes",
+    ),
+    "poor_coverage": (
+        "the field did not point in enough directions to fix the nine errors",
+        "record over more attitudes: at least a turn about two axes, or most of an orbit",
+    ),
+    "unexplained_structure": (
+        "a mismatch is left for which no name is borne out",
+        "record more telemetry beside the magnetometer, and switch one suspect at a time",
+    ),
+    "mismatch_lasts": (
+        "beside what was named, too much of the mismatch still lasts from sample to sample, or could last unseen: the"
+        " cause resembles the name, but may be another one",
+        "record what drives it; see in the report where the rest sits, and record longer where it is faint",
+    ),
+    "not_converged": (
+        "the fit did not arrive at a solution; its numbers are where it stopped",
+        "record longer or over more attitudes, or give the sensor's noise as noise_nt",
+    ),
+    "name_uncertain": (
+        "less than 95 % speak for a name: other names, or a cause in no catalogue, have the rest",
+        "make one of the measurements that stand beside the name",
+    ),
+    "size_uncertain": (
+        "no number of an effect is three times its own sigma, or one ended where the search did: it is there, but"
+        " nobody can say how large",
+        "record longer, or record what drives it",
+    ),
+    "rough_residual": (
+        "what changes from one sample to the next is larger than any sensor's noise",
+        "state noise_nt; look for repeated or misplaced rows with magcal inspect",
+    ),
+    "noisier_than_stated": (
+        "more is left than the noise that was stated: the sensor is noisier, or something as quick as noise disturbs"
+        " it, such as a tone far above the sampling rate",
+        "state the noise that the sensor has on board; switch wheels, converters and transmitters off one by one",
+    ),
+    "field_model_doubtful": (
+        "the reference seems to err by more than twice what a field model does, smoothly along the orbit, which other"
+        " slow causes do as well: names and nine errors may hold a part of it",
+        "check coefficients, places and frames of the reference; record whole orbits",
+    ),
+    "gain_in_scatter": (
+        "what the effects gain on held-out blocks does not stand out of its scatter",
+        "record longer: twice the blocks halve the variance of the gain",
+    ),
+    "not_predicted": (
+        "a recording is not predicted by the numbers of the others: what was named is not common to them",
+        "see which recording and which effect it is; diagnose that recording alone",
+    ),
+    "not_enough_data": ("too few samples for held-out blocks", "record longer: 300 samples at least"),
+}
+"""What each reason against trusting a result means, and what would lift it."""
+
+
+def reason_in_words(reason: str) -> str:
+    """A reason as a clause; one that is new here by its own name."""
+    return REASONS[reason][0] if reason in REASONS else reason.replace("_", " ")
+
+
+def remedy(reason: str) -> str:
+    """What would lift a reason; empty for one that is new here."""
+    return REASONS[reason][1] if reason in REASONS else ""
+
+
+def advice(reasons: Sequence[str], concerned: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+    """Every reason against acting on a result: what it means, what would lift it, and the effects it is about."""
+    return [
+        {
+            "reason": reason,
+            "means": reason_in_words(reason),
+            "remedy": remedy(reason),
+            "effects": list(concerned.get(reason, ())),
+        }
+        for reason in reasons
+    ]
