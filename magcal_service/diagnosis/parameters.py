@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, free_numbers
+from magcal_service.diagnosis.solution import exchanged
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, by_name, value_of
 
@@ -39,6 +40,23 @@ def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
     for name, constant in term.hypothesis.constants.items():
         found.setdefault(name, value_of(constant, math.nan, effect.units.get(name, "1")))
     return {**found, **effect.derived(found)}
+
+
+def of_each_axis(fit: Fit, index: int, effect: Effect) -> Values:
+    """What each axis has by itself, where a form has one number for all: that one's sigma says nothing of a single
+    axis.  Empty where a form has no such number, or where the axes cannot be told apart."""
+    term = fit.terms[index]
+    mine = term.hypothesis
+    names = [block.each for block in mine.blocks]
+    for form in effect.hypotheses(fit.problem.scene) if all(names) else ():
+        is_like = (form.driver, form.constants) == (mine.driver, mine.constants)
+        numbers = [number.name for number in form.nonlinear]
+        if not is_like or [b.name for b in form.blocks] != names or numbers != [n.name for n in mine.nonlinear]:
+            continue
+        apart = exchanged(fit.problem, fit, index, Term(form, term.theta, np.repeat(term.amplitudes, 3)))
+        found = parameters_of(apart, index, effect) if apart.converged else {}
+        return {name: found[name] for name in names if name in found}
+    return {}
 
 
 def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:

@@ -12,7 +12,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
-from magcal_service.diagnosis.parameters import parameters_of
+from magcal_service.diagnosis.parameters import of_each_axis, parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations
@@ -52,7 +52,7 @@ def _effect(diagnosis: Diagnosis, name: str) -> Effect:
 def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
     fit, term = diagnosis.fit, diagnosis.fit.terms[index]
     effect = _effect(diagnosis, term.hypothesis.effect)
-    parameters = parameters_of(fit, index, effect)
+    parameters = {**parameters_of(fit, index, effect), **of_each_axis(fit, index, effect)}
     believed = posterior(diagnosis.explained, index)
     where = where_of_term(diagnosis, index)
     return Entry(

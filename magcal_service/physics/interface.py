@@ -49,6 +49,7 @@ class Block:
     least: value that each of them has at least by its physics.
     labels: names along each dimension, where they are not the axes.
     completes: whether it only completes what another block of its form says: alone it is no evidence for the name.
+    each: name of the block that has a number for each axis, in another form, where this one stands for all of them.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Block:
     least: float = -math.inf
     labels: tuple[tuple[str, ...], ...] = ()
     completes: bool = False
+    each: str = ""
 
     @property
     def size(self) -> int:

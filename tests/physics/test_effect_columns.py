@@ -128,10 +128,6 @@ def test_a_step_is_there_from_its_instant_on() -> None:
     found = forms("scale_step")
     assert added(found["none", ""], gain, 4000.0) == pytest.approx(-late * gain * FIELD)
     assert added(found["none", "one gain"], 0.01, 4000.0) == pytest.approx(-late * 0.01 * FIELD)
-    derived = effect_named("scale_step").derived({"step_common": value_of(0.01, 0.002, "1")})
-    assert derived["step"].value.tolist() == [0.01] * 3
-    assert derived["step"].sigma.tolist() == [0.002] * 3
-    assert effect_named("scale_step").derived({}) == {}
 
 
 def test_instants_are_even_in_samples_and_at_the_end_of_every_pause() -> None:
@@ -234,9 +230,6 @@ def test_a_bias_and_a_gain_follow_a_recorded_temperature_from_its_mean() -> None
     assert added(bias[by, ""], k) == pytest.approx(warmth * k)
     assert added(gain[by, ""], 1e-4 * k) == pytest.approx(-1e-4 * warmth * k * FIELD)
     assert added(gain[by, "one gain"], 1e-4) == pytest.approx(-1e-4 * warmth * FIELD)
-    derived = effect_named("thermal_scale").derived({"per_k_common": value_of(1e-4, 1e-5, "1/K")})
-    assert derived["per_k"].value.tolist() == [1e-4] * 3
-    assert derived["per_k"].sigma.tolist() == [1e-5] * 3
 
 
 def two_boards(swing_k: float) -> Scene:

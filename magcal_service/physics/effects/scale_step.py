@@ -4,26 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, common_gain, gains
 from magcal_service.physics.drivers.change import step
-from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield step(scene, "scale_step", lambda s: gains(scene.clean_field_nt, s), Block("step", "1"))
     yield step(scene, "scale_step", lambda s: gains(scene.calibrated_nt, s), Block("step", "1"), AFTER_BIAS)
-    common = Block("step_common", "1", ())
+    common = Block("step_common", "1", (), each="step")
     yield step(scene, "scale_step", lambda s: common_gain(scene.clean_field_nt, s), common, "one gain")
-
-
-def _derived(parameters: Values) -> Values:
-    """One step for all axes as three."""
-    one = parameters.get("step_common")
-    return {} if one is None else {"step": value_of(np.full(3, one.value), np.full(3, one.sigma), one.unit)}
 
 
 EFFECT = Effect(
@@ -42,6 +34,5 @@ EFFECT = Effect(
         "The gain of all axes {step_common.falls} by {step_common.percent} at {at_s.size}.",
         "The gain of {step.place} {step.falls} by {step.percent} at {at_s.size}, the most of the three.",
     ),
-    derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

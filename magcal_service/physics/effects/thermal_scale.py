@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
-import numpy as np
-
 from magcal_service.model import Array
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, Columns, common_gain, gains
 from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
-from magcal_service.physics.interface import Block, Effect, Hypothesis, Values, value_of
+from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_PER_K: Final = 0.01
@@ -33,22 +31,18 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         return gains(scene.calibrated_nt, signal)
 
     yield from recorded(scene, "thermal_scale", each, Block("per_k", "1/K", most=_MOST_PER_K))
-    for hypothesis in recorded(scene, "thermal_scale", common, Block("per_k_common", "1/K", (), _MOST_PER_K)):
+    for hypothesis in recorded(
+        scene, "thermal_scale", common, Block("per_k_common", "1/K", (), _MOST_PER_K, each="per_k")
+    ):
         yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
     yield from inferred(scene, "thermal_scale", each, Block("swing", "1", most=_MOST_SWING))
-    one = Block("swing_common", "1", (), _MOST_SWING)
+    one = Block("swing_common", "1", (), _MOST_SWING, each="swing")
     for hypothesis in inferred(scene, "thermal_scale", common, one, settles=False):  # no drift has one gain for all
         yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
     for hypothesis in recorded(scene, "thermal_scale", after, Block("per_k", "1/K", most=_MOST_PER_K)):
         yield replace(hypothesis, variant=f"{AFTER_BIAS} {hypothesis.variant}".strip())
     for hypothesis in inferred(scene, "thermal_scale", after, Block("swing", "1", most=_MOST_SWING)):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}")
-
-
-def _derived(parameters: Values) -> Values:
-    """One gain for all axes as three."""
-    one = parameters.get("per_k_common")
-    return {} if one is None else {"per_k": value_of(np.full(3, one.value), np.full(3, one.sigma), one.unit)}
 
 
 EFFECT = Effect(
@@ -83,7 +77,6 @@ EFFECT = Effect(
         "The gain of {start_swing.place} is {start_swing.percent} off at the start, the most of the three, and settles "
         "with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),
-    derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=lambda term: direct_by_temperature(term, "per_k", is_gain=True),
 )
