@@ -50,6 +50,10 @@ _OF_A_COURSE: Final = 0.005
 """Of a name's evidence, what a course that is inferred loses by not being the true one: up to a tenth of it squared,
 half of that as a rule.  A rival behind by some times as much may be the cause: of six within 3 % one was."""
 
+_OF_A_RECORD: Final = 0.01
+"""Of a name's evidence that follows no record, what a recorded driver loses by its own noise and lag; choice: a tenth
+of a course, squared.  A relaxing drift was 3 % before a thermometer that had recorded what caused it."""
+
 _OF_A_FORM: Final = 0.3
 """Probability that a name within that leaves to a larger one's other form; choice: enough for it not to be acted on."""
 
@@ -149,14 +153,17 @@ def _is_rather_unlisted(believed: Posterior) -> bool:
 
 
 def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
-    """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true.
+    """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true, or the
+    rival's is a record of it, which is not either.
 
     A rival by the same driver errs along with it.
     """
     mine = explained.fit.terms[index].hypothesis
-    if not mine.is_inferred or rival.driver == mine.driver:
+    if rival.driver == mine.driver:
         return 1.0
-    return 1.0 + _OF_A_COURSE * max(explained.own_nats(index), 0.0)
+    by_record = _OF_A_RECORD if is_recorded(rival) and not is_recorded(mine) else 0.0
+    by_course = _OF_A_COURSE if mine.is_inferred else 0.0
+    return 1.0 + max(by_record, by_course) * max(explained.own_nats(index), 0.0)
 
 
 def _least_unlisted(explained: Explained, index: int) -> float:

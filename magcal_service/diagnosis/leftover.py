@@ -123,10 +123,8 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     that overlap the best.  Where most of the recording would count, it is no transient.
     """
     search, space = beside.search, beside.space.clipped(_TAIL * sigma)
-    if search.problem.is_vector:
-        return None
-    scene = search.problem.scene
-    rows = search.white(along_axes(np.ones(len(scene))).along(beside.fit.unit))
+    scene, each = search.problem.scene, search.problem.rows_per_sample
+    rows = search.seen(along_axes(np.ones(len(scene))), beside.fit)
     trials: list[tuple[float, int, int]] = []
     for width_s in _TRANSIENTS_S:
         step = max(round(0.5 * width_s / scene.period_s), 3)
@@ -134,7 +132,7 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
         if len(firsts) < 4:
             continue
         gains = (
-            0.5 * space.segments(rows, firsts).pairs.drops / sigma**2
+            0.5 * space.segments(rows, each * firsts).pairs.drops / sigma**2
             - 1.5 * math.log(2.0 * step)
             - math.log(len(firsts) * 3.0)
         )
@@ -191,13 +189,11 @@ def largest_product(search: Search, fit: Fit, floor_nt: float, axes: int = 1) ->
 
 def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | None:
     """The strongest line, where it is one [Hz]; its neighbourhood may hold more than a steady tone."""
-    if search.problem.is_vector:
-        return None
     scene = search.problem.scene
     found = strongest(scene, space.residual, fit.unit, 1, search.spin_hz)
     if not len(found):
         return None
-    rows = search.white(oscillation(scene.time_s, float(found[0])).along(fit.unit))
+    rows = search.seen(oscillation(scene.time_s, float(found[0])), fit)
     return float(found[0]) if space.gain(rows, sigma).nats > 0.5 * SIGNIFICANT_NATS else None
 
 

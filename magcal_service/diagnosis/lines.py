@@ -58,10 +58,14 @@ def strongest(
 def body_spectrum(scene: Scene, residual: Array, unit: Array) -> tuple[Array, Array]:
     """Frequencies [Hz] (f,) and the drop in squares (f,) [nT^2] that a body-fixed oscillation at each would bring.
 
-    White noise gives six times its variance everywhere.
+    White noise gives six times its variance everywhere.  ``residual`` is of the magnitude (n,), or of the components,
+    three a sample (3 n,), which need no direction.
     """
     slot = slots(scene)
     size = 1 << int(np.ceil(np.log2(2 * (int(slot[-1]) + 1))))
+    if len(residual) == 3 * len(scene):
+        turns = _transform(slot, residual.reshape(-1, 3), size)[: size // 2]
+        return np.arange(size // 2) / (size * scene.period_s), 2.0 * (np.abs(turns) ** 2).sum(axis=1) / len(scene)
     products = np.stack([unit[:, i] * unit[:, j] for i in range(3) for j in range(3)], axis=1)
     right = _transform(slot, residual[:, None] * unit, size)
     pairs = _transform(slot, products, size)

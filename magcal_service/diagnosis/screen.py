@@ -135,9 +135,10 @@ class Screen:
         rows = self.problem.rows(hypothesis.columns(theta), unit)
         return None if rows is None or not np.isfinite(rows).all() else self.white(rows)
 
-    def _rows(self, columns: Columns, fit: Fit) -> Array:
+    def seen(self, columns: Columns, fit: Fit) -> Array:
+        """White rows (m, k) of columns that this residual can see."""
         rows = self.problem.rows(columns, fit.unit)
-        assert rows is not None, "a proposal for a residual that does not see it"
+        assert rows is not None, "a magnitude, which a residual of components does not see"
         return self.white(rows)
 
     # Screening
@@ -176,14 +177,16 @@ class Screen:
         return sorted(believed, key=lambda candidate: -candidate.nats)
 
     def _lines(self, space: Workspace, fit: Fit) -> Array:
-        if self.problem.is_vector:
-            return np.zeros(0)
         scene = self.problem.scene
         found = strongest(scene, space.residual, fit.unit, _LINES, self.spin_hz)
         if not len(found):
             return found
-        rows = self.white(oscillation(scene.time_s, float(found[0])).along(fit.unit))
-        enough = space.gain(rows, math.sqrt(space.squares / space.count)).nats > _LEAST_LINE_NATS
+        enough = (
+            space.gain(
+                self.seen(oscillation(scene.time_s, float(found[0])), fit), math.sqrt(space.squares / space.count)
+            ).nats
+            > _LEAST_LINE_NATS
+        )
         return found if enough else found[:0]
 
     def _coarse(
@@ -230,13 +233,12 @@ class Screen:
             return np.zeros((1, 0))
         if not afresh and not any(number.role in OF_LINES for number in hypothesis.nonlinear):
             own = [term.theta for term in fit.terms if term.hypothesis is hypothesis]
-            known = [*self._known.get(hypothesis.label, []), *own]
-            if known:
+            if known := [*self._known.get(hypothesis.label, []), *own]:
                 return known
         if hypothesis.proposals is None:
             return _product(grids)
         each = self.problem.rows_per_sample
-        return hypothesis.proposals(lambda columns, rows: space.segments(self._rows(columns, fit), each * rows), grids)
+        return hypothesis.proposals(lambda columns, rows: space.segments(self.seen(columns, fit), each * rows), grids)
 
     def _keep(self, hypothesis: Hypothesis, theta: Array) -> None:
         """Remember numbers that a hypothesis was at its best with, for when it is a rival."""

@@ -257,6 +257,10 @@ def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: flo
         ("inferred:light", "inferred:sun", 1000.0, -6.0, math.exp(-1.0)),
         ("inferred:light", "none", 100.0, 6.0, math.exp(4.0)),
         ("inferred:light", "inferred:light", 1000.0, 6.0, math.exp(6.0)),
+        ("none", "channel:one", 1000.0, 22.0, math.exp(2.0)),
+        ("inferred:light", "channel:one", 1000.0, 22.0, math.exp(2.0)),
+        ("none", "none", 1000.0, 22.0, math.exp(22.0)),
+        ("channel:other", "channel:one", 1000.0, 22.0, math.exp(22.0)),
     ],
 )
 def test_a_course_that_is_inferred_leaves_more_to_its_rivals(
@@ -264,7 +268,7 @@ def test_a_course_that_is_inferred_leaves_more_to_its_rivals(
 ) -> None:
     """It may lose 0.5 % of its evidence by not being the true one: of 1000 nats 5, so 6 behind are 1.
 
-    A rival by the same course loses as much.
+    A rival by the same course loses as much.  One that was recorded may lose 1 % by its own noise and lag.
     """
     named = explained([("bias_drift", own_nats - behind)], own_nats)
     first, other = named.rivals[0]

@@ -110,3 +110,29 @@ def test_an_attitude_that_errs_slowly_is_not_believed() -> None:
     assert (found.prepared.form, found.refused) == (Form.SCALAR, (Form.AIMED,))
     assert found.verdict is Verdict.NONE
     assert mounting_of(found.fit) is None
+
+
+def test_a_line_is_found_on_vectors_as_on_magnitudes() -> None:
+    """0.31 Hz of 90 nT beneath 100 nT of noise, with a frequency to a hundredth of the recording's resolution."""
+    bench = Bench(21, with_attitude=True)
+    angle = 2.0 * np.pi * 0.31 * bench.time_s
+    bench.added_nt = np.outer(np.cos(angle), [60.0, -40.0, 20.0]) + np.outer(np.sin(angle), [20.0, 30.0, -30.0])
+    found = diagnose(bench.recording())
+    assert found.prepared.form is Form.AIMED
+    (term,) = found.fit.terms
+    assert term.hypothesis.effect == "tone"
+    assert term.theta[0] == pytest.approx(0.31, abs=0.05 / 1800.0)
+    assert found.trusted
+
+
+def test_what_comes_and_goes_is_seen_on_vectors_as_on_magnitudes() -> None:
+    """Forty seconds at a time, five times, each along another axis: nothing has that form, and it is no noise."""
+    bench = Bench(22, with_attitude=True)
+    rng = np.random.default_rng(9065)
+    added_nt = np.zeros((bench.count, 3))
+    for first in (130, 480, 790, 1180, 1530):
+        added_nt[first : first + 40] = 200.0 * rng.normal(size=3)
+    bench.added_nt = added_nt
+    found = diagnose(bench.recording())
+    assert found.prepared.form is Form.AIMED
+    assert not found.trusted
