@@ -75,13 +75,13 @@ def said(named: Explained, unexplained: float = 0.0, unknown: bool = False) -> t
 
 def test_probabilities_are_those_of_the_nats() -> None:
     """e to the difference, over the sum, less what is left to causes in no catalogue; a class is within 3 nats."""
-    found = posterior(explained([("bias_drift", 99.0), ("thermal_bias", 96.5), ("tone", 90.0)]), 0)
+    found = posterior(explained([("bias_drift", 99.0), ("scale_drift", 96.5), ("tone", 90.0)]), 0)
     weights = [1.0, math.exp(-1.0), math.exp(-3.5), math.exp(-10.0)]
     assert found.own == pytest.approx(0.97 / sum(weights))
     assert found.members == ("bias_step", "bias_drift")
     rivals = dict(found.rivals)
     assert rivals.pop("unknown") == pytest.approx(0.03)
-    assert list(rivals) == ["bias_drift", "thermal_bias", "tone"]
+    assert list(rivals) == ["bias_drift", "scale_drift", "tone"]
     assert list(rivals.values()) == pytest.approx([0.97 * weight / sum(weights) for weight in weights[1:]])
 
 

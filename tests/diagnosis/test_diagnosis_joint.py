@@ -196,7 +196,7 @@ def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> No
 def test_a_name_that_is_open_is_said_to_be(found: JointDiagnosis) -> None:
     index = next(k for k, term in enumerate(found.fit.terms) if term.hypothesis.effect == "thermal_bias")
     alike = [
-        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0))
+        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none"))
         for effect, nats in (("thermal_bias", 9.0), ("bias_step", 8.0))
     ]
     rivals: list[Any] = [()] * len(found.fit.terms)

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import KEPT, Scene, Warmed
-from magcal_service.physics.scene.vectors import Vectors, undisturbed
+from magcal_service.physics.scene.vectors import Vectors
 
 _BETWEEN_S: Final = 3600.0
 """Pause between two recordings on the common clock [s]: longer than any gap that a course is carried over."""
@@ -41,7 +41,7 @@ class JointScene(Scene):
             field_nt=np.concatenate([part.field_nt for part in parts]),
             calibrated_nt=np.concatenate([part.calibrated_nt for part in parts]),
             clean_field_nt=np.concatenate([part.clean_field_nt for part in parts]),
-            undisturbed_nt=np.concatenate([undisturbed(part) for part in parts]),
+            undisturbed_nt=np.concatenate([part.free_field_nt for part in parts]),
             magnitude_nt=np.concatenate([part.magnitude_nt for part in parts]),
             moved_s=np.concatenate([np.zeros(len(part)) if part.moved_s is None else part.moved_s for part in parts]),
             in_orbit=all(part.in_orbit for part in parts),

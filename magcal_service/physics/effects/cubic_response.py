@@ -14,14 +14,13 @@ from magcal_service.physics.columns import AFTER_BIAS, Columns
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
-from magcal_service.physics.scene.vectors import undisturbed
 
 _MOST_PER_NT2: Final = 0.1 / 50e3**2
 """A cube's size at the most [1/nT^2]: a tenth at 50 uT, ten times the linearity of the poorest AMR sensors."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield from _forms(undisturbed(scene))
+    yield from _forms(scene.free_field_nt)
     for hypothesis in _forms(scene.calibrated_nt):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".removesuffix(", "))
 

@@ -163,6 +163,11 @@ class Scene:
         return len(self.time_s)
 
     @property
+    def free_field_nt(self) -> Array:
+        """(n, 3) measured vectors as they would be without what was left out, as far as that is known [nT]."""
+        return self.clean_field_nt if self.undisturbed_nt is None else self.undisturbed_nt
+
+    @property
     def is_given(self) -> bool:
         """Whether a known model is applied, rather than one searched."""
         return self.given is not None

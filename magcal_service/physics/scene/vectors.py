@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_service.model import Array
-
-if TYPE_CHECKING:
-    from magcal_service.physics.scene.scene import Scene
 
 
 class Vectors(NamedTuple):
@@ -57,8 +54,3 @@ class Vectors(NamedTuple):
 def _together(parts: Sequence[Array | None]) -> Array | None:
     known = [part for part in parts if part is not None]
     return np.concatenate(known) if len(known) == len(parts) else None
-
-
-def undisturbed(scene: Scene) -> Array:
-    """Measured vectors (n, 3) of a scene as they would be without what was left out [nT], as far as that is known."""
-    return scene.clean_field_nt if scene.undisturbed_nt is None else scene.undisturbed_nt
