@@ -312,6 +312,8 @@ class Search(Screen):
             if h is mine or h.label in self.close or (moves and h.moves_s is not None) or is_as_sudden(h, mine)
         ]
         ranked = [*self.screen(space, fit, sigma, sorted(others), close), *in_stages(self, fit, index, space, sigma)]
+        if not any(one.hypothesis is mine for one in ranked):  # to first order beyond its physics; as fitted it is not
+            ranked += self.at(mine, fit.terms[index].theta, space, fit, sigma)
         return sorted(ranked, key=lambda candidate: -candidate.nats)
 
     def compared(self, fit: Fit, floor_nt: float, given_up: frozenset[str] = frozenset()) -> Explained:

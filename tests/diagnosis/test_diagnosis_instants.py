@@ -86,3 +86,17 @@ def test_two_jumps_in_place_of_a_change_are_where_they_happened() -> None:
     search, fit = alone(field)
     (pair,) = in_stages(search, fit, 0, search.workspace(fit, 0), fit.white_rms_nt)
     assert pair.theta == pytest.approx([FIRST_S, SECOND_S], abs=12.0)
+
+
+def test_a_name_is_among_its_rivals_whatever_its_size_to_first_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strong one may be beyond its physics there, as fitted within: another form of it was held against the rest."""
+    search, fit = alone(np.outer(scene().time_s >= FIRST_S, FIRST_NT))
+    mine = fit.terms[0].hypothesis
+    believed = Search._is_believable
+    monkeypatch.setattr(
+        Search,
+        "_is_believable",
+        lambda self, one, space, of: one.hypothesis is not mine and believed(self, one, space, of),
+    )
+    ranked = search._rivals(fit, 0, fit.white_rms_nt)
+    assert [one.theta.tolist() for one in ranked if one.hypothesis is mine] == [fit.terms[0].theta.tolist()]
