@@ -100,7 +100,7 @@ class Diagnosis:
     @property
     def added_noise_nt(self) -> float:
         """Noise that was found on top of the sensor's own, as by rounding [nT per axis]."""
-        return _added_nt(self.findings)
+        return added_noise_nt(self.findings)
 
     @property
     def misled(self) -> Misled:
@@ -211,7 +211,7 @@ def _on_rows(
         stated,
         end.rest,
         has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
-        added_noise_nt=_added_nt(findings),
+        added_noise_nt=added_noise_nt(findings),
     )
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
@@ -236,7 +236,7 @@ def _on_rows(
     )
 
 
-def _added_nt(findings: Mapping[str, Finding]) -> float:
+def added_noise_nt(findings: Mapping[str, Finding]) -> float:
     """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where none says so."""
     added = [one.parameters["added_noise_nt"].value for one in findings.values() if "added_noise_nt" in one.parameters]
     return max((float(np.max(one)) for one in added), default=0.0)

@@ -11,6 +11,7 @@ import numpy as np
 from magcal_service.diagnosis.problem import Fit, Term, disturbances
 from magcal_service.diagnosis.sized import numbers_of
 from magcal_service.model import STATE_SIZE, Array, calibrate
+from magcal_service.physics.saying import measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,8 @@ class Misled:
     Parameters
     ----------
     rms_nt: over the samples.
+    sigma_nt: 1 sigma of it by the nine errors of the fit, rms over the samples: where the field did not point in enough
+        directions, the two calibrations differ by what neither knows.
     most_nt, most_at_s: the largest, and when.
     shown_nt: what of it the held-out residual shows: the root of the difference of the two squared levels.
     change_s: when the bias or a scale jumps, where it does so once; else None, as the two that follow.
@@ -28,6 +31,7 @@ class Misled:
     """
 
     rms_nt: float
+    sigma_nt: float
     most_nt: float
     most_at_s: float
     shown_nt: float
@@ -46,7 +50,10 @@ class Misled:
         worst = int(np.argmax(off_nt))
         shown_nt = math.sqrt(max(baseline.held_out_rms_nt**2 - fit.held_out_rms_nt**2, 0.0))
         from_start = any(_begins(term) for term in fit.terms)
-        found = cls(_rms(off_nt), float(off_nt[worst]), float(scene.time_s[worst]), shown_nt, from_start=from_start)
+        sigma_nt = _sigma_nt(scene.field_nt, fit.covariance[:STATE_SIZE, :STATE_SIZE])
+        found = cls(
+            _rms(off_nt), sigma_nt, float(off_nt[worst]), float(scene.time_s[worst]), shown_nt, from_start=from_start
+        )
         instants = [at for _, at in numbers_of(fit, "instant")]
         if len(instants) != 1:
             return found
@@ -61,7 +68,7 @@ class Misled:
             when = f"{self.before_nt:.1f} nT before {self.change_s:.1f} s, {self.after_nt:.1f} nT after"
         else:
             when = f"at most {self.most_nt:.1f} nT, at {self.most_at_s:.0f} s"
-        return f"{self.rms_nt:.1f} nT rms ({when})"
+        return f"{measured(self.rms_nt, self.sigma_nt)} nT rms ({when})"
 
     def to_dict(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
@@ -72,6 +79,14 @@ def _begins(term: Term) -> bool:
     """Whether a term has no driver, is nothing at the first sample, and something at the last."""
     field = term.hypothesis.columns(term.theta).field(term.amplitudes)
     return term.hypothesis.driver == "none" and bool(field[-1].any() and not field[0].any())
+
+
+def _sigma_nt(field_nt: Array, covariance: Array) -> float:
+    """1 sigma of calibrated vectors (n, 3) by the nine errors' covariance (9, 9), along all axes, rms [nT]."""
+    at_zero = calibrate(np.zeros(STATE_SIZE), field_nt)
+    slopes = np.array([calibrate(one, field_nt) - at_zero for one in np.eye(STATE_SIZE)]).reshape(STATE_SIZE, -1)
+    variance = float(np.sum((slopes @ slopes.T) * covariance)) / len(field_nt)
+    return math.sqrt(max(variance, 0.0))
 
 
 def _rms(values: Array) -> float:

@@ -17,7 +17,7 @@ from magcal_service.diagnosis.words import (
     belief,
     modelled_sentence,
     next_step,
-    noise_in_words,
+    noise_of,
     not_told_from,
     remaining,
     verdict_sentence,
@@ -53,7 +53,7 @@ def summary(
     floor_nt, is_stated = diagnosis.prepared.problem.noise_nt, diagnosis.prepared.view.stated_noise_nt is not None
     lines += wrapped(
         f"rms on held-out rows: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} "
-        f"nT recalibrated, {held_out['with_effects']:.1f} nT with effects; noise {noise_in_words(diagnosis)}",
+        f"nT recalibrated, {held_out['with_effects']:.1f} nT with effects; noise {noise_of(diagnosis)}",
         "",
     )
     if diagnosis.fit.terms and _WORSE * held_out["with_effects"] < floor_nt and not is_stated:

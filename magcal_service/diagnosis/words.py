@@ -102,16 +102,28 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     )
 
 
-def noise_in_words(diagnosis: Diagnosis) -> str:
-    """The noise that residuals are held against, 1 sigma per axis: whose it is, and what rounding has to do with it.
+def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> str:
+    """The noise that residuals are held against, whose it is, and what rounding has to do with it.
 
-    It is estimated by what changes from one sample to the next, of which rounding is a part.
+    Parameters
+    ----------
+    noise_nt: 1 sigma per axis [nT].
+    is_stated: whether the descriptor states it; else it is estimated by what changes from one sample to the next, of
+        which rounding is a part.
+    added_nt: what rounding that was found adds [nT per axis].
     """
-    noise_nt, added_nt = diagnosis.prepared.problem.noise_nt, diagnosis.added_noise_nt
-    if diagnosis.prepared.view.stated_noise_nt is None:
+    if not is_stated:
         return f"{noise_nt:.1f} nT estimated{', rounding included' * (added_nt > 0.0)}"
     more = f"; rounding adds up to {added_nt:.1f} nT to it" if added_nt > 0.0 else ""
     return f"{noise_nt:.1f} nT stated{more}"
+
+
+def noise_of(diagnosis: Diagnosis) -> str:
+    """The same of a diagnosis of one recording."""
+    prepared = diagnosis.prepared
+    return noise_in_words(
+        prepared.problem.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt
+    )
 
 
 def explained_share(unexplained: float) -> str:

@@ -99,7 +99,8 @@ def test_the_report_has_verdict_and_numbers_of_the_json(page: Page, folder: Path
     assert page.text.startswith(content["verdict"])
     for value in content["fit"]["held_out_rms_nt"].values():
         assert f"{value:.1f} nT" in page.text
-    assert f"off by {content['fit']['vectors_off_nt']['rms_nt']:.1f} nT rms" in page.text
+    off = content["fit"]["vectors_off_nt"]
+    assert f"off by {measured(off['rms_nt'], off['sigma_nt'])} nT rms" in page.text
     assert f"the noise, {content['fit']['noise_floor_nt']:.1f} nT stated" in page.text
     assert " ".join(content["sentence"].split()) in page.text
     for effect in content["effects"]:

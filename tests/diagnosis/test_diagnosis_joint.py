@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 import magcal_service as magcal
 from magcal_service.diagnosis.advice import REASONS
+from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.joint.compare import chi_square_tail
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
@@ -22,8 +23,9 @@ from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.result import as_json, model_of
-from magcal_service.diagnosis.joint.words import sentence, summary
+from magcal_service.diagnosis.joint.words import name_in_words, noise_of_one, sentence, summary
 from magcal_service.diagnosis.report.frame import Origin
+from magcal_service.diagnosis.words import chance
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.recordings.recording import Recording
@@ -178,7 +180,7 @@ def test_json_summary_and_page_say_it_in_the_words_of_one_recording(found: Joint
     assert content["sentence"].startswith("3 recordings have in common a bias that follows the sensor's temperature; ")
     assert "; each recording has numbers of its own for " in content["sentence"]
     assert content["sentence"].endswith(("of the mismatch is explained.", "is not seen in the noise."))
-    assert all(f"{one.name}: rms on rows held out of the fit " in text for one in found.recordings)
+    assert all(f"{one.name}: rms on held-out rows " in text for one in found.recordings)
 
 
 def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> None:
@@ -207,6 +209,18 @@ def test_a_name_that_is_open_is_said_to_be(found: JointDiagnosis) -> None:
         rf"in common something whose name is open, [67]\d.* % thermal_bias \({heat}\); or 2\d.* % bias_step \({step}\)"
     )
     assert re.search(said, text)
+
+
+def test_a_name_that_is_open_has_its_rivals_beside_it(found: JointDiagnosis) -> None:
+    """And one that is sure its probability alone; the noise is said with whose it is."""
+    lines = "\n".join(summary(found, ()))
+    for index in range(len(found.fit.terms)):
+        own = posterior(found.explained, index).own
+        said = name_in_words(found, index)
+        assert said in lines
+        assert said.startswith(f"probability {chance(own)}" if own >= 0.95 else f"name open: {chance(own)} this, ")
+    assert all(f"noise {noise_of_one(one)}" in lines for one in found.recordings)
+    assert noise_of_one(found.recordings[0]).endswith("stated")
 
 
 def test_recordings_that_name_no_craft_are_said_to_be_assumed_of_one(days: list[Day]) -> None:

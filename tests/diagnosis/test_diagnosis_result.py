@@ -466,6 +466,8 @@ def test_how_far_vectors_are_off_without_the_effects_is_said_before_and_after_a_
     assert off.rms_nt == pytest.approx(math.sqrt(0.5 * (off.before_nt**2 + off.after_nt**2)), rel=0.05)
     assert off.from_start
     assert f"{off.before_nt:.1f} nT before {at_s:.1f} s" in str(off)
+    sigma = np.sqrt(np.diagonal(fit.covariance)[:9])
+    assert 0.5 * np.linalg.norm(sigma[:3]) < off.sigma_nt < np.linalg.norm(sigma[:3]) + 1e5 * np.linalg.norm(sigma[3:])
     steady = made().misled
     assert (steady.change_s, steady.most_nt >= steady.rms_nt > 0.0) == (None, True)
     assert "at most" in str(steady)

@@ -25,7 +25,7 @@ from magcal_service.diagnosis.words import (
     driver_in_words,
     modelled_sentence,
     next_step,
-    noise_in_words,
+    noise_of,
     not_told_from,
     odds,
     percent,
@@ -59,7 +59,7 @@ def diagnosis(
         reasons=reasons,
         may_last=0.26,
         added_noise_nt=0.0,
-        misled=Misled(14.04, 20.06, 1234.0, 397.5),
+        misled=Misled(14.04, 0.52, 20.06, 1234.0, 397.5),
         concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
         effects=[SimpleNamespace(name=name, title=title) for name, title in TITLES.items()],
@@ -369,13 +369,13 @@ def test_what_may_last_unseen_is_not_called_noise() -> None:
 
 def test_the_noise_is_said_with_whose_it_is_and_what_rounding_adds() -> None:
     of = diagnosis(Verdict.NAMED)
-    assert noise_in_words(of) == "100.0 nT stated"
+    assert noise_of(of) == "100.0 nT stated"
     of.added_noise_nt = 57.74
-    assert noise_in_words(of) == "100.0 nT stated; rounding adds up to 57.7 nT to it"
+    assert noise_of(of) == "100.0 nT stated; rounding adds up to 57.7 nT to it"
     of.prepared.view.stated_noise_nt = None
-    assert noise_in_words(of) == "100.0 nT estimated, rounding included"
+    assert noise_of(of) == "100.0 nT estimated, rounding included"
     of.added_noise_nt = 0.0
-    assert noise_in_words(of) == "100.0 nT estimated"
+    assert noise_of(of) == "100.0 nT estimated"
 
 
 def test_what_remains_is_what_the_names_do_not_explain() -> None:
@@ -445,7 +445,8 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
         "rms on held-out rows: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise 100.0 nT "
         "stated",
-        "vectors without these effects: off by 14.0 nT rms (at most 20.1 nT, at 1234 s), of which the residual shows "
+        "vectors without these effects: off by 14.04 ± 0.52 nT rms (at most 20.1 nT, at 1234 s), of which the residual "
+        "shows",
         "397.5 nT",
         "bias: (13.0, 16.0, 42.0) nT; by nine errors alone (10.0, 20.0, 30.0) nT",
         "left: nothing that could not be noise",

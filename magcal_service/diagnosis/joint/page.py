@@ -14,12 +14,23 @@ from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
 from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.joint.result import left_share
-from magcal_service.diagnosis.joint.words import agreement, commonness, effect_of, says, sentence
+from magcal_service.diagnosis.joint.words import (
+    agreement,
+    commonness,
+    effect_of,
+    name_in_words,
+    noise_of_one,
+    says,
+    sentence,
+)
 from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.words import chance, driver_in_words, percent
+from magcal_service.diagnosis.words import driver_in_words, percent
 from magcal_service.model import BIAS
 from magcal_service.physics.saying import measured
+
+_NOT_SEEN: Final = 1e-3
+"""Of its own sigma, the size of a number below which a recording says nothing of it; choice."""
 
 _TEMPLATE: Final = Path(__file__).with_name("page.html")
 
@@ -49,7 +60,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "title": effect.title,
         "says": says(diagnosis, index),
         "commonness": commonness(diagnosis, index),
-        "probability": chance(believed.own),
+        "name_is": name_in_words(diagnosis, index),
         "members": ", ".join(believed.members[1:]),
         "separated_by": effect.separated_by,
         "driver": driver_in_words(diagnosis.fit.terms[index].hypothesis.driver),
@@ -70,7 +81,7 @@ def _number(diagnosis: JointDiagnosis, one: Shared) -> dict[str, Any]:
 
 def _in_words(one: Estimate) -> str:
     pairs = zip(one.value.tolist(), one.sigma.tolist(), strict=True)
-    return ", ".join(measured(value, sigma) for value, sigma in pairs)
+    return ", ".join("not seen" if abs(v) < _NOT_SEEN * s else measured(v, s) for v, s in pairs)
 
 
 def _predicted(one: Predicted) -> dict[str, Any]:
@@ -102,9 +113,9 @@ def _recording(one: Alone, levels: Levels) -> dict[str, Any]:
     return {
         "name": one.name,
         "rows": str(account_of(one.inspection, one.prepared)),
-        "noise": f"{one.prepared.problem.noise_nt:.0f} nT",
+        "noise": noise_of_one(one),
         "before": f"{levels.held_out_nt[0]:.0f} nT",
         "after": f"{levels.held_out_nt[1]:.0f} nT",
         "bias": bias if one.has_coverage else f"{bias}: not fixed, the field pointed in too few directions",
-        "left": percent(share) if share > 0.0 else "nothing that could not be noise",
+        "left": percent(share) if share > 0.0 else "nothing in a shape that could be told",
     }

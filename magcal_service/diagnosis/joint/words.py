@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from magcal_service.diagnosis.advice import advice
-from magcal_service.diagnosis.belief import Posterior, posterior
-from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.diagnose import Verdict, added_noise_nt
 from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.joint.compare import Predicted, Shared
-from magcal_service.diagnosis.joint.diagnose import JointDiagnosis
+from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import OF_CHANGES, JointHypothesis, joint
-from magcal_service.diagnosis.joint.levels import bias_moved_nt, levels_of_all, levels_of_each
+from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.summary import reason_lines, verdict_line
@@ -27,6 +27,7 @@ from magcal_service.diagnosis.words import (
     explained_share,
     listed,
     nameless,
+    noise_in_words,
     open_between,
     percent,
     remaining,
@@ -111,10 +112,13 @@ def _field_model_nt(diagnosis: JointDiagnosis) -> float | None:
 def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     """What was found, what is common, how well each recording is predicted, and where the files are."""
     against = advice(diagnosis.reasons, diagnosis.concerned)
-    lines = [verdict_line(diagnosis.verdict, diagnosis.reasons), *reason_lines(against), f"  {sentence(diagnosis)}"]
+    lines = [
+        verdict_line(diagnosis.verdict, diagnosis.reasons),
+        *reason_lines(against),
+        f"  {sentence(diagnosis)}",
+    ]
     for index, term in enumerate(diagnosis.fit.terms):
-        believed = posterior(diagnosis.explained, index)
-        lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {_sure(believed)}")
+        lines.append(f"  {term.hypothesis.effect}: {commonness(diagnosis, index)}; {name_in_words(diagnosis, index)}")
         lines.append(f"    {says(diagnosis, index)}")
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
@@ -128,20 +132,34 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
 
 def _level_lines(diagnosis: JointDiagnosis) -> list[str]:
     """How much better each recording fits by the effects, and all of them."""
-    names = [*(one.name for one in diagnosis.recordings), "all"]
-    moved = [f"; bias moved by {nt:.1f} nT" if diagnosis.fit.terms else "" for nt in bias_moved_nt(diagnosis)]
-    return [
-        f"{name}: rms on rows held out of the fit {levels.held_out_nt[0]:.1f} nT recalibrated, "
-        f"{levels.held_out_nt[1]:.1f} nT with effects; noise floor {levels.noise_nt:.1f} nT{more}"
-        for name, levels, more in zip(
-            names, [*levels_of_each(diagnosis), levels_of_all(diagnosis)], [*moved, ""], strict=True
-        )
+    each, total = levels_of_each(diagnosis), levels_of_all(diagnosis)
+    moved = [f"; the effects move its bias by {nt:.1f} nT" for nt in bias_moved_nt(diagnosis)]
+    lines = [
+        f"{_levels(one.name, levels)} {noise_of_one(one)}{more if diagnosis.fit.terms else ''}"
+        for one, levels, more in zip(diagnosis.recordings, each, moved, strict=True)
     ]
+    return [*lines, f"{_levels('all', total)} {total.noise_nt:.1f} nT"]
 
 
-def _sure(believed: Posterior) -> str:
-    others = f"; not told from {', '.join(believed.members[1:])}" if len(believed.members) > 1 else ""
-    return f"probability {chance(believed.own)}{others}"
+def _levels(name: str, levels: Levels) -> str:
+    before_nt, after_nt = levels.held_out_nt
+    return f"{name}: rms on held-out rows {before_nt:.1f} nT recalibrated, {after_nt:.1f} nT with effects; noise"
+
+
+def noise_of_one(one: Alone) -> str:
+    """The noise of a recording, and whose it is."""
+    prepared = one.prepared
+    added_nt = added_noise_nt(prepared.findings)
+    return noise_in_words(prepared.problem.noise_nt, prepared.view.stated_noise_nt is not None, added_nt)
+
+
+def name_in_words(diagnosis: JointDiagnosis, index: int) -> str:
+    """How sure a term's name is; where it is not, with the probabilities of what else it may be."""
+    name, believed = diagnosis.fit.terms[index].hypothesis.effect, posterior(diagnosis.explained, index)
+    if believed.own >= SURE:
+        return f"probability {chance(believed.own)}"
+    others = [pair for pair in alternatives(name, believed.own, believed.rivals, believed.members) if pair[0] != name]
+    return ", ".join([f"name open: {chance(believed.own)} this", *(f"{chance(p)} {other}" for other, p in others)])
 
 
 def commonness(diagnosis: JointDiagnosis, index: int) -> str:
@@ -159,7 +177,7 @@ def shared_lines(diagnosis: JointDiagnosis) -> list[str]:
 
 def agreement(diagnosis: JointDiagnosis, one: Shared) -> str:
     """Whether the recordings agree in a number, with the evidence."""
-    by_chance = f"probability of the largest difference by chance {percent(one.probability)}"
+    by_chance = f"the largest difference comes by chance in {percent(one.probability)}"
     if one.agrees:
         return f"shared ({by_chance})"
     if not diagnosis.compared.is_common(one.index):

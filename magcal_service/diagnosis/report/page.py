@@ -26,7 +26,7 @@ from magcal_service.diagnosis.words import (
     expected,
     members,
     modelled_sentence,
-    noise_in_words,
+    noise_of,
     not_told_from,
     odds,
     percent,
@@ -71,7 +71,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         modelled=None if diagnosis.modelled is None else _modelled(diagnosis.modelled),
         errors=_errors(diagnosis),
         misled=diagnosis.misled if diagnosis.fit.terms else None,
-        noise=noise_in_words(diagnosis),
+        noise=noise_of(diagnosis),
         unseen=_unseen(diagnosis, found),
         rows=_rows(diagnosis),
         facts=_facts(diagnosis),
@@ -242,7 +242,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         begin, end = (np.datetime64(int(ns), "ns").astype("datetime64[s]") for ns in recording.time_ns[[0, -1]])
         facts.append(("from, to (UTC)", f"{begin} to {end}"))
     facts.append(("samples used", f"{len(scene)}, one every {scene.period_s:.3g} s"))
-    facts.append(("noise, 1 sigma per axis", noise_in_words(diagnosis)))
+    facts.append(("noise, 1 sigma per axis", noise_of(diagnosis)))
     if diagnosis.spin is not None:
         axis = ", ".join(f"{v:.3f}" for v in diagnosis.spin.axis_body.tolist())
         facts.append(("spin", f"{diagnosis.spin.rate_rpm:.4g} rpm about ({axis}) in the body"))
