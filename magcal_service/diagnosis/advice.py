@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+RECORDING: Final = "recording_doubtful"
+"""The reason that comes before all others: what else is wrong may be no more than its consequence."""
+
 REASONS: Final[Mapping[str, tuple[str, str]]] = {
-    "recording_doubtful": (
+    RECORDING: (
         "what was found on the recording itself has to be answered before any physics is named",
         "answer each open finding of magcal inspect: mend the file, or accept it in [inspect]",
     ),
@@ -88,3 +91,12 @@ def advice(reasons: Sequence[str], concerned: Mapping[str, Sequence[str]]) -> li
         }
         for reason in reasons
     ]
+
+
+def in_order(against: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Of ``advice`` what is shown: while the recording has to be answered for, that, and the other reasons by name."""
+    doubtful, others = [one for one in against if one["reason"] == RECORDING], [*against]
+    if not doubtful or len(against) == 1:
+        return others
+    names = ", ".join(one["reason"] for one in against if one["reason"] != RECORDING)
+    return [*doubtful, {"reason": names, "means": "may follow from that", "remedy": "", "effects": []}]

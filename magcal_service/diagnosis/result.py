@@ -124,9 +124,11 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     terms = fitted_terms(structure, diagnosis.search, diagnosis.fit)
     nearest = _nearest(diagnosis)
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
+    separated_by = "record more telemetry beside the magnetometer, and switch one suspect at a time"
     says = f"Something without a name is left, most like {structure.shape.says}."
     if diagnosis.inspection.open:
         asked = ", ".join(one.code for one in diagnosis.inspection.open)
+        separated_by = "correct the descriptor, or accept what was found under [inspect]"
         says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
         says += (
@@ -155,7 +157,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         probability=1.0 - math.exp(-min(structure.nats, 50.0)),
         rivals=(),
         members=(UNLISTED,),
-        separated_by="record more telemetry beside the magnetometer, and switch one suspect at a time",
+        separated_by=separated_by,
         parameters={},
         where=where,
         nats=structure.nats,

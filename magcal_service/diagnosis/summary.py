@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.diagnosis.advice import advice
+from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
@@ -90,7 +90,7 @@ def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Every reason against acting on a result (``words.advice``), with what would lift it."""
     if against:
         yield "  do not act on this:"
-    for one in against:
+    for one in in_order(against):
         about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
         lift = f"; {one['remedy']}" if one["remedy"] else ""
         yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ", most=4)

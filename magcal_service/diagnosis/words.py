@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
+from magcal_service.diagnosis.advice import RECORDING
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.empirical.curves import unit_of
@@ -318,6 +319,8 @@ class Ended(Protocol):
 
 def remaining(diagnosis: Ended) -> str:
     """What is left after the effects, in one sentence."""
+    if RECORDING in diagnosis.reasons:
+        return "not looked into: the recording has to be answered for first"
     if diagnosis.verdict is Verdict.UNKNOWN:
         return f"{percent(diagnosis.unexplained)} of the mismatch, which no effect of the catalogue explains"
     if diagnosis.unexplained > 0.0:

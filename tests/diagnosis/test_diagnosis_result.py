@@ -419,6 +419,7 @@ def test_while_the_recording_is_in_doubt_what_was_found_on_it_is_asked_for() -> 
     assert entry.says.startswith(
         "Recording and reference disagree; no physics is named before the recording is answered for: wraps, clipped."
     )
+    assert "telemetry" not in entry.separated_by
 
 
 def test_what_nothing_comes_near_has_no_nearest() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.advice import REASONS, advice, reason_in_words, remedy
+from magcal_service.diagnosis.advice import REASONS, advice, in_order, reason_in_words, remedy
 from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.empirical.modelled import Modelled
@@ -357,6 +357,18 @@ def test_what_lasts_without_a_shape_remains_too() -> None:
     assert verdict_sentence(much, [entry("a")], HELD_OUT).endswith("86 % of the mismatch is explained.")
     little = diagnosis(Verdict.NAMED, terms=1, lasting=0.01)
     assert remaining(little).endswith("in no shape that could be told: little")
+
+
+def test_while_the_recording_is_in_doubt_nothing_else_is_advised() -> None:
+    """Other reasons may be its consequences: "record longer" stood beside a wrong unit."""
+    reasons = ("recording_doubtful", "not_converged", "unexplained_structure")
+    doubtful, others = in_order(advice(reasons, {}))
+    assert doubtful["remedy"] == REASONS["recording_doubtful"][1]
+    assert (others["reason"], others["remedy"]) == ("not_converged, unexplained_structure", "")
+    assert in_order(advice(reasons[1:], {})) == advice(reasons[1:], {})
+    assert in_order(advice(reasons[:1], {})) == advice(reasons[:1], {})
+    left = remaining(diagnosis(Verdict.UNKNOWN, unexplained=1.0, reasons=reasons, doubts="x"))
+    assert left == "not looked into: the recording has to be answered for first"
 
 
 def test_what_may_last_unseen_is_not_called_noise() -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice
+from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
@@ -42,7 +42,7 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         origin,
         diagnosis=diagnosis,
         sentence=sentence(diagnosis),
-        advice=advice(diagnosis.reasons, diagnosis.concerned),
+        advice=in_order(advice(diagnosis.reasons, diagnosis.concerned)),
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
         light=light_lines(diagnosis.recordings, diagnosis.explained),

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice
+from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
@@ -60,7 +60,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         diagnosis=diagnosis,
         numbers=numbers,
         sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
-        advice=advice(diagnosis.reasons, diagnosis.concerned),
+        advice=in_order(advice(diagnosis.reasons, diagnosis.concerned)),
         levels=_levels(diagnosis, bool(origin.simulation)),
         pictures=pictures(diagnosis),
         track=track(diagnosis),

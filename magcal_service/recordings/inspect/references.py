@@ -32,14 +32,14 @@ def field_scale(log: Log) -> Iterator[Seen]:
     spread = float(np.sqrt(np.mean(np.sum((field - field.mean(axis=0)) ** 2, axis=1))))
     largest = float(np.quantile(np.linalg.norm(field, axis=1), 0.99))
     if spread > _TOO_LARGE * reference:
-        ratio, what = spread / reference, f"varies by {spread:.4g} nT"
+        ratio, what = spread / reference, f"varies by {spread:.0f} nT"
     elif largest < _TOO_SMALL * reference:
-        ratio, what = largest / reference, f"is at most {largest:.4g} nT"
+        ratio, what = largest / reference, f"is at most {largest:.0f} nT"
     else:
         return
     power = 10.0 ** np.round(np.log10(ratio))
     wrong = "reference" if not _EARTH_NT[0] <= reference <= _EARTH_NT[1] else "magnetometer"
-    says = f"the measured field {what}, the reference is {reference:.4g} nT: about {power:g} times"
+    says = f"the measured field {what}, the reference is {reference:.0f} nT: about {power:g} times"
     remedy = (
         f"check [{wrong}] unit (1 uT = 10 mG = 1000 nT): it is now "
         f"{getattr(getattr(log.recording.descriptor, wrong), 'unit', 'that of the model')}"
