@@ -75,6 +75,10 @@ def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> 
         f"{out}: {len(vectors)} vectors, {applied.trusted} of them trusted; w = (I + D) B - b by {given.name}, "
         f"sha256 {given.sha256[:12]}"
     ]
+    if given.model is not None and not applied.stopped:
+        curves = ["what has no name"] if given.model.empirical else []
+        names = [*dict.fromkeys(term.effect for term in given.model.terms), *curves]
+        lines += [f"compensated before that: {', '.join(names)}"] if names else []
     before, after = residual_rms(given, inspection, applied)
     lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
     if not given.whole:

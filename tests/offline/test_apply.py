@@ -96,6 +96,7 @@ def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
     assert residual_rms(given, inspect(recording), applied) == pytest.approx(rms)
     done = run("apply", recording.descriptor.path, "--with", path, "--out", tmp_path / "v.csv")
     assert f"residual rms: {rms[0]:.1f} nT before, {rms[1]:.1f} nT after\n" in done.out
+    assert "compensated before that: thermal_bias, thermal_scale\n" in done.out
     np.testing.assert_array_equal(given.x, HOT_X)
     blind = apply(given, inspect(replace(recording, channels={})))
     assert blind.missing == {"thermal_bias": 600, "thermal_scale": 600}
@@ -149,6 +150,7 @@ def test_every_format_holds_the_same(flight: Path, result: Path, suffix: str, tm
     done = run("apply", flight, "--with", result, "--out", out)
     given = read_given(result)
     assert done.code == (0 if given.trusted else 3), done
+    assert "compensated" not in done.out
     expected = apply(given, inspect(read_recording(flight))).vectors
     if suffix == ".mcap":
         assert "1500 records" in run("record", "info", out).out

@@ -36,6 +36,7 @@ from magcal_service.diagnosis.words import (
     verdict_sentence,
 )
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
+from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Value
 from magcal_service.physics.saying import AXES, labels_of, measured
 
@@ -121,6 +122,7 @@ def _effect(diagnosis: Diagnosis, entry: Entry) -> dict[str, Any]:
         "absorbed": effect.absorbed,
         "driver": driver_in_words(entry.driver),
         "share": entry.extent,
+        "in_samples": effect.acts_on is ActsOn.SAMPLES,
         "members": members(entry),
         "not_told_from": not_told_from(entry),
         "rivals": [
