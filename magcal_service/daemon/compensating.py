@@ -120,10 +120,11 @@ class CompensatingCraft(Craft, CompensatingMemory):
 
     def _try_start(self, settling: Settling, compensation: Compensation) -> None:
         """Let an estimator take over that goes on from the start's fit, or that all ticks so far have started."""
-        settled = settling.settled()
+        estimator, monitor = self._fresh_estimator(), TrustMonitor(self.config)
+        settled = settling.settled(goes_on=isinstance(estimator, GoesOn))
         if settled is None:
             return
-        fit, estimator, monitor = settled.fit, self._fresh_estimator(), TrustMonitor(self.config)
+        fit = settled.fit
         plain = PlainBranch(self.config, compensation.model.x)
         goes_on = isinstance(estimator, GoesOn) and settled.is_sure
         if isinstance(estimator, GoesOn) and goes_on:

@@ -188,8 +188,11 @@ class Settling(Stateful, SettlingMemory):
             for old in [time_s for time_s in open_ones if time_s <= times_s[-1]]:
                 del open_ones[old]
 
-    def settled(self) -> Settled | None:
+    def settled(self, *, goes_on: bool) -> Settled | None:
         """The start where it is known well enough and the model fits; else None.
+
+        An estimator that goes on from nine errors waits until they are sure: one that starts anew from as few ticks may
+        find others that fit as well and are wrong a minute later.
 
         It fits where it leaves no more than nine errors without it; or than its file says that it leaves, where the
         nine errors are sure: few ticks are fitted by nine that are free and wrong.
@@ -215,6 +218,8 @@ class Settling(Stateful, SettlingMemory):
         is_known = unknown_nt <= fit.sigma_nt or len(self._kept) >= _MOST
         limit_nt = handover_sigma(fit.sigma_nt, float(magnitude_nt.mean()))
         is_sure = is_same and vector_sigma(fit.x_covariance, field_nt) <= limit_nt
+        if goes_on and is_same and not is_sure and len(self._kept) < _MOST:
+            return None
         left_nt = BAD_FIT * model.sample_noise_nt if is_sure else 0.0
         if not is_known or fit.sigma_nt > max(_WORSE * plain.sigma_nt, left_nt):
             return None

@@ -1,4 +1,6 @@
-"""SUCHAI-3's days together, with its photodiodes hidden and given: docs/recordings.md.
+"""SUCHAI-3's days together, with its photodiodes hidden and given, and each replayed with the others' physics.
+
+What comes out is in docs/recordings.md.
 
 python -m tests.benchmarks.bench_together [--data ../shared/data] [--json FILE]
 """
@@ -17,10 +19,11 @@ import numpy as np
 
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
-from magcal_service.diagnosis.joint.result import as_json
+from magcal_service.diagnosis.joint.result import as_json, model_of
 from magcal_service.diagnosis.joint.words import summary
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
+from tests.benchmarks.days_live import live, numbers_of_others
 from tests.benchmarks.results import write
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -47,7 +50,20 @@ def main() -> None:
             shadow_agrees(one, day) for one, day in zip(found.recordings, recordings, strict=True)
         ]
         print(rows[-1]["cpu_s"], "s,", rows[-1]["shadow_agrees"], flush=True)
+        if hidden:
+            rows[-1]["live"] = replayed(recordings, found)
+            print(*rows[-1]["live"], sep="\n", flush=True)
         write(options.json, {"rows": rows})
+
+
+def replayed(recordings: Sequence[Recording], found: JointDiagnosis) -> list[dict[str, Any]]:
+    """Each day with the file that the other two give, and with their numbers of what all three have in common."""
+    rows = []
+    for number, name in enumerate(DAYS):
+        others = together([one for k, one in enumerate(recordings) if k != number], hidden=True)
+        for file, model in (("of the others", model_of(others)), ("named by all", numbers_of_others(found, number))):
+            rows.append({"name": name, "file": file, **live(without(recordings[number]), model)})
+    return rows
 
 
 def together(recordings: Sequence[Recording], *, hidden: bool) -> JointDiagnosis:

@@ -99,6 +99,7 @@ def test_the_start_is_known_in_minutes_and_within_its_sigma(start_degc: float, m
     sigma = float(np.sqrt(pipeline.compensation._start_covariance[0, 0]))
     assert sigma < 0.15
     assert abs(pipeline.compensation.start[0] - start_of(start_degc)) < 4.0 * sigma
+    assert pipeline.estimator.estimate().samples < DURATION_S - known_s + 5.0  # it went on, and was given none again
 
 
 @pytest.mark.parametrize(("start_degc", "moved"), FLIGHTS)
@@ -125,6 +126,19 @@ def test_a_start_that_is_being_estimated_is_restored_bit_for_bit() -> None:
     two.restore_state(one.export_state())
     assert [one.handle(m) for m in messages[300:]] == [two.handle(m) for m in messages[300:]]
     assert one.export_state() == two.export_state()
+
+
+@pytest.mark.parametrize(("most", "starts"), [(1800, False), (460, True)])
+def test_a_filter_does_not_start_anew_from_few_ticks(monkeypatch: pytest.MonkeyPatch, most: int, starts: bool) -> None:
+    """While nine errors are not sure it waits, until there is no room for more ticks; then it is given them again."""
+    monkeypatch.setattr(settling, "vector_sigma", lambda *_: np.inf)
+    monkeypatch.setattr(settling, "_MOST", most)
+    scenario = warming(45.0)
+    pipeline = Pipeline(craft("hot", physics(*model(), origin_ns=scenario.start_ns - DAY_NS)))
+    for message in Simulation(scenario, 5, 560.0).messages():
+        if not isinstance(message, TelemetrySample):
+            pipeline.handle(message)
+    assert (pipeline.settling is None) is starts
 
 
 def test_while_frozen_what_it_remembers_of_samples_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,6 +96,29 @@ def together_predicted() -> str:
     return table(head, rows, range(2, 7))
 
 
+def together_live() -> str:
+    """Each day of SUCHAI-3 replayed with the others' physics: what was published, and the best that constants do."""
+    rows = []
+    for one in _rows("together")[0]["live"]:
+        published = [f"{_nt(one[f'{key}_nt'])} ({one[f'vectors_{key}']})" for key in ("without", "with")]
+        constants = [_nt(one[f"best_{key}_nt"]) for key in ("without", "with")]
+        ratios = [f"{one[key]:.2f}" for key in ("times_better", "best_times_better")]
+        effects = ", ".join(one["effects"]) or "none"
+        rows.append([one["name"], one["file"], effects, *published, ratios[0], *constants, ratios[1]])
+    head = [
+        "day",
+        "file",
+        "effects",
+        "published without (vectors)",
+        "with",
+        "times better",
+        "best constants without",
+        "with",
+        "times better",
+    ]
+    return table(head, rows, range(3, 9))
+
+
 def _days() -> list[str]:
     return [one["name"] for one in _rows("together")[0]["predicted_from_the_others"]]
 
@@ -260,6 +283,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "recordings-held-out": lambda: _side_by_side("method_held_out_nt"),
     "together-predicted": together_predicted,
     "together-shared": together_shared,
+    "together-live": together_live,
     "reality": lambda: study_table("reality", "What is said of each recording"),
     "concealed": lambda: study_table("concealed", "By simulator and what was asked"),
     "concealed-reliability": _concealed_reliability,
