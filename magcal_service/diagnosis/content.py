@@ -35,6 +35,8 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "effects": [entry.as_json() for entry in found],
         "fit": {
             "noise_floor_nt": problem.noise_nt,
+            "noise_is_stated": diagnosis.prepared.view.stated_noise_nt is not None,
+            "added_noise_nt": diagnosis.added_noise_nt,
             "held_out_rms_nt": held_out_rms(diagnosis),
             "in_sample_rms_nt": {"recalibrated": diagnosis.prepared.baseline.rms_nt, "with_effects": fit.rms_nt},
             "bias_nt": fit.x[BIAS].tolist(),

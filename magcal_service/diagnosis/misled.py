@@ -64,15 +64,21 @@ class Misled:
         return replace(found, change_s=instants[0], before_nt=levels[0], after_nt=levels[1])
 
     def __str__(self) -> str:
-        if self.change_s is not None:
-            when = f"{self.before_nt:.1f} nT before {self.change_s:.1f} s, {self.after_nt:.1f} nT after"
-        else:
-            when = f"at most {self.most_nt:.1f} nT, at {self.most_at_s:.0f} s"
-        return f"{measured(self.rms_nt, self.sigma_nt)} nT rms ({when})"
+        when = f"at most {_whole(self.most_nt)}, at {self.most_at_s:.0f} s"
+        if self.before_nt is not None and self.after_nt is not None:
+            when = f"{_whole(self.before_nt)} before {self.change_s:.1f} s, {_whole(self.after_nt)} after"
+        return (
+            f"off by {measured(self.rms_nt, self.sigma_nt)} nT rms ({when}); the residual shows {_whole(self.shown_nt)}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
         return {name: round(value, 2) if isinstance(value, float) else value for name, value in asdict(self).items()}
+
+
+def _whole(level_nt: float) -> str:
+    """A level with its unit, as whole nanoteslas where it has three digits of them."""
+    return f"{level_nt:.{0 if level_nt >= 100.0 else 1}f} nT"
 
 
 def _begins(term: Term) -> bool:

@@ -64,10 +64,7 @@ def summary(
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
         misled = diagnosis.misled
-        lines += wrapped(
-            f"vectors without these effects: off by {misled}, of which the residual shows {misled.shown_nt:.1f} nT",
-            "",
-        )
+        lines += wrapped(f"vectors without these effects: {misled}", "")
         start = ", at the start of the recording" if misled.from_start else ""
         lines += wrapped(f"bias: {_vector(after)} nT{start}; by nine errors alone {_vector(before)} nT", "")
     if diagnosis.prepared.sun is not None:

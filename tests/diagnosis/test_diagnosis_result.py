@@ -241,7 +241,12 @@ def made() -> Any:
         explained=explained,
         fit=explained.fit,
         prepared=SimpleNamespace(
-            baseline=fit, problem=search.problem, left_out={"spikes": 3}, form=Form.SCALAR, sun=None
+            baseline=fit,
+            problem=search.problem,
+            left_out={"spikes": 3},
+            form=Form.SCALAR,
+            sun=None,
+            view=SimpleNamespace(stated_noise_nt=None),
         ),
         refused=(),
         modelled=None,
@@ -257,6 +262,7 @@ def made() -> Any:
         trusted=True,
         reasons=(),
         concerned={},
+        added_noise_nt=28.9,
         misled=Misled.of(fit, explained.fit),
     )
 
@@ -466,7 +472,7 @@ def test_how_far_vectors_are_off_without_the_effects_is_said_before_and_after_a_
     assert off.before_nt + off.after_nt == pytest.approx(jump, rel=0.25)
     assert off.rms_nt == pytest.approx(math.sqrt(0.5 * (off.before_nt**2 + off.after_nt**2)), rel=0.05)
     assert off.from_start
-    assert f"{off.before_nt:.1f} nT before {at_s:.1f} s" in str(off)
+    assert f" nT before {at_s:.1f} s, " in str(off)
     sigma = np.sqrt(np.diagonal(fit.covariance)[:9])
     assert 0.5 * np.linalg.norm(sigma[:3]) < off.sigma_nt < np.linalg.norm(sigma[:3]) + 1e5 * np.linalg.norm(sigma[3:])
     steady = made().misled
@@ -479,6 +485,7 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     fit = made().fit
     assert content["verdict"] == "named"
     assert content["fit"]["noise_floor_nt"] == NOISE_NT
+    assert (content["fit"]["noise_is_stated"], content["fit"]["added_noise_nt"]) == (False, 28.9)
     assert content["fit"]["bias_nt"] == fit.x[:3].tolist()
     assert content["fit"]["D"] == d_matrix(fit.x[:9]).tolist()
     sigma = np.sqrt(np.diagonal(fit.covariance))[:9]

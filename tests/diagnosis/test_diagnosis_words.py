@@ -457,9 +457,8 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "  d: < 0.1 % of the mismatch; odds of 160 000 to 1 that something is there, 99 % that it is this",
         "rms on held-out rows: 950.0 nT simulation, 410.3 nT recalibrated, 101.5 nT with effects; noise 100.0 nT "
         "stated",
-        "vectors without these effects: off by 14.04 ± 0.52 nT rms (at most 20.1 nT, at 1234 s), of which the residual "
-        "shows",
-        "397.5 nT",
+        "vectors without these effects: off by 14.04 ± 0.52 nT rms (at most 20.1 nT, at 1234 s); the residual shows "
+        "398 nT",
         "bias: (13.0, 16.0, 42.0) nT; by nine errors alone (10.0, 20.0, 30.0) nT",
         "left: nothing that could not be noise",
         "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
