@@ -218,7 +218,7 @@ class Settling(Stateful, SettlingMemory):
         is_known = unknown_nt <= fit.sigma_nt or len(self._kept) >= _MOST
         limit_nt = handover_sigma(fit.sigma_nt, float(magnitude_nt.mean()))
         is_sure = is_same and vector_sigma(fit.x_covariance, field_nt) <= limit_nt
-        if goes_on and is_same and not is_sure and len(self._kept) < _MOST:
+        if goes_on and not is_sure and len(self._kept) < _MOST:
             return None
         left_nt = BAD_FIT * model.sample_noise_nt if is_sure else 0.0
         if not is_known or fit.sigma_nt > max(_WORSE * plain.sigma_nt, left_nt):
