@@ -119,6 +119,15 @@ def together_live() -> str:
     return table(head, rows, range(3, 9))
 
 
+def many() -> str:
+    """Many recordings diagnosed on a pool and on dask, with workers killed and a run cut."""
+    rows = []
+    for one in read("many")["figures"]["runs"]:
+        counts = [str(one[key]) for key in ("exit_code", "kept", "anew", "killed")]
+        rows.append([one["name"], *counts, f"{one['seconds']:.0f}", one["digest"][:8]])
+    return table(["run", "exit", "kept", "done", "killed", "time [s]", "digest of all files"], rows, range(1, 6))
+
+
 def _days() -> list[str]:
     return [one["name"] for one in _rows("together")[0]["predicted_from_the_others"]]
 
@@ -284,6 +293,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "together-predicted": together_predicted,
     "together-shared": together_shared,
     "together-live": together_live,
+    "many": many,
     "reality": lambda: study_table("reality", "What is said of each recording"),
     "concealed": lambda: study_table("concealed", "By simulator and what was asked"),
     "concealed-reliability": _concealed_reliability,
