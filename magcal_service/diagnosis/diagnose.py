@@ -18,7 +18,7 @@ from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
-from magcal_service.diagnosis.searching import End, in_form, with_memory, without_unlikely
+from magcal_service.diagnosis.searching import End, in_form, with_memory, without_names, without_unlikely
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
@@ -196,7 +196,7 @@ def _on_rows(
     prepared, search, explained, refused = in_form(rows, effects, progress)
     progress(LEFT)
     end = with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
-    end = without_unlikely(end, prepared)
+    end = without_names(without_unlikely(end, prepared), prepared)
     progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)

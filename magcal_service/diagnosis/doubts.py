@@ -151,10 +151,9 @@ def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
 def is_beyond_model(fit: Fit) -> bool:
     """Whether the reference errs by more than field models do, and what is left shows it: nobody knows by what."""
     error = fit.problem.field_error
-    if error is None or error.scale <= _FIELD_MODEL:
+    if error is None or error.scale.coarse <= _FIELD_MODEL:
         return False
-    usual_nt = error.rms_nt / error.scale
-    return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, usual_nt))
+    return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, error.usual_nt))
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

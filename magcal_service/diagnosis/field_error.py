@@ -7,20 +7,24 @@ on a quiet craft is taken for physics.  The error of each Cartesian component is
     cov(delta_i . h_i, delta_j . h_j) = (h_i . h_j) sum_n s_n^2 P_n(cos gamma_ij),
 
 with gamma the angle between two places on the turning Earth, h the direction of the field there and s_n^2 the variance
-of one component by spherical-harmonic degree.  Rows are whitened by it in a basis of the few directions that matter.
+of one component by spherical-harmonic degree.  Currents in the polar ionosphere come on top: poleward of 60 degrees of
+geomagnetic latitude, over some hundred kilometres, and others in each pass.  Rows are whitened by both in a basis of
+the few directions that matter.
 
 Source of the variances (1 sigma of a component, in orbit): 19 nT for the core field, which is IGRF-13 against IGRF-14
 in 2023, 33 nT of the vector (Alken et al. 2021 give the candidates' spread); 12 nT for what quiet currents in the
 magnetosphere and their induction leave, degree 1 (Finlay et al. 2020, CHAOS-7); the crust by Lowes' spectrum, about
 20 nT^2 for each degree beyond 13 at the ground (Thebault et al. 2010: 10 at degree 16, 30 at 60), continued upward as
-(a / r)^(2 n + 4).
+(a / r)^(2 n + 4); 4 nT of |H| at high latitudes on quiet nights (4.3 nT are left there by Swarm and 3.1 elsewhere,
+table 2 of doi 10.1186/s40623-015-0245-8), and several times that on others (Aakjaer et al. 2016).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -30,7 +34,9 @@ from magcal_service.earth import geomagnetic
 from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM
 from magcal_service.earth.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
 from magcal_service.model import Array
+from magcal_service.physics.scene.main_field import DIPOLE_ECEF
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.recordings.inspect.motion import EARTH_RAD_S, kepler_rad_s
 
 _CORE_NT: Final = 19.0  # IGRF-13 against IGRF-14
 _EXTERNAL_NT: Final = 12.0  # quiet magnetosphere and induction
@@ -43,6 +49,16 @@ _CORE_DEGREE: Final = 13
 _DEGREE: Final = 45
 """Largest degree of the crust taken: at 300 km what lies beyond has 1 nT."""
 
+_COMMON_KM: Final = 500.0
+"""Altitude of a craft whose places are not known [km]: most small ones fly at 400 to 600."""
+
+_POLAR_NT: Final = 4.0  # currents in the polar ionosphere on a quiet night, in |H|
+_POLAR_DEG: Final = (60.0, 4.0)
+"""Geomagnetic latitude from which on they flow, and over which they set in [deg]."""
+
+_POLAR_S: Final = 60.0
+"""Time over which they change along the orbit [s]: 450 km, electrojets and arcs are 100 to 1000 km wide."""
+
 _KNOT_S: Final = 40.0  # 2.5 deg of the orbit
 _MOST_KNOTS: Final = 900
 """Places at which the covariance is worked out: 2.5 deg of the orbit, a quarter of the shortest wave of degree 36."""
@@ -51,9 +67,31 @@ _TOGETHER: Final = 16  # lines; between 8 and 32 nothing changes
 _LEAST: Final = 0.03
 """Of the white noise's variance: directions in which the model's error has less change no weight by 2 %."""
 
-SCALES: Final = {0.25: -2.3, 1.0: 0.0, 2.0: -1.0, 4.0: -2.3}
-"""How large the errors may be beside the usual, each with the logarithm of its prior odds: one recording in ten has a
-model fitted to its own weeks, or a strong storm or a model ten years old."""
+
+class Scale(NamedTuple):
+    """How large errors are beside the usual: of degree 13 and less, and those that change over shorter ways."""
+
+    coarse: float = 1.0
+    fine: float = 1.0
+
+    def is_within(self, other: Scale) -> bool:
+        """Whether neither is larger than another's."""
+        return self.coarse <= other.coarse and self.fine <= other.fine
+
+    def at_least(self, other: Scale) -> Scale:
+        """The larger one of each."""
+        return Scale(max(self.coarse, other.coarse), max(self.fine, other.fine))
+
+
+_COARSE: Final = {0.25: -2.3, 1.0: 0.0, 2.0: -1.0, 4.0: -2.3}
+"""How large the errors of low degree may be beside the usual, each with the logarithm of its prior odds: one recording
+in ten has a model fitted to its own weeks, or a strong storm or a model ten years old."""
+
+_FINE: Final = {1.0: 0.0, 3.0: -1.0, 9.0: -2.3}
+"""The same of shorter ways: most days are no quiet nights at the poles, and one model in ten is cut off early."""
+
+SCALES: Final = {Scale(c, f): odds + more for c, odds in _COARSE.items() for f, more in _FINE.items()}
+"""Both together, with the logarithm of the prior odds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,47 +163,68 @@ class FieldError:
     courses: U at the knots (q, k); its columns are orthonormal at the samples.
     variance: v (k,) [nT^2].
     noise_nt: 1 sigma of the white noise that comes on top [nT].
-    scale: times what field models usually err by.
+    scale: beside what is usual.
+    coarse, fine: usual covariances (q, q) between the knots [nT^2].
     """
 
     lines: Lines
     courses: Array
     variance: Array
     noise_nt: float
-    scale: float = 1.0
+    scale: Scale
+    coarse: Array
+    fine: Array
 
     @classmethod
     def of(cls, scene: Scene, noise_nt: float) -> FieldError | None:
-        """For a craft in orbit with known places; None where there is none or the noise hides it all."""
-        place = scene.position_ecef_km
-        if place is None or not scene.in_orbit or len(scene) < 2:
+        """For a craft in orbit; None elsewhere, or where the noise hides it all.
+
+        Without places those of a common orbit are taken: errors fade with the way flown, wherever that leads.
+        """
+        if not scene.in_orbit or len(scene) < 2:
             return None
-        radius = np.linalg.norm(place, axis=1)
-        altitude_km = float(np.median(radius)) - IGRF_RADIUS_KM
+        place, at = scene.position_ecef_km, _knots(scene)
+        if place is None:
+            direction, altitude_km = _common_orbit(scene.time_s[at]), _COMMON_KM
+        else:
+            radius = np.linalg.norm(place, axis=1)
+            direction, altitude_km = place[at] / radius[at, None], float(np.median(radius)) - IGRF_RADIUS_KM
         if not altitude_km > LOWEST_ORBIT_KM:  # the crust is no small error there
             return None
-        at = _knots(scene)
-        covariance = _by_angle(place[at] / radius[at, None], altitude_km) * _alignment(scene, at)
-        values, vectors = np.linalg.eigh(covariance)
-        useful = values * len(scene) > _LEAST * noise_nt**2
+        coarse, fine = (part * _alignment(scene, at) for part in _by_angle(direction, altitude_km))
+        fine += 0.0 if place is None else _of_currents(direction, scene.time_s[at])
+        return cls._made(Lines(at, len(scene)), noise_nt, Scale(), coarse, fine)
+
+    @classmethod
+    def _made(cls, lines: Lines, noise_nt: float, scale: Scale, coarse: Array, fine: Array) -> FieldError | None:
+        values, vectors = np.linalg.eigh(scale.coarse**2 * coarse + scale.fine**2 * fine)
+        useful = values * lines.count > _LEAST * noise_nt**2
         if not useful.any():
             return None
-        lines = Lines(at, len(scene))
         courses = vectors[:, useful] * np.sqrt(values[useful])
         squares, turn = np.linalg.eigh(courses.T @ lines.gathered(lines.carried_on(courses)))
         kept = squares > _LEAST * noise_nt**2
         if not kept.any():
             return None
-        return cls(lines, courses @ turn[:, kept] / np.sqrt(squares[kept]), squares[kept], noise_nt)
+        courses = courses @ turn[:, kept] / np.sqrt(squares[kept])
+        return cls(lines, courses, squares[kept], noise_nt, scale, coarse, fine)
 
     @property
     def basis(self) -> Array:
         """U (n, k), orthonormal columns."""
         return self.lines.carried_on(self.courses)
 
-    def scaled(self, scale: float) -> FieldError:
-        """The same with errors ``scale`` times as large."""
-        return replace(self, variance=self.variance * scale**2, scale=self.scale * scale)
+    def scaled(self, scale: Scale) -> FieldError:
+        """The usual errors at a scale; what is so small then that the noise hides it is kept at that level."""
+        if scale not in self._at:
+            made = self._made(self.lines, self.noise_nt, scale, self.coarse, self.fine)
+            none = np.zeros(1)
+            self._at[scale] = made or replace(self, courses=self.courses[:, :1], variance=none, scale=scale)
+        return self._at[scale]
+
+    @cached_property
+    def _at(self) -> dict[Scale, FieldError]:
+        return {}
 
     def whitened(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) in which the noise is white again, of the white noise's own level."""
@@ -186,6 +245,11 @@ class FieldError:
         """rms of the errors at the samples, 1 sigma [nT]."""
         return float(np.sqrt(self.variance.sum() / self.lines.count))
 
+    @property
+    def usual_nt(self) -> float:
+        """The same of the errors that are usual [nT]."""
+        return float(np.sqrt(np.mean(np.diagonal(self.coarse + self.fine))))
+
     def log_volume(self) -> float:
         """Half of ln det of the whitening: what a likelihood loses by the wider noise [nats]."""
         return 0.5 * float(np.log1p(self.variance / self.noise_nt**2).sum())
@@ -200,10 +264,32 @@ def _knots(scene: Scene) -> NDArray[np.intp]:
     return found
 
 
-def _by_angle(direction: NDArray[np.float64], altitude_km: float) -> Array:
-    """sum_n s_n^2 P_n(cos gamma) between places (k, 3) on the unit sphere: (k, k) [nT^2]."""
-    cosine = np.clip(direction @ direction.T, -1.0, 1.0)
-    return np.asarray(legendre.legval(cosine, degree_variances(altitude_km)))
+def _common_orbit(time_s: Array) -> NDArray[np.float64]:
+    """Places (k, 3) on the unit sphere, Earth-fixed, of a craft on a circle of 500 km at 60 degrees."""
+    along = kepler_rad_s(IGRF_RADIUS_KM + _COMMON_KM) * time_s
+    east = EARTH_RAD_S * time_s
+    x, y, z = np.cos(along), 0.5 * np.sin(along), math.sqrt(0.75) * np.sin(along)
+    return np.stack([x * np.cos(east) + y * np.sin(east), y * np.cos(east) - x * np.sin(east), z], axis=1)
+
+
+def _by_angle(direction: NDArray[np.float64], altitude_km: float) -> tuple[Array, Array]:
+    """sum_n s_n^2 P_n(cos gamma) between places (k, 3) on the unit sphere, to degree 13 and beyond (k, k) [nT^2]."""
+    cosine, variance = np.clip(direction @ direction.T, -1.0, 1.0), degree_variances(altitude_km)
+    low = variance[: _CORE_DEGREE + 1]
+    high = np.where(np.arange(len(variance)) > _CORE_DEGREE, variance, 0.0)
+    return np.asarray(legendre.legval(cosine, low)), np.asarray(legendre.legval(cosine, high))
+
+
+def _of_currents(direction: NDArray[np.float64], time_s: Array) -> Array:
+    """Covariance (k, k) [nT^2] of what flows in the polar ionosphere, at places on the unit sphere and their times.
+
+    It is rough: of the kernel (1 + t) exp(-t), t the time between two places over ``_POLAR_S``.
+    """
+    sets_in, over = _POLAR_DEG
+    latitude = np.degrees(np.arcsin(np.clip(np.abs(direction @ DIPOLE_ECEF), 0.0, 1.0)))
+    share = np.clip((latitude - sets_in) / over + 0.5, 0.0, 1.0)
+    apart = np.abs(time_s[:, None] - time_s) / _POLAR_S
+    return np.asarray(_POLAR_NT**2 * np.outer(share, share) * (1.0 + apart) * np.exp(-apart))
 
 
 def degree_variances(altitude_km: float) -> Array:

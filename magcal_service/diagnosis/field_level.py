@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from magcal_service.diagnosis.field_error import SCALES, FieldError
+from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 
 
-def at_scale(problem: Problem, usual: FieldError, scale: float) -> Problem:
-    """A problem with field-model errors ``scale`` times as large as usual."""
+def at_scale(problem: Problem, usual: FieldError, scale: Scale) -> Problem:
+    """A problem with errors of the field beside the usual ones."""
     return replace(problem, field_error=usual.scaled(scale))
 
 
@@ -31,7 +31,7 @@ def log_likelihood(fit: Fit) -> float:
     return -0.5 * float((fit.white_residual**2).sum()) / (fit.noise_gain * error.noise_nt) ** 2 - error.log_volume()
 
 
-def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Term] = ()) -> tuple[float, float]:
+def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Term] = ()) -> tuple[Scale, float]:
     """The scale at which unknowns fitted from ``x`` (9,) are likeliest, and the log-likelihood there [nats]."""
     found = [
         (log_likelihood(solve(at_scale(problem, usual, scale), x, terms)) + odds, scale)
@@ -41,7 +41,7 @@ def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Ter
     return scale, nats
 
 
-def needed_scale(usual: FieldError, baseline: Fit, named: Fit) -> tuple[float, bool]:
+def needed_scale(usual: FieldError, baseline: Fit, named: Fit) -> tuple[Scale, bool]:
     """The scale that suits the nine errors alone, or the names where those are likelier still; and whether they are."""
     alone, nats_alone = likeliest(baseline.problem, usual, baseline.x)
     if not named.terms:

@@ -45,8 +45,7 @@ class Rest:
     Parameters
     ----------
     before: under the nine errors alone.
-    after: beside the names.  Errors of the field model last too, and are not subtracted: beside a mismatch that is not
-        far larger nobody can tell what a name leaves.
+    after: beside the names, less what field models usually err by, which lasts too.
     sigma: 1 sigma of ``after``, were there nothing.
     is_free: whether nothing but its own shape speaks for one of the names.
     """
@@ -60,6 +59,8 @@ class Rest:
     def of(cls, baseline: Fit, fit: Fit) -> Rest:
         """Of nine errors alone and of a fit with effects."""
         after, sigma = _mean_and_sigma(_neighbours(fit))
+        error = fit.problem.field_error
+        after -= 0.0 if error is None else min(max(after, 0.0), error.usual_nt**2)
         is_free = any(term.hypothesis.is_free for term in fit.terms)
         return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after, sigma, is_free)
 

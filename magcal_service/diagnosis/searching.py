@@ -15,8 +15,8 @@ from magcal_service.diagnosis.belief import are_rather_unlisted, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.field_error import SCALES, FieldError
-from magcal_service.diagnosis.field_level import at_scale, needed_scale
+from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
+from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
 from magcal_service.diagnosis.leftover import Structure, significant, structures, with_wandering
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
@@ -71,6 +71,23 @@ class End:
         rest = None if len(self.whitening) else Rest.of(baseline, self.explained.fit)
         left_nt2 = self.left[0].squares if self.left and significant(self.left[0]) else 0.0
         return replace(self, rest=rest, explained=with_left(self.explained, left_nt2, rest, self.floor_nt))
+
+
+def without_names(end: End, prepared: Prepared) -> End:
+    """The same, or what is left under the errors of the field model that suit the nine errors best, where no name has
+    stood: those that it was searched under suited the names."""
+    error = end.search.problem.field_error
+    if error is None or end.explained.fit.terms or len(end.whitening) or not significant(end.left[0]):
+        return end
+    scale, _ = likeliest(end.search.problem, error, end.explained.fit.x)
+    if scale.is_within(error.scale):
+        return end
+    problem = at_scale(end.search.problem, error, scale)
+    search = replace(end.search, problem=problem, close=set(end.search.close))
+    fit = search.refreshed(solve(problem, end.explained.fit.x))
+    phase = None if prepared.spin is None else prepared.spin.phase_rad
+    explained, left = _standing(search, prepared.baseline, Explained(fit), phase, end.floor_nt)
+    return replace(end, search=search, explained=explained, left=left).with_left(prepared.baseline)
 
 
 def without_unlikely(end: End, prepared: Prepared) -> End:
@@ -138,9 +155,10 @@ def _searched(
         if usual is None:
             return prepared, search, explained
         scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
-        if scale <= taken:
+        if scale.is_within(taken):
             return prepared, search, explained
-        taken, prepared = scale, _at_scale(prepared, usual, scale)
+        taken = scale.at_least(taken)
+        prepared = _at_scale(prepared, usual, taken)
         if names_hold or not explained.fit.terms:  # wider noise brings no new names
             floor = FLOOR * prepared.problem.noise_nt
             return prepared, search, search.again(prepared.problem, explained.fit, floor)
@@ -151,7 +169,7 @@ def _drivers(explained: Explained) -> set[str]:
     return {term.hypothesis.driver for term in explained.fit.terms if is_recorded(term.hypothesis)}
 
 
-def _at_scale(prepared: Prepared, usual: FieldError, scale: float) -> Prepared:
+def _at_scale(prepared: Prepared, usual: FieldError, scale: Scale) -> Prepared:
     return _settled(prepared, at_scale(prepared.problem, usual, scale))
 
 

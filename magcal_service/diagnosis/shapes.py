@@ -16,6 +16,8 @@ import numpy as np
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers.between import smooth_field, smoothing
+from magcal_service.physics.scene.scene import Scene
 
 _BINS: Final = 10
 """Ranges of a channel; choice: a tenth of the samples each, and a course that a line or a step does not fit still
@@ -61,7 +63,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             says = "the field's magnitude, in stretches of time"
             yield _plain(f"time {count}", says, partial(_windows, share, count))
     says = "a body-fixed field that follows the field itself"
-    follows = body_shape(problem, "field", says, *_products(scene.clean_field_nt))
+    follows = body_shape(problem, "field", says, *_products(without_noise(scene)))
     yield replace(follows, of_attitude=True)
     if line_hz is not None:
         angle = 2.0 * np.pi * line_hz * scene.time_s
@@ -94,7 +96,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
 
 def products_of_two(problem: Problem) -> Columns:
     """The products of two components of the field, of unit rms, each on each axis."""
-    signals, names = _products(problem.scene.clean_field_nt)
+    signals, names = _products(without_noise(problem.scene))
     return along_axes(signals[:, [number for number, name in enumerate(names) if name.count(" ") == 1]])
 
 
@@ -142,6 +144,15 @@ def _windows(share: Array, count: int) -> Array:
     number = np.minimum((share * count).astype(np.intp), count - 1)
     used = np.unique(number)
     return np.asarray(number[:, None] == used, dtype=np.float64)
+
+
+def without_noise(scene: Scene) -> Array:
+    """The field's course (n, 3), as measured, without noise as far as the craft turns slowly [nT].
+
+    Where that is a curve, as on a craft that keeps its attitude, products that vanish on it follow what noise leads off
+    it; and if the axes' noises differ, that goes along with the residual's.
+    """
+    return smooth_field(scene, smoothing(scene), scene.clean_field_nt)
 
 
 def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -18,6 +19,14 @@ from magcal_service.recordings.recording import Channel, Recording
 from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import Clock, Frame
+
+_HALF_HOUR_S: Final = 1800.0
+_LEAST_CHANGE: Final = 0.15
+"""Of the field, what half an hour changes in orbit: a third of an orbit, over which a dipole's size changes by a fifth
+and more.  An aircraft's changes by 3 % on 500 km."""
+
+_FASTEST_NT_S: Final = 100.0
+"""Change of the field's size from which on no way through it is smooth [nT/s]: in low orbit it is 40 at the most."""
 
 
 def scene_of(recording: Recording) -> Scene:
@@ -49,13 +58,29 @@ def scene_of(recording: Recording) -> Scene:
 
 
 def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
-    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference."""
+    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference or one
+    whose size changes as along an orbit."""
     stated = recording.descriptor.platform
     if stated is not None:
         return stated.kind is PlatformKind.ORBIT
     if ecef is not None:
         return float(np.median(np.linalg.norm(ecef, axis=1))) - geomagnetic.EARTH_KM > geomagnetic.LOWEST_ORBIT_KM
-    return recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
+    if recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI:
+        return True
+    return _changes_as_in_orbit(recording)
+
+
+def _changes_as_in_orbit(recording: Recording) -> bool:
+    """Whether the reference's size changes by more in half an hour than on any way through the air, and smoothly, as a
+    coil's seldom does."""
+    time_s = (recording.time_ns - recording.time_ns[0]) * 1e-9
+    size = recording.reference.magnitude_nt
+    rate = np.abs(np.diff(size)) / np.maximum(np.diff(time_s), 1e-9)
+    if len(size) < 2 or float(np.max(rate)) > _FASTEST_NT_S:
+        return False
+    parts = np.searchsorted(time_s, np.arange(0.0, float(time_s[-1]), _HALF_HOUR_S))
+    changes = [float(np.ptp(part)) for part in np.split(size, parts[1:]) if len(part)]
+    return max(changes) > _LEAST_CHANGE * float(np.mean(size))
 
 
 def telemetry(channel: Channel) -> Telemetry:

@@ -14,7 +14,7 @@ from tests.diagnosis.diagnosis_runs import undrawn
 from tests.recordings.recording_logs import described
 from tests.recordings.sessions import craft, record, stream
 
-SECONDS = 1300
+SECONDS = 2000
 
 
 def diagnosed(recording: Path, out: Path) -> dict[str, Any]:

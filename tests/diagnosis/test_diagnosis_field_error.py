@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
-from magcal_service.diagnosis.field_error import FieldError, Lines, degree_variances
+from magcal_service.diagnosis.field_error import FieldError, Lines, Scale, _common_orbit, _of_currents, degree_variances
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Problem
+from magcal_service.physics.scene.main_field import DIPOLE_ECEF
 from tests.physics.scenes import scene
 
 NOISE_NT = 5.0
@@ -77,7 +78,7 @@ def test_whitening_is_the_inverse_root_of_the_covariance(error: FieldError) -> N
     lines = Lines(np.linspace(0, count - 1, 14).astype(np.intp), count)
     drawn = np.random.default_rng(8).normal(size=(len(lines.at), 6))
     dense = np.linalg.cholesky(lines.carried_on(drawn).T @ lines.carried_on(drawn)).T
-    small = FieldError(lines, drawn @ np.linalg.inv(dense), error.variance[-6:], NOISE_NT)
+    small = replace(error, lines=lines, courses=drawn @ np.linalg.inv(dense), variance=error.variance[-6:])
     assert np.abs(small.basis.T @ small.basis - np.eye(6)).max() < 1e-12
     covariance = NOISE_NT**2 * np.eye(count) + (small.basis * small.variance) @ small.basis.T
     white = small.whitened(np.eye(count))
@@ -95,18 +96,53 @@ def test_what_the_model_may_err_by_weighs_less_and_a_spin_tone_as_before(error: 
 
 
 def test_twice_the_error_is_four_times_the_variance(error: FieldError) -> None:
-    """Scaling leaves the directions and the white noise as they are."""
-    twice = error.scaled(2.0)
-    assert twice.variance == pytest.approx(4.0 * error.variance)
-    assert twice.courses is error.courses
-    assert twice.noise_nt == error.noise_nt
+    """But for what lies under the noise and between knots; shorter ways have a scale of their own."""
+    usual, twice = error.scaled(Scale()), error.scaled(Scale(2.0, 2.0))
+    assert twice.rms_nt == pytest.approx(2.0 * usual.rms_nt, rel=1e-3)
+    assert (twice.noise_nt, twice.scale, twice.usual_nt) == (error.noise_nt, (2.0, 2.0), error.usual_nt)
+    assert error.scaled(Scale(2.0, 2.0)) is twice
+    for scale in (Scale(0.25, 9.0), Scale(4.0, 1.0)):
+        scaled = error.scaled(scale)
+        covariance = scale.coarse**2 * error.coarse + scale.fine**2 * error.fine
+        assert scaled.rms_nt == pytest.approx(np.sqrt(np.mean(np.diagonal(covariance))), rel=0.05)
 
 
-def test_there_is_none_on_the_ground_without_places_or_under_much_noise() -> None:
+def test_polar_currents_are_where_the_oval_is_and_others_in_each_pass() -> None:
+    """4 nT poleward of 62 degrees, nothing before 58; a minute later 0.74 of it, an orbit later nothing."""
+    latitude = np.radians([50.0, 58.0, 62.0, 85.0, 85.0, 85.0])
+    across = np.cross(DIPOLE_ECEF, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    direction = np.outer(np.sin(latitude), DIPOLE_ECEF) + np.outer(np.cos(latitude), across)
+    found = _of_currents(direction, np.array([0.0, 1.0, 2.0, 3.0, 63.0, 5700.0]))
+    assert np.sqrt(np.diagonal(found)) == pytest.approx([0.0, 0.0, 4.0, 4.0, 4.0, 4.0], abs=1e-6)
+    assert found[3, 4] == pytest.approx(16.0 * 2.0 * np.exp(-1.0))
+    assert found[3, 5] < 1e-9
+
+
+def test_what_the_noise_hides_at_a_small_scale_is_kept_as_nothing(error: FieldError) -> None:
+    """Under 3 uT of noise a twentieth of the usual errors changes no row."""
+    loud = FieldError.of(scene(), 400.0)
+    assert loud is not None
+    rows = np.random.default_rng(12).normal(size=(len(scene()), 2))
+    assert loud.scaled(Scale(0.001, 0.001)).whitened(rows) == pytest.approx(rows, abs=1e-3)
+
+
+def test_without_places_errors_fade_with_the_way_of_a_common_orbit(error: FieldError) -> None:
+    """As many nT, but for the poles', over as much of the orbit: 0.97 of them are shared by places 3 degrees apart."""
+    there = FieldError.of(replace(scene(), position_ecef_km=None), NOISE_NT)
+    assert there is not None
+    assert there.rms_nt == pytest.approx(error.rms_nt, rel=0.03)
+    direction = _common_orbit(np.array([0.0, 48.0, 5677.0]))
+    assert np.linalg.norm(direction, axis=1) == pytest.approx(1.0)
+    assert np.degrees(np.arccos(direction[0] @ direction[1])) == pytest.approx(3.0, abs=0.15)
+    assert np.degrees(np.arccos(direction[0] @ direction[2])) == pytest.approx(5677.0 * 360.0 / 86164.1, abs=0.5)
+
+
+def test_there_is_none_on_the_ground_or_under_much_noise() -> None:
     """Elsewhere than in orbit the crust is no small error, and a noise of 1 mT hides all."""
     place = scene().position_ecef_km
     assert place is not None
-    assert FieldError.of(replace(scene(), position_ecef_km=None), NOISE_NT) is None
+    assert FieldError.of(replace(scene(), in_orbit=False), NOISE_NT) is None
     assert (
         FieldError.of(replace(scene(), position_ecef_km=place * (6371.2 / np.linalg.norm(place[0]))), NOISE_NT) is None
     )

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from magcal_service.diagnosis.doubts import is_beyond_model
-from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
+from magcal_service.diagnosis.leftover import significant, structures
 from magcal_service.diagnosis.problem import Problem, Term
+from magcal_service.diagnosis.searching import End, without_names
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import D_ALL, D_SCALE, Array, measure
 from magcal_service.physics.catalogue import effect_named
@@ -39,7 +43,7 @@ def problem(model_error: float, seed: int, body_nt: Array | float = 0.0) -> Prob
 @pytest.mark.parametrize("scale", [1.0, 4.0])
 def test_the_scale_that_was_drawn_is_the_likeliest(scale: float) -> None:
     """Errors as usual, and four times as large."""
-    assert likeliest(problem(scale, 3), usual(), X)[0] == scale
+    assert likeliest(problem(scale, 3), usual(), X)[0].coarse == scale
 
 
 def test_the_likelihood_is_that_of_the_dense_covariance() -> None:
@@ -78,18 +82,36 @@ def test_a_name_has_to_be_likelier_than_larger_errors() -> None:
     """Large model errors alone need their scale; a step beside usual ones does not, once it is named."""
     restless = problem(4.0, 7)
     alone = solve(restless, X)
-    assert needed_scale(usual(), alone, alone) == (4.0, False)
+    scale, names_hold = needed_scale(usual(), alone, alone)
+    assert (scale.coarse, names_hold) == (4.0, False)
     step = (scene().time_s >= 4100.0)[:, None] * np.array([400.0, -300.0, 200.0])
     stepped = problem(1.0, 9, step)
     baseline = solve(stepped, X)
     form = effect_named("bias_step").hypotheses(scene())[0]
     named = solve(stepped, X, [Term(form, np.array([4100.0]), np.array([400.0, -300.0, 200.0]))])
-    assert needed_scale(usual(), baseline, named) == (1.0, True)
-    assert at_scale(stepped, usual(), 2.0).field_error is not None
+    assert needed_scale(usual(), baseline, named) == (Scale(), True)
+    assert at_scale(stepped, usual(), Scale(2.0, 1.0)).field_error is not None
 
 
 @pytest.mark.parametrize(("drawn", "scale", "doubtful"), [(4.0, 4.0, True), (0.0, 4.0, False), (4.0, 2.0, False)])
 def test_a_reference_that_errs_beyond_field_models_is_doubted(drawn: float, scale: float, doubtful: bool) -> None:
     """Where the recording is likeliest with more than twice the usual errors, and what is left shows them."""
-    fit = solve(at_scale(problem(drawn, 11), usual(), scale), X)
+    fit = solve(at_scale(problem(drawn, 11), usual(), Scale(scale, scale)), X)
     assert is_beyond_model(fit) is doubtful
+
+
+def test_what_is_left_without_a_name_is_judged_under_the_errors_that_suit_it() -> None:
+    """Names were sought under the least errors; once none has stood, a recording whose model errs four times as much
+    as usual has nothing left."""
+    least = at_scale(problem(4.0, 13), usual(), min(SCALES))
+    search = Search(least, [])
+    fit = search.refreshed(solve(least, X))
+    left = structures(search, fit, None, NOISE_NT)
+    assert significant(left[0])
+    end = End(search, Explained(fit), left, NOISE_NT, np.zeros(0))
+    found = without_names(end, SimpleNamespace(spin=None, baseline=fit))  # type: ignore[arg-type]
+    error = found.search.problem.field_error
+    assert error is not None
+    assert error.scale.coarse == 4.0
+    assert not significant(found.left[0])
+    assert without_names(found, SimpleNamespace(spin=None, baseline=fit)) is found  # type: ignore[arg-type]

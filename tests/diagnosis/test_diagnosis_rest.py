@@ -118,15 +118,18 @@ def test_several_recordings_count_by_their_rows() -> None:
     assert both.sigma == pytest.approx(0.5 * np.hypot(one.sigma, other.sigma))
 
 
-def test_errors_of_the_field_model_are_not_taken_off() -> None:
-    """They may be what a name leaves: the rest is the same whatever errors the fit was made under."""
-    alone, fit = fit_with(along_field(NOISE_NT))
-    usual = FieldError.of(scene(), NOISE_NT)
+@pytest.mark.parametrize("size_nt", [10.0, 120.0])
+def test_what_field_models_usually_err_by_is_taken_off(size_nt: float) -> None:
+    """22 nT of it: of a course of 7 nT rms all, of one of 85 nT hardly anything."""
+    alone, fit = fit_with(along_field(size_nt), noise_nt=1.0)
+    usual = FieldError.of(scene(), 1.0)
     assert usual is not None
     rows = fit.held_out_residual
     under = replace(fit, problem=replace(fit.problem, field_error=usual))
     under.__dict__["_held_out"] = rows, rows  # the same residual under such errors
-    assert Rest.of(alone, under) == Rest.of(alone, fit)
+    whole, less = Rest.of(alone, fit).after, Rest.of(alone, under).after
+    assert less == pytest.approx(max(whole - usual.usual_nt**2, 0.0))
+    assert (less > 0.9 * whole) is (size_nt > 100.0)
 
 
 def test_rows_on_both_sides_of_a_gap_do_not_follow_one_another() -> None:

@@ -1,4 +1,4 @@
-"""Where a recording was made: as stated, else by its altitude, else by an inertial reference."""
+"""Where a recording was made: as stated, else by its altitude, else by its reference."""
 
 from __future__ import annotations
 
@@ -22,6 +22,16 @@ TIMES = np.datetime64("2025-03-01T00:00:00", "ns") + np.arange(400) * np.timedel
 FIELD = 30_000.0 * np.random.default_rng(2).normal(size=(400, 3))
 
 
+def passing(over_s: float, jumps: bool = False) -> Recording:
+    """A reference of a known size that changes by a fifth over a time, evenly or in jumps of 5 s."""
+    size = 40_000.0 + 8000.0 * np.arange(400) / 400.0
+    size = np.repeat(size[::40], 40) if jumps else size
+    times = np.datetime64("2025-03-01T00:00:00", "ns") + np.round(np.arange(400) * over_s / 400.0 * 1e9).astype(
+        "timedelta64[ns]"
+    )
+    return Recording.from_arrays(times, FIELD, size)
+
+
 def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -> Recording:
     """A recording at one distance from the Earth's centre."""
     place = None if radius_km is None else np.tile([radius_km, 0.0, 0.0], (400, 1))
@@ -38,10 +48,14 @@ def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -
         (made(6371.2, "ecef"), False),
         (made(None), True),
         (made(None, magnitude=True), False),
+        (passing(1500.0), True),
+        (passing(3.0 * 3600.0), False),
+        (passing(1500.0, jumps=True), False),
     ],
 )
 def test_the_place_is_guessed(recording: Recording, in_orbit: bool) -> None:
-    """120 km is where orbits begin; without a place only an inertial reference speaks of one."""
+    """120 km is where orbits begin; without a place an inertial reference speaks of one, or one that changes as there:
+    by a fifth in less than half an hour, and smoothly."""
     assert scene_of(recording).in_orbit is in_orbit
 
 

@@ -232,9 +232,9 @@ class _Run:
             (min(SCALES), True) if usual is None else needed_scale(usual, *pair)
             for usual, pair in zip(self._usual, pairs, strict=True)
         ]
-        grown = [scale > old for (scale, _), old in zip(needed, self._scales, strict=True)]
+        grown = [not scale.is_within(old) for (scale, _), old in zip(needed, self._scales, strict=True)]
         hold = all(holds for (_, holds), is_grown in zip(needed, grown, strict=True) if is_grown)
-        self._scales = [max(scale, old) for (scale, _), old in zip(needed, self._scales, strict=True)]
+        self._scales = [scale.at_least(old) for (scale, _), old in zip(needed, self._scales, strict=True)]
         self.singles = self._scaled()
         return any(grown), hold
 

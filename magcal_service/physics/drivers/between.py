@@ -30,13 +30,14 @@ def smoothing(scene: Scene) -> int:
     return found
 
 
-def smooth_field(scene: Scene, half: int) -> Array:
-    """The calibrated vector (n, 3) as local parabolas over ``half`` samples before and after; 0: as it is.
+def smooth_field(scene: Scene, half: int, field: Array | None = None) -> Array:
+    """A vector (n, 3), the calibrated one by default, as local parabolas over ``half`` samples before and after; 0: as
+    it is.
 
     What remembers takes each reversal for one of the field's; noise that is as large as a step would erase it.
     Source: Savitzky & Golay 1964, the quadratic smoother.
     """
-    field = scene.calibrated_nt
+    field = scene.calibrated_nt if field is None else field
     if half < 2:
         return field
     number = np.arange(-half, half + 1)

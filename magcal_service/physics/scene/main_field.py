@@ -9,15 +9,18 @@ from magcal_service.base.errors import ExtraMissingError, InputRefusedError
 from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 
-_DIPOLE_POLE_DEG = (80.8, -72.8)  # geomagnetic north pole (IGRF-14, epoch 2025): latitude, longitude
+_LATITUDE, _LONGITUDE = np.radians((80.8, -72.8))  # geomagnetic north pole (IGRF-14, epoch 2025)
+DIPOLE_ECEF = np.array(
+    [np.cos(_LATITUDE) * np.cos(_LONGITUDE), np.cos(_LATITUDE) * np.sin(_LONGITUDE), np.sin(_LATITUDE)]
+)
+"""(3,) axis of the Earth's dipole, towards geomagnetic north, Earth-fixed."""
+
 _KNOT_S = 10.0  # between knots the field of a model, and its differences, are taken as linear
 
 
 def dipole_eci(time_ns: NDArray[np.int64]) -> Array:
     """(n, 3) axis of the Earth's dipole at UTC times (n,) [ns], towards geomagnetic north, ECI."""
-    latitude, longitude = np.radians(_DIPOLE_POLE_DEG)
-    pole = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
-    return geomagnetic.eci_from_ecef(time_ns, np.broadcast_to(np.array(pole), (len(time_ns), 3)))
+    return geomagnetic.eci_from_ecef(time_ns, np.broadcast_to(DIPOLE_ECEF, (len(time_ns), 3)))
 
 
 def knots(time_s: Array, period_s: float, pauses: NDArray[np.intp]) -> NDArray[np.intp]:
