@@ -161,9 +161,14 @@ def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
     mine = explained.fit.terms[index].hypothesis
     if rival.driver == mine.driver:
         return 1.0
-    by_record = _OF_A_RECORD if is_recorded(rival) and not is_recorded(mine) else 0.0
+    by_record = _OF_A_RECORD if _is_name_of_record(rival) and not is_recorded(mine) else 0.0
     by_course = _OF_A_COURSE if mine.is_inferred else 0.0
     return 1.0 + max(by_record, by_course) * max(explained.own_nats(index), 0.0)
+
+
+def _is_name_of_record(rival: Hypothesis) -> bool:
+    """Whether it is an effect that follows a record, no signal that any channel may have."""
+    return is_recorded(rival) and rival.effect != UNLISTED
 
 
 def _least_unlisted(explained: Explained, index: int) -> float:

@@ -94,11 +94,15 @@ def test_vectors_are_located_by_families_and_not_by_lines_or_a_change() -> None:
     assert any(place.says.startswith("a change") for place in locate(*small(vector=False, field_nt=swing)[:2]))
 
 
-def test_stretches_are_not_looked_for_in_vectors() -> None:
+def test_stretches_are_looked_for_in_vectors_too() -> None:
+    """Forty samples of three rows each, of which the axis alone that has it counts."""
     spoiled = np.zeros((SMALL, 3))
     spoiled[50:90] = [30.0, 0.0, 0.0]
     search, fit, space = small(vector=True, field_nt=spoiled)
-    assert _transients(_Beside(search, fit, space, space), 1.0, 0.0) is None
+    found = _transients(_Beside(search, fit, space, space), 1.0, 0.0)
+    assert found is not None
+    there = np.abs(found.signal.reshape(SMALL, 3))
+    assert there[55:85, 0].min() > 10.0 * there[np.r_[0:40, 100:SMALL]].max()
 
 
 # Stretches at no regular times
