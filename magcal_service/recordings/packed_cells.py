@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final
 
-_BLOCK_ROWS: Final = 1 << 14  # choice: a few MB of cells that are not packed yet
+_BLOCK_CELLS: Final = 1 << 16  # choice: 4 MB of cells that are not packed yet
 _BETWEEN: Final = "\n"
 """Between two cells: no cell of a log in lines holds one."""
 
@@ -29,11 +29,12 @@ class CellPacker:
     def __init__(self, width: int) -> None:
         self._columns = tuple(PackedCells() for _ in range(width))
         self._open: list[Sequence[str]] = []
+        self._most = max(_BLOCK_CELLS // max(width, 1), 1)  # rows
 
     def add(self, row: Sequence[str]) -> None:
         """One row, of at least as many cells as there are columns, none with a line break."""
         self._open.append(row)
-        if len(self._open) >= _BLOCK_ROWS:
+        if len(self._open) >= self._most:
             self._pack()
 
     def columns(self) -> tuple[PackedCells, ...]:

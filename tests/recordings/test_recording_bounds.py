@@ -105,6 +105,26 @@ def test_a_row_takes_less_than_half_a_kilobyte(tmp_path: Path) -> None:
     assert peak < 400 * count
 
 
+def test_wide_rows_take_no_more_beside_their_numbers(tmp_path: Path) -> None:
+    """Of 300 channels; cells that are not packed yet took ten times as much as all of them as text."""
+    path, names = tmp_path / "RECORDING.toml", [f"c{number}" for number in range(300)]
+    count = 3000
+    cells = ",".join("12.34567" for _ in names)
+    lines = [f"{i},{4e4 + i % 7},{i % 11},{i % 13},48000.00,{cells}" for i in range(count)]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(["t", "x", "y", "z", "f", *names]), *lines]))
+    channels = "".join(f'{name} = {{ column = "{name}", unit = "A" }}\n' for name in names)
+    path.write_text(
+        'version = 1\n[samples]\nfile = "log.csv"\n[time]\ncolumn = "t"\nformat = "elapsed_s"\n'
+        '[magnetometer]\ncolumns = ["x", "y", "z"]\nunit = "nT"\n[reference]\nmagnitude = "f"\nunit = "nT"\n'
+        f"[channels]\n{channels}"
+    )
+    tracemalloc.start()
+    assert len(read_recording(path)) == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4.5 * (tmp_path / "log.csv").stat().st_size
+
+
 def test_the_messages_of_a_recording_are_made_as_they_are_taken() -> None:
     """All rows as numbers of Python would take 430 bytes each, beside the arrays."""
     count = 60_000
