@@ -71,16 +71,21 @@ class Structure:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beside:
     """A fit, its residual with the model's columns out, without its tails and whole, and the search as it was there:
-    itself it goes on elsewhere."""
+    itself it goes on elsewhere.  ``white_whole``: the residual through a symmetric whitening once more."""
 
     search: Search
     fit: Fit
     space: Workspace
     whole: Workspace
+    white_whole: Array | None
 
     def products(self, shape: Shape) -> tuple[Products, Products]:
         """Of a family's columns, which are not kept, with the residual without its tails, and with all of it."""
-        columns = self.search.white(shape.columns(self.fit.unit))
+        rows = shape.columns(self.fit.unit)
+        if self.white_whole is not None:
+            held = self.search.products(self.space, rows)
+            return held, replace(held, right=rows.T @ self.white_whole / held.scale)
+        columns = self.search.white(rows)
         held = self.space.products(columns)
         return held, replace(held, right=columns.T @ self.whole.residual / held.scale)
 
@@ -93,7 +98,8 @@ def _beside(search: Search, fit: Fit, floor_nt: float) -> tuple[_Beside, float]:
     """A fit's residual without its tails, and the noise that evidence in it is counted in first [nT]."""
     space = search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), floor_nt)
-    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_FAR * sigma), space), sigma
+    white_whole = search.white(space.residual) if search.is_symmetric else None
+    return _Beside(replace(search, hypotheses=()), fit, space.clipped(_FAR * sigma), space, white_whole), sigma
 
 
 def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -> list[Structure]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from magcal_service.diagnosis.linear import Gain, Workspace
+from magcal_service.diagnosis.linear import Gain, Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.plausible import WHOLE, above_least
 from magcal_service.diagnosis.problem import Fit, Problem, columns_of
@@ -19,6 +20,7 @@ from magcal_service.physics.columns import Columns, oscillation
 from magcal_service.physics.effects.coloured_noise import whitened
 from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import SUN_AHEAD
+from magcal_service.physics.segments import Segments
 
 ACCEPTED_NATS: Final = 12.0
 """Evidence from which on an effect counts: odds of 160 000 to 1, after what the search itself costs."""
@@ -99,8 +101,6 @@ class Screen:
         self.look_at(other.problem, other.hypotheses)
         self._known = other._known
 
-    # Rows
-
     def white(self, rows: Array) -> Array:
         """Rows (m,) or (m, k) through the noise's whitening filter."""
         rows = self.problem.white(rows)
@@ -108,6 +108,15 @@ class Screen:
             return rows
         found = whitened(rows.reshape(len(rows), -1), self.whitening, self.problem.scene.unit)
         return found.reshape(rows.shape)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the noise's whitening is a symmetric matrix that takes a while, so that products go without it."""
+        return not len(self.whitening) and self.problem.field_error is not None
+
+    def products(self, space: Workspace, rows: Array) -> Products:
+        """Of what the whitening makes of rows (m, k)."""
+        return space.products_before(rows, self.problem) if self.is_symmetric else space.products(self.white(rows))
 
     def workspace(self, fit: Fit, without: int | None = None) -> Workspace:
         """The residual with a fit's columns out; ``without``: as if that term had never been fitted."""
@@ -137,9 +146,17 @@ class Screen:
 
     def seen(self, columns: Columns, fit: Fit) -> Array:
         """White rows (m, k) of columns that this residual can see."""
+        return self.white(self._seen(columns, fit))
+
+    def _seen(self, columns: Columns, fit: Fit) -> Array:
         rows = self.problem.rows(columns, fit.unit)
         assert rows is not None, "a magnitude, which a residual of components does not see"
-        return self.white(rows)
+        return rows
+
+    def _sums(self, columns: Columns, first_rows: NDArray[np.intp], space: Workspace, fit: Fit) -> Segments:
+        if self.is_symmetric and first_rows.tolist() == [0]:
+            return space.sums_before(self._seen(columns, fit), self.problem)
+        return space.segments(self.seen(columns, fit), first_rows)
 
     # Screening
 
@@ -238,14 +255,14 @@ class Screen:
         if hypothesis.proposals is None:
             return _product(grids)
         each = self.problem.rows_per_sample
-        return hypothesis.proposals(lambda columns, rows: space.segments(self.seen(columns, fit), each * rows), grids)
+        return hypothesis.proposals(lambda columns, rows: self._sums(columns, each * rows, space, fit), grids)
 
     def _keep(self, hypothesis: Hypothesis, theta: Array) -> None:
         """Remember numbers that a hypothesis was at its best with, for when it is a rival."""
         self._known[hypothesis.label] = [*self._known.get(hypothesis.label, [])[1 - _MOST_KNOWN :], theta]
 
     def _gain(self, hypothesis: Hypothesis, theta: Array, space: Workspace, fit: Fit, sigma_nt: float) -> Gain | None:
-        if hypothesis.nonlinear and not len(self.whitening) and self.problem.field_error is not None:
+        if hypothesis.nonlinear and self.is_symmetric:
             rows = self.problem.rows(hypothesis.columns(theta), fit.unit)
             products = None if rows is None else space.products_before(rows, self.problem)
             return products.gain(sigma_nt) if products is not None and np.isfinite(products.normal).all() else None

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
@@ -84,14 +85,14 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
         yield body_shape(problem, "sunlight", "a body-fixed field that follows the Sun", sun * scene.lit[:, None])
     if scene.position_ecef_km is not None and not problem.is_vector:
         places = _places(scene.position_ecef_km)
-        if places.shape[1] > 1:
-            yield _plain("place", "the field's magnitude, by place on the Earth", _indicators(places))
+        if places is not None:
+            yield _plain("place", "the field's magnitude, by place on the Earth", places)
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
             bins = _quantiles(values)
             if bins is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
-                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", _indicators(bins))
+                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", bins)
 
 
 def products_of_two(problem: Problem) -> Columns:
@@ -109,12 +110,9 @@ def _body(problem: Problem, name: str, says: str, make: Callable[[], Array], ter
     """As ``body_shape``; signals are made whenever columns are: those of all families are too many to hold."""
 
     def columns(unit: Array) -> Array:
-        signals = make()
-        if problem.is_vector:
-            rows = along_axes(signals).components()
-            assert rows is not None
-            return rows
-        return (signals[:, :, None] * unit[:, None, :]).reshape(len(signals), -1)
+        rows = problem.rows(along_axes(make()), unit)
+        assert rows is not None
+        return rows
 
     return Shape(name, says, columns, terms)
 
@@ -128,10 +126,9 @@ def _plain(name: str, says: str, make: Callable[[], Array]) -> Shape:
     return Shape(name, says, lambda _: make())
 
 
-def _indicators(values: Array) -> Callable[[], Array]:
-    """Zeros and ones (n, s), held as bits until they are asked for."""
-    marks = values.astype(bool)
-    return lambda: marks.astype(np.float64)
+def _indicators(number: NDArray[np.int16], used: NDArray[np.int16]) -> Callable[[], Array]:
+    """Zeros and ones (n, s) that say whether a sample's number (n,) is each of those used (s,)."""
+    return lambda: (number == used[:, None]).astype(np.float64).T
 
 
 def _cosines(share: Array, count: int) -> Array:
@@ -170,20 +167,20 @@ def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:
     return signals - signals.mean(axis=0), tuple(names)
 
 
-def _quantiles(values: Array) -> Array | None:
+def _quantiles(values: Array) -> Callable[[], Array] | None:
     """(n, used) indicators of ten ranges that hold equally many samples; None for a constant channel."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    number = np.searchsorted(edges, values, side="right")
+    number = np.searchsorted(edges, values, side="right").astype(np.int16)
     used = np.unique(number)
-    return None if len(used) < 2 else (number[:, None] == used[:-1]).astype(np.float64)
+    return None if len(used) < 2 else _indicators(number, used[:-1])
 
 
-def _places(position_ecef_km: Array) -> Array:
-    """(n, used) indicators of the squares of about 15 degrees that were visited."""
+def _places(position_ecef_km: Array) -> Callable[[], Array] | None:
+    """(n, used) indicators of the squares of about 15 degrees that were visited; None of fewer than two."""
     x, y, z = position_ecef_km.T
     latitude = np.degrees(np.arctan2(z, np.hypot(x, y)))
     longitude = np.degrees(np.arctan2(y, x))
-    number = np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)
+    number = (np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)).astype(np.int16)
     used, counts = np.unique(number, return_counts=True)
     kept = used[counts >= 20][:200]
-    return np.asarray(number[:, None] == kept, dtype=np.float64)
+    return _indicators(number, kept) if len(kept) > 1 else None

@@ -9,7 +9,7 @@ follows it slowly, its square and its size, as a field fixed in the body and as 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -176,7 +176,7 @@ def _with(
     search: Search, fit: Fit, place: _Place, ranked: tuple[Candidate, ...], rival: Candidate
 ) -> tuple[Candidate, ...]:
     """Rivals with one more, as far from the term's own evidence as the blocks bear out."""
-    rows = _rows(search, fit, rival.hypothesis)
+    rows = search.white(_rows(fit, rival.hypothesis))
     left = place.space.residual - place.space.projected(rows @ rival.gain.amplitudes)
     blocks = fit.problem.blocks(search.white(fit.residual))
     dispersion = gain_over(left, place.left, blocks, place.sigma_nt**2).dispersion
@@ -188,11 +188,15 @@ def _at_best(search: Search, fit: Fit, places: list[_Place], signal: Signal) -> 
     """A signal at its best in each place: as a field, as one gain, or as three."""
     found = [Candidate(_nothing(signal), np.zeros(0), _NO_GAIN, -math.inf) for _ in places]
     for hypothesis in _hypotheses(fit.problem.scene, signal):
-        rows = _rows(search, fit, hypothesis)
+        rows = _rows(fit, hypothesis)
+        whole = search.problem.white_products(rows) if search.is_symmetric else None
+        columns = rows if whole is not None else search.white(rows)
         for index, place in enumerate(places):
             if place.is_own(signal):
                 continue
-            gain = place.space.gain(rows, place.sigma_nt)
+            space = place.space
+            of = space.products(columns) if whole is None else space.products_before(rows, search.problem, whole)
+            gain = of.gain(place.sigma_nt)
             if gain.nats > found[index].nats:
                 found[index] = Candidate(hypothesis, np.zeros(0), gain, gain.nats)
     return found
@@ -202,24 +206,25 @@ def _nothing(signal: Signal) -> Hypothesis:
     return Hypothesis(UNLISTED, signal.driver, lambda _: Columns(), ())
 
 
-def _rows(search: Search, fit: Fit, hypothesis: Hypothesis) -> Array:
+def _rows(fit: Fit, hypothesis: Hypothesis) -> Array:
     rows = fit.problem.rows(hypothesis.columns(np.zeros(0)), fit.unit)
     assert rows is not None, "fields of the body are seen in every form"
-    return search.white(rows)
+    return rows
 
 
 def _hypotheses(scene: Scene, signal: Signal) -> Iterator[Hypothesis]:
     """A signal as a field fixed in the body, as a gain of all axes, and as one of each."""
     course = _scaled(signal.course)
-    yield _hypothesis(signal, _FIELD, along_axes(course), 3 * (1 if course.ndim == 1 else course.shape[1]))
+    yield _hypothesis(signal, _FIELD, lambda: along_axes(course), 3 * (1 if course.ndim == 1 else course.shape[1]))
     if course.ndim == 1:
-        yield _hypothesis(signal, _GAIN, common_gain(scene.clean_field_nt, course), 1)
-        yield _hypothesis(signal, _GAIN, gains(scene.clean_field_nt, course), 3)
+        yield _hypothesis(signal, _GAIN, lambda: common_gain(scene.clean_field_nt, course), 1)
+        yield _hypothesis(signal, _GAIN, lambda: gains(scene.clean_field_nt, course), 3)
 
 
-def _hypothesis(signal: Signal, acts_as: str, columns: Columns, size: int) -> Hypothesis:
+def _hypothesis(signal: Signal, acts_as: str, make: Callable[[], Columns], size: int) -> Hypothesis:
+    """Columns are made when they are asked for: those of hundreds of channels are too many to hold."""
     block = Block("amplitude", "nT" if acts_as == _FIELD else "1", (size,))
-    return Hypothesis(UNLISTED, signal.driver, lambda _: columns, (block,), f"{acts_as} {signal.made}".strip())
+    return Hypothesis(UNLISTED, signal.driver, lambda _: make(), (block,), f"{acts_as} {signal.made}".strip())
 
 
 def _values(scene: Scene) -> list[Signal]:

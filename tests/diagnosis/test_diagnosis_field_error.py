@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
+from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.field_error import FieldError, Lines, Scale, _common_orbit, _of_currents, degree_variances
+from magcal_service.diagnosis.leftover import _beside
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Problem
+from magcal_service.diagnosis.shapes import shapes
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array
 from magcal_service.physics.scene.main_field import DIPOLE_ECEF
 from tests.physics.scenes import scene
 
@@ -175,3 +180,36 @@ def test_products_of_white_rows_need_no_white_rows(error: FieldError) -> None:
     expected, found = space.gain(white[:, :4], NOISE_NT), space.products_before(rows[:, :4], problem).gain(NOISE_NT)
     assert found.nats == pytest.approx(expected.nats, rel=1e-9)
     assert found.amplitudes == pytest.approx(expected.amplitudes, rel=1e-7)
+    known = space.products_before(rows[:, :4], problem, white[:, :4].T @ white[:, :4]).gain(NOISE_NT)
+    assert known.nats == pytest.approx(expected.nats, rel=1e-9)
+    whole, parts = space.sums_before(rows[:, :4], problem), space.segments(white[:, :4], np.array([0]))
+    assert whole.drops == pytest.approx(parts.drops, rel=1e-7)
+    assert (whole.squares, whole.count) == (parts.squares, parts.count)
+
+
+def test_families_have_the_evidence_of_white_columns(error: FieldError) -> None:
+    """Their columns are not made white, for that takes longer than their products."""
+    problem, rng = Problem(scene(), NOISE_NT, field_error=error), np.random.default_rng(5)
+    fit = solve(replace(problem, scene=replace(scene(), field_nt=noisy(rng))), np.zeros(9))
+    beside, sigma = _beside(Search(fit.problem, ()), fit, 0.3 * NOISE_NT)
+    assert beside.white_whole is not None
+    slowly = replace(beside, white_whole=None, search=Slowly(fit.problem, ()))
+    for shape in shapes(fit.problem, None):
+        for found, expected in zip(beside.products(shape), slowly.products(shape), strict=True):
+            assert found.gain(sigma).nats == pytest.approx(expected.gain(sigma).nats, rel=1e-7, abs=1e-7), shape.name
+            assert found.gain(sigma).squares == pytest.approx(expected.gain(sigma).squares, rel=1e-6), shape.name
+
+
+class Slowly(Search):
+    """Makes all columns white."""
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Taken for one that is none."""
+        return False
+
+
+def noisy(rng: np.random.Generator) -> Array:
+    """What the flight's magnetometer reads, with a field that swings in the body."""
+    swing = 40.0 * np.sin(scene().time_s / 400.0)[:, None] * np.array([1.0, -0.5, 0.3])
+    return np.asarray(scene().field_nt + swing + rng.normal(0.0, NOISE_NT, scene().field_nt.shape))

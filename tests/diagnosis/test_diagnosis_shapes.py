@@ -112,14 +112,15 @@ def test_products_of_two_are_six_signals_on_three_axes() -> None:
 def test_ranges_of_a_channel_hold_equally_many_samples() -> None:
     """Ten of them; the last is the sum of nothing else and left out."""
     values = np.random.default_rng(5).permutation(np.arange(1000.0))
-    bins = _quantiles(values)
-    assert bins is not None
+    made = _quantiles(values)
+    assert made is not None
+    bins = made()
     assert bins.shape == (1000, 9)
     assert bins.sum(axis=0) == pytest.approx(np.full(9, 100.0), abs=1.0)
     assert np.array_equal(bins[:, 0] > 0, values < np.quantile(values, 0.1))
     two = _quantiles(np.array([0.0, 1.0] * 20))
     assert two is not None
-    assert two.tolist() == [[1.0], [0.0]] * 20
+    assert two().tolist() == [[1.0], [0.0]] * 20
     assert _quantiles(np.full(30, 4.0)) is None
 
 
@@ -130,10 +131,13 @@ def test_places_are_squares_of_15_degrees_that_were_seen_twenty_times() -> None:
         return np.tile(7000.0 * np.array(unit), (count, 1))
 
     seen = [(14.0, 1.0, 20), (16.0, 1.0, 21), (14.0, -1.0, 19), (14.0, 14.0, 3), (-1.0, 16.0, 30)]
-    found = _places(np.concatenate([at(*place) for place in seen]))
+    made = _places(np.concatenate([at(*place) for place in seen]))
+    assert made is not None
+    found = made()
     assert found.sum(axis=0).tolist() == [30.0, 23.0, 21.0]
     assert found[:20, 1].all()
     assert found[60:63, 1].all()
+    assert _places(at(14.0, 1.0, 60)) is None  # one alone says nothing
 
 
 def test_a_family_in_the_body_has_each_signal_on_each_axis() -> None:

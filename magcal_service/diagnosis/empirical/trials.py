@@ -63,7 +63,7 @@ def trials_of(
         for kind in Kind:
             rows = _rows(fit, driver, kind, 6 if driver[0] != ELAPSED else 12, largest_nt)
             if rows is not None:
-                ranked.append((space.gain(search.white(rows[1]), sigma).nats, driver, kind))
+                ranked.append((search.products(space, rows[1]).gain(sigma).nats, driver, kind))
     cost = math.log(max(len(ranked), 1)) + ACCEPTED_NATS
     ranked = sorted((one for one in ranked if one[0] > cost), key=lambda one: -one[0])[:_TRIED]
     found = []

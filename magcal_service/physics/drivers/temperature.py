@@ -47,7 +47,7 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
             yield Hypothesis(
                 effect,
                 f"channel:{channel.name}",
-                _fixed(act, values - zero),
+                _fixed(act, values, zero),
                 (block,),
                 variant=f"column {index + 1}" if several else "",
                 constants={"zero_degc": zero, "column": float(index)},
@@ -68,8 +68,9 @@ def direct_by_temperature(term: Term, block: str, *, is_gain: bool = False) -> D
     return direct(term, "temperature", block, [column], term.constants["zero_degc"], is_gain=is_gain)
 
 
-def _fixed(act: Act, signal: Array) -> Callable[[Array], Columns]:
-    return lambda _: act(signal)
+def _fixed(act: Act, values: Array, zero: float) -> Callable[[Array], Columns]:
+    """Made when it is asked for: hundreds of channels have several forms each."""
+    return lambda _: act(values - zero)
 
 
 def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool = True) -> Iterator[Hypothesis]:

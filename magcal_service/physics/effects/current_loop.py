@@ -100,7 +100,7 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
             yield Hypothesis(
                 "current_loop",
                 f"channel:{channel.name}",
-                _fixed(channel.values[:, [column]]),
+                _fixed(channel.values[:, column : column + 1]),
                 (Block("nt_per_unit", "nT/unit"),),
                 f"column {column + 1}" if several else "",
                 constants={"column_0": float(column)},
