@@ -47,7 +47,7 @@ class Segments:
         ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
         """
 
-        at = self._packed.take(cuts.ravel(), axis=0).reshape(*cuts.shape, -1).sum(axis=0)
+        at = np.stack([self._packed.take(each, axis=0).sum(axis=0) for each in cuts.T])
         found, size = np.diff(at, axis=0), self.right.shape[1]
         upper, lower = np.triu_indices(size)
         normal = np.empty((len(found), size, size))

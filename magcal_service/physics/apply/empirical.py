@@ -205,4 +205,13 @@ class Empirical:
 
 def hats(x: Array, knots: Array) -> Array:
     """Weights (n, k) of the knots' values in a piecewise linear curve at x (n,); the ends are held beyond them."""
-    return np.stack([np.interp(x, knots, unit) for unit in np.eye(len(knots))], axis=1)
+    found = np.zeros((len(x), len(knots)))
+    if len(knots) < 2:
+        return found + 1.0
+    rows = np.arange(len(x))
+    left = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
+    since, slope = np.clip(x, knots[0], knots[-1]) - knots[left], 1.0 / np.diff(knots)[left]
+    at_end = x >= knots[-1]
+    found[rows, left] = np.where(at_end, 0.0, 1.0 - slope * since)
+    found[rows, left + 1] = np.where(at_end, 1.0, slope * since)
+    return found

@@ -30,10 +30,11 @@ def followed(drive: Array, turn_rad: Array, kept: Array, gain: Array, more: floa
     cosine = np.cos(turn_rad)
     came2 = np.maximum(1.0 - 2.0 * kept * cosine + kept**2, 0.0) * (gain * drive) ** 2
     along, across2 = kept * cosine, (kept * np.sin(turn_rad)) ** 2
-    value, found = 0.0, []
-    for towards, beside2, new2 in zip(along.tolist(), across2.tolist(), came2.tolist(), strict=True):
-        value = towards * value + math.sqrt(max(new2 - beside2 * value * value, 0.0))
-        value, more = value + more, 0.0
+    first = math.sqrt(float(came2[0])) + more
+    value, found, root = first, [first], math.sqrt
+    for towards, beside2, new2 in zip(along[1:].tolist(), across2[1:].tolist(), came2[1:].tolist(), strict=True):
+        left2 = new2 - beside2 * value * value
+        value = towards * value if left2 <= 0.0 else towards * value + root(left2)
         found.append(value)
     return np.array(found)
 

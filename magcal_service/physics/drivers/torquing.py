@@ -210,21 +210,22 @@ def _detumbling_tried(scene: Scene, periods: Array, edges: Array, sums: Sums) ->
     lead_s = float(LEADS_S[1])
     tried: list[tuple[float, tuple[float, float, float]]] = []
 
-    def fired(period_s: float, share: float, phase: float) -> Columns:
-        dipole, into = _pulsed(scene, period_s, phase, lead_s)
+    def fired(dipole: Array, into: Array, share: float) -> Columns:
         return along_axes(dipole * (into < share)[:, None])
 
     for period_s in periods.tolist():
         count = int(np.clip(round(period_s / scene.period_s), 2, _PHASES))
-        for phase in np.arange(count) / count:
+        for phase in (np.arange(count) / count).tolist():
+            pulsed = _pulsed(scene, period_s, phase, lead_s)
             for share in _SHARES.tolist():
-                numbers = period_s, share, float(phase)
-                tried.append((float(sums(fired(*numbers), firsts[:1]).drops[0]), numbers))
+                drop = float(sums(fired(*pulsed, share), firsts[:1]).drops[0])
+                tried.append((drop, (period_s, share, phase)))
     tried.sort(key=lambda trial: -trial[0])
     parts = _parts()
     found = []
     for whole, numbers in tried[:_MOST]:
-        drops = sums(fired(*numbers), firsts).drop(parts)
+        pulsed = _pulsed(scene, numbers[0], numbers[2], lead_s)
+        drops = sums(fired(*pulsed, numbers[1]), firsts).drop(parts)
         best = int(np.argmax(drops))
         used = np.flatnonzero(parts[best]) if drops[best] > whole else np.arange(_PARTS)
         found.append([*numbers, lead_s, edges[used[0]], edges[used[-1] + 1]])
