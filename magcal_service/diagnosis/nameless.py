@@ -10,10 +10,11 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.doubts import stands_out
 from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.grids import OF_LINES
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
-from magcal_service.diagnosis.screen import ACCEPTED_NATS, OF_LINES, is_simpler
+from magcal_service.diagnosis.screen import ACCEPTED_NATS, is_simpler
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import ended, exchanged, solve
 from magcal_service.model import Array

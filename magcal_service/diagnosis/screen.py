@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.diagnosis.grids import OF_LINES, combinations, tried_first
 from magcal_service.diagnosis.linear import Gain, Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.plausible import WHOLE, above_least
@@ -31,19 +32,11 @@ LEAST_VISIBLE: Final = 0.03
 LEAST_LEFT: Final = 0.1
 """Of an effect's size, what the nine errors leave at least of something as large as a shifted orbit."""
 
-_SLOWEST_DUTY_HZ: Final = 1.0 / 300.0  # a duty of more than five minutes is steps, which are another hypothesis
-_SLOWEST_TONE_SPUN_HZ: Final = 1.0 / 600.0
-"""Converters, wheels and heaters are faster, and what is slower follows the orbit or the attitude; a choice."""
-
-_SLOWEST_TONE_HZ: Final = 1.0 / 120.0
-"""On a craft that does not spin faster: what is slower may be the crust of the field model, degree 45 of an orbit."""
-
 _NEAR: Final = 0.5
 """Of the best evidence, what a form has to have for those that refine it to be tried: a lag seldom hides half of it."""
 
 _LEAST_LINE_NATS: Final = 4.0  # a line with less evidence is one of noise, and no frequency to try
 _LINES: Final = 3  # strongest lines of the residual that frequencies and periods are tried at
-OF_LINES: Final = ("frequency", "period")  # roles of numbers that are tried at the lines of a residual
 _CHANGES: Final = ("instant", "edge")  # roles of times of a change, which are sought over all samples
 
 _WORTH_REFINING: Final = 0.3
@@ -216,7 +209,7 @@ class Screen:
         afresh: bool,
     ) -> Candidate | None:
         """The best of a hypothesis' grid or proposals; not ``afresh``, of what it was at its best with before."""
-        grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
+        grids = [tried_first(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
         if any(len(grid) == 0 for grid in grids) or LEAST_LEFT * hypothesis.least_nt > fit.rms_nt:
             return None
         cost = self._cost(hypothesis)
@@ -253,7 +246,7 @@ class Screen:
             if known := [*self._known.get(hypothesis.label, []), *own]:
                 return known
         if hypothesis.proposals is None:
-            return _product(grids)
+            return combinations(grids)
         each = self.problem.rows_per_sample
         return hypothesis.proposals(lambda columns, rows: self._sums(columns, each * rows, space, fit), grids)
 
@@ -282,7 +275,7 @@ class Screen:
         hypothesis = candidate.hypothesis
         if not hypothesis.nonlinear or hypothesis.nonlinear[0].role in _CHANGES:
             return candidate
-        grids = [_grid(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
+        grids = [tried_first(number, lines, self.spin_hz) for number in hypothesis.nonlinear]
         theta, gain = refined_numbers(
             hypothesis,
             lambda trial: self._gain(hypothesis, trial, space, fit, sigma_nt),
@@ -342,25 +335,6 @@ def _near(found: Sequence[Candidate]) -> set[str]:
     best = max((candidate.nats for candidate in found), default=0.0)
     least = max(_NEAR * best, ACCEPTED_NATS)
     return {candidate.hypothesis.label for candidate in found if candidate.nats > least}
-
-
-def _grid(number: Nonlinear, lines: Array | None, spin_hz: float | None) -> Array:
-    """Values to try first; a period may show as a separate line or as side lines of the spin."""
-    if number.role not in OF_LINES:
-        return number.grid
-    if lines is None or not len(lines):
-        return np.zeros(0)
-    if number.role == "frequency":
-        spins = spin_hz is not None and spin_hz > _SLOWEST_TONE_HZ  # it moves what is fixed in the body out of the way
-        return lines[lines > (_SLOWEST_TONE_SPUN_HZ if spins else _SLOWEST_TONE_HZ)]
-    beside = [] if spin_hz is None else [np.abs(lines - spin_hz), lines + spin_hz]
-    found = np.unique(np.round(np.concatenate([lines, *beside]), 7))
-    return 1.0 / found[found > _SLOWEST_DUTY_HZ]
-
-
-def _product(grids: Sequence[Array]) -> Array:
-    """Every combination of the grids' values (m, k)."""
-    return np.stack([axis.ravel() for axis in np.meshgrid(*grids, indexing="ij")], axis=1)
 
 
 def search_cost(number: Nonlinear, problem: Problem) -> float:

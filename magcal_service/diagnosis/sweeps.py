@@ -40,7 +40,7 @@ _TURNS: Final = np.arange(-1, 2)
 """Steps of slope, and half bins of frequency, by which a window may differ from what the one before leads to."""
 
 _WANDERED: Final = 3.0  # half bins of a window that its frequency has moved by at the least: less may be a steady one
-_SLOWEST_HZ: Final = 1.0 / 120.0  # what is slower may be the field model's crust, as for a tone (``screen``)
+_SLOWEST_HZ: Final = 1.0 / 120.0  # what is slower may be the field model's crust, as for a tone (``grids``)
 _FEWEST_CYCLES: Final = 8.0  # of the slowest wave in a window, so that it is no course of its own
 _AGAIN: Final = 2  # tracks that are sought with the wave's shape of the one before; a third changes nothing
 _OF_A_SHAPE: Final = 4.0  # numbers of a wave's shape in the body beside its amplitude and phase

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.collapse import is_collapsed
+from magcal_service.diagnosis.grids import combinations, tried_first
 from magcal_service.diagnosis.handover import model_term, terms_of
 from magcal_service.diagnosis.lines import folded, slots
 from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
 from magcal_service.diagnosis.rivals import best_of_each
-from magcal_service.diagnosis.screen import Candidate, _grid, _product, search_cost
+from magcal_service.diagnosis.screen import Candidate, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes
@@ -43,27 +44,27 @@ def number(role: str = "", grid: Array = GRID) -> Nonlinear:
 
 def test_a_grid_is_that_of_the_number_or_of_the_residuals_lines() -> None:
     lines = np.array([0.02, 0.05])
-    assert _grid(number(), lines, 0.01).tolist() == GRID.tolist()
-    assert _grid(number("instant"), None, None).tolist() == GRID.tolist()
-    assert _grid(number("frequency"), lines, 0.01).tolist() == [0.02, 0.05]
+    assert tried_first(number(), lines, 0.01).tolist() == GRID.tolist()
+    assert tried_first(number("instant"), None, None).tolist() == GRID.tolist()
+    assert tried_first(number("frequency"), lines, 0.01).tolist() == [0.02, 0.05]
     for role in ("frequency", "period"):
-        assert len(_grid(number(role), None, 0.01)) == 0
-        assert len(_grid(number(role), np.zeros(0), 0.01)) == 0
+        assert len(tried_first(number(role), None, 0.01)) == 0
+        assert len(tried_first(number(role), np.zeros(0), 0.01)) == 0
 
 
 def test_a_period_shows_as_a_line_or_as_side_lines_of_the_spin() -> None:
     """Each line, and it less and more the spin; what is slower than five minutes is a step."""
     lines = np.array([0.05, 0.012])
-    alone = _grid(number("period"), lines, None)
+    alone = tried_first(number("period"), lines, None)
     assert alone == pytest.approx([1.0 / 0.012, 1.0 / 0.05])
-    beside = _grid(number("period"), lines, 0.01)
+    beside = tried_first(number("period"), lines, 0.01)
     assert beside == pytest.approx([1.0 / f for f in (0.012, 0.022, 0.04, 0.05, 0.06)])
-    edge = _grid(number("period"), np.array([1.0 / 299.0, 1.0 / 301.0]), None)
+    edge = tried_first(number("period"), np.array([1.0 / 299.0, 1.0 / 301.0]), None)
     assert edge == pytest.approx([1.0 / round(1.0 / 299.0, 7)])
 
 
 def test_several_grids_give_every_combination() -> None:
-    found = _product([np.array([1.0, 2.0]), np.array([5.0, 6.0, 7.0])])
+    found = combinations([np.array([1.0, 2.0]), np.array([5.0, 6.0, 7.0])])
     assert found.tolist() == [[a, b] for a in (1.0, 2.0) for b in (5.0, 6.0, 7.0)]
 
 
