@@ -45,24 +45,26 @@ class Rest:
     Parameters
     ----------
     before: under the nine errors alone.
-    after: beside the names, less what field models usually err by, which lasts too.
+    after: beside the names, less what the field model errs by here, and no more than usual: that lasts too.
     sigma: 1 sigma of ``after``, were there nothing.
     is_free: whether nothing but its own shape speaks for one of the names.
+    excused: what the field model may err by instead of ``after``; another cause may hide in it.
     """
 
     before: float
     after: float
     sigma: float
     is_free: bool = False
+    excused: float = 0.0
 
     @classmethod
     def of(cls, baseline: Fit, fit: Fit) -> Rest:
         """Of nine errors alone and of a fit with effects."""
         after, sigma = _mean_and_sigma(_neighbours(fit))
         error = fit.problem.field_error
-        after -= 0.0 if error is None else min(max(after, 0.0), error.usual_nt**2)
+        excused = 0.0 if error is None else min(max(after, 0.0), error.rms_nt**2, error.usual_nt**2)
         is_free = any(term.hypothesis.is_free for term in fit.terms)
-        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after, sigma, is_free)
+        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after - excused, sigma, is_free, excused)
 
     @classmethod
     def of_all(cls, pairs: Sequence[tuple[Fit, Fit]]) -> Rest:
@@ -70,9 +72,10 @@ class Rest:
         rests = [cls.of(*pair) for pair in pairs]
         shares = np.array([len(fit.residual) for _, fit in pairs], dtype=np.float64)
         shares /= shares.sum()
-        before, after, sigma = np.array([(rest.before, rest.after, rest.sigma) for rest in rests]).T
-        total = math.sqrt(float(shares**2 @ sigma**2))
-        return cls(float(shares @ before), float(shares @ after), total, any(rest.is_free for rest in rests))
+        each = np.array([(rest.before, rest.after, rest.excused) for rest in rests])
+        total = math.sqrt(float(shares**2 @ np.array([rest.sigma for rest in rests]) ** 2))
+        before, after, excused = (shares @ each).tolist()
+        return cls(before, after, total, any(rest.is_free for rest in rests), excused)
 
     @property
     def beyond_noise_nt2(self) -> float:
@@ -94,7 +97,8 @@ class Rest:
     @property
     def likely_share(self) -> float:
         """The share that counts as a probability against the names: what lasts, or up to a half what may."""
-        return max(self.share, min(self.unsafe_share**2, _OPEN))
+        hidden = self.excused / self.before if self.excused > _BEYOND * self.sigma and self.before > 0.0 else 0.0
+        return max(self.share, min(self.unsafe_share**2, _OPEN), _OPEN * min(hidden, 1.0))
 
     @property
     def is_much(self) -> bool:

@@ -127,9 +127,16 @@ def test_what_field_models_usually_err_by_is_taken_off(size_nt: float) -> None:
     rows = fit.held_out_residual
     under = replace(fit, problem=replace(fit.problem, field_error=usual))
     under.__dict__["_held_out"] = rows, rows  # the same residual under such errors
-    whole, less = Rest.of(alone, fit).after, Rest.of(alone, under).after
-    assert less == pytest.approx(max(whole - usual.usual_nt**2, 0.0))
-    assert (less > 0.9 * whole) is (size_nt > 100.0)
+    whole, less = Rest.of(alone, fit).after, Rest.of(alone, under)
+    assert less.after == pytest.approx(max(whole - usual.rms_nt**2, 0.0), rel=0.01)
+    assert less.after + less.excused == pytest.approx(whole)
+    assert (less.after > 0.9 * whole) is (size_nt > 100.0)
+
+
+@pytest.mark.parametrize(("excused", "likely"), [(0.0, 0.0), (150.0, 0.0), (400.0, 0.2), (3000.0, 0.5)])
+def test_another_cause_may_hide_in_what_the_field_model_errs_by(excused: float, likely: float) -> None:
+    """As likely as not, by its share of the mismatch of 1000, where it is more than noise, three sigma of 60."""
+    assert Rest(1000.0, 0.0, 60.0, False, excused).likely_share == pytest.approx(likely)
 
 
 def test_rows_on_both_sides_of_a_gap_do_not_follow_one_another() -> None:
