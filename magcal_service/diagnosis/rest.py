@@ -79,8 +79,12 @@ class Rest:
 
     @property
     def beyond_noise_nt2(self) -> float:
-        """``after``, where it is more than noise."""
-        return self.after if self.after > _BEYOND * self.sigma else 0.0
+        """``after``, where all that lasts is more than noise."""
+        return max(self.after, 0.0) if self._stands_out else 0.0
+
+    @property
+    def _stands_out(self) -> bool:
+        return self.after + self.excused > _BEYOND * self.sigma
 
     @property
     def share(self) -> float:
@@ -97,7 +101,7 @@ class Rest:
     @property
     def likely_share(self) -> float:
         """The share that counts as a probability against the names: what lasts, or up to a half what may."""
-        hidden = self.excused / self.before if self.excused > _BEYOND * self.sigma and self.before > 0.0 else 0.0
+        hidden = self.excused / self.before if self._stands_out and self.before > 0.0 else 0.0
         return max(self.share, min(self.unsafe_share**2, _OPEN), _OPEN * min(hidden, 1.0))
 
     @property

@@ -139,6 +139,12 @@ def test_another_cause_may_hide_in_what_the_field_model_errs_by(excused: float, 
     assert Rest(1000.0, 0.0, 60.0, False, excused).likely_share == pytest.approx(likely)
 
 
+def test_all_that_lasts_stands_out_of_noise_whoever_errs() -> None:
+    """Two thirds of it without the third that the field model errs by would not."""
+    assert Rest(1000.0, 140.0, 60.0, False, 70.0).share == pytest.approx(0.14)
+    assert Rest(1000.0, 140.0, 60.0).share == 0.0
+
+
 def test_rows_on_both_sides_of_a_gap_do_not_follow_one_another() -> None:
     """One jump over two rows counts, and does not where a pause lies between them."""
     alone, fit = fit_with(nothing())
