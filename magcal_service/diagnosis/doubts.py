@@ -21,6 +21,9 @@ SURE: Final = 0.95
 _FIELD_MODEL: Final = 2.0
 """Times the usual errors of a field model, beyond which a recording is doubted: one model in twenty errs so much."""
 
+_FINE: Final = 3.0
+"""The same of what changes over shorter ways: on a quiet night it is a third of that, on most others as much."""
+
 STANDS_OUT: Final = 3.0
 """Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
 
@@ -151,7 +154,7 @@ def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
 def is_beyond_model(fit: Fit) -> bool:
     """Whether the reference errs by more than field models do, and what is left shows it: nobody knows by what."""
     error = fit.problem.field_error
-    if error is None or error.scale.coarse <= _FIELD_MODEL:
+    if error is None or (error.scale.coarse <= _FIELD_MODEL and error.scale.fine <= _FINE):
         return False
     return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, error.usual_nt))
 

@@ -246,6 +246,11 @@ class FieldError:
         return float(np.sqrt(self.variance.sum() / self.lines.count))
 
     @property
+    def no_larger_than_usual(self) -> FieldError:
+        """The same, or what is usual where they are larger."""
+        return self.scaled(Scale(min(self.scale.coarse, 1.0), min(self.scale.fine, 1.0)))
+
+    @property
     def usual_nt(self) -> float:
         """The same of the errors that are usual [nT]."""
         return float(np.sqrt(np.mean(np.diagonal(self.coarse + self.fine))))

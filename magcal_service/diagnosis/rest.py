@@ -62,7 +62,7 @@ class Rest:
         """Of nine errors alone and of a fit with effects."""
         after, sigma = _mean_and_sigma(_neighbours(fit))
         error = fit.problem.field_error
-        excused = 0.0 if error is None else min(max(after, 0.0), error.rms_nt**2, error.usual_nt**2)
+        excused = 0.0 if error is None else min(max(after, 0.0), error.no_larger_than_usual.rms_nt**2)
         is_free = any(term.hypothesis.is_free for term in fit.terms)
         return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after - excused, sigma, is_free, excused)
 

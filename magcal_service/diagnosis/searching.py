@@ -14,6 +14,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import are_rather_unlisted, with_left
 from magcal_service.diagnosis.blocks import correlation_samples
 from magcal_service.diagnosis.collapse import is_collapsed
+from magcal_service.diagnosis.doubts import is_beyond_model
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
@@ -75,7 +76,7 @@ class End:
 
 def without_names(end: End, prepared: Prepared) -> End:
     """The same, or what is left under the errors of the field model that suit the nine errors best, where no name has
-    stood: those that it was searched under suited the names."""
+    stood: those that it was searched under suited the names.  Errors beyond what field models have suit anything."""
     error = end.search.problem.field_error
     if error is None or end.explained.fit.terms or len(end.whitening) or not significant(end.left[0]):
         return end
@@ -85,6 +86,8 @@ def without_names(end: End, prepared: Prepared) -> End:
     problem = at_scale(end.search.problem, error, scale)
     search = replace(end.search, problem=problem, close=set(end.search.close))
     fit = search.refreshed(solve(problem, end.explained.fit.x))
+    if is_beyond_model(fit):
+        return end
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     explained, left = _standing(search, prepared.baseline, Explained(fit), phase, end.floor_nt)
     return replace(end, search=search, explained=explained, left=left).with_left(prepared.baseline)

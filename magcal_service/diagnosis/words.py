@@ -71,7 +71,13 @@ IN_DOUBT: Final = "Recording and reference disagree, but the recording itself is
 
 
 def agreed(
-    left_nt: float, noise_nt: float, model_nt: float | None, compared: str = "recording", *, noisier: bool = False
+    left_nt: float,
+    noise_nt: float,
+    model_nt: float | None,
+    compared: str = "recording",
+    *,
+    noisier: bool,
+    beyond_model: bool = False,
 ) -> str:
     """The verdict where nothing is left out.
 
@@ -81,12 +87,19 @@ def agreed(
     noise_nt, model_nt: noise of the sensor, and rms that the field model may err by, where that counts [nT].
     compared: what the simulation agrees with.
     noisier: whether more is left than the noise, nevertheless.
+    beyond_model: whether more is left than field models usually err by.
     """
     model = "" if model_nt is None else f", and {model_nt:.1f} nT that the field model may err by"
     if noisier:
         return (
             f"Simulation and {compared} differ by more than the stated noise, and nothing shows by what: {left_nt:.1f} "
             f"nT are left on data that took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
+        )
+    if beyond_model:
+        return (
+            f"Nothing that has a form was left out, and simulation and {compared} differ by more than field models "
+            f"usually err by: {left_nt:.1f} nT are left on data that took no part in the fit, over a noise of "
+            f"{noise_nt:.1f} nT."
         )
     return (
         f"Simulation and {compared} agree to the noise: {left_nt:.1f} nT are left on data that "
@@ -137,11 +150,12 @@ def explained_share(unexplained: float) -> str:
 def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
     """The verdict in one plain sentence: the cause and its size, or what is left without a name."""
     if diagnosis.verdict is Verdict.NONE:
-        problem = diagnosis.prepared.problem
+        problem = diagnosis.fit.problem
         error = problem.field_error
         noisier = "noisier_than_stated" in diagnosis.reasons
         model_nt = None if error is None else error.rms_nt
-        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, noisier=noisier)
+        beyond = "field_model_doubtful" in diagnosis.reasons
+        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, noisier=noisier, beyond_model=beyond)
     known = titles(diagnosis.effects)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:

@@ -58,16 +58,16 @@ def scene_of(recording: Recording) -> Scene:
 
 
 def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
-    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference or one
-    whose size changes as along an orbit."""
+    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference, or by a
+    vector in the Earth's axes whose size changes as along an orbit; a coil's size may change so, too."""
     stated = recording.descriptor.platform
     if stated is not None:
         return stated.kind is PlatformKind.ORBIT
     if ecef is not None:
         return float(np.median(np.linalg.norm(ecef, axis=1))) - geomagnetic.EARTH_KM > geomagnetic.LOWEST_ORBIT_KM
-    if recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI:
-        return True
-    return _changes_as_in_orbit(recording)
+    if recording.reference.vector_nt is None:
+        return False
+    return recording.reference.frame is Frame.ECI or _changes_as_in_orbit(recording)
 
 
 def _changes_as_in_orbit(recording: Recording) -> bool:

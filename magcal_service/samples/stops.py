@@ -24,11 +24,15 @@ _FEWEST_ALIKE: Final = 3
 """Different samples with one value at the end, on a lattice so fine that none would come twice; choice: two may be a
 sample that was sent again."""
 
-_BY_CHANCE: Final = 1e-6
-"""Probability of so many by chance, below which they are a stop: of a hundred thousand recordings one."""
+_BY_CHANCE: Final = 1e-5
+"""Probability of so many by chance, below which they are a stop: six ends of ten thousand recordings have one."""
 
 _NEXT: Final = 30
 """Samples beside the end whose distances tell how often a level of the lattice comes there; choice: to a fifth."""
+
+_NEAR_END: Final = 0.25
+"""Share of an axis' values' range, from the end on, in which the closest two values are a step of the lattice apart;
+choice.  Elsewhere it may be finer: a log of five digits, or a sensor that changes its range."""
 
 _FLAT_TO_NEXT: Final = 5.0
 """Factor by which the largest value has to repeat more often than any of those beside it.
@@ -204,10 +208,12 @@ def _is_seldom(field_nt: Array, end: Stop) -> bool:
     """Whether its value would hardly come so often by chance, on a lattice of many more levels than samples there."""
     others = ~end.rows
     alike = len(np.unique(field_nt[end.rows], axis=0))
-    inside = np.sort(np.abs(field_nt[others, end.axis] - end.at_nt))[:_NEXT]
-    if alike < _FEWEST_ALIKE or len(inside) < _NEXT or len(np.unique(inside)) < _NEXT:
+    away = np.sort(np.abs(field_nt[others, end.axis] - end.at_nt))
+    inside = away[:_NEXT]
+    if alike < _FEWEST_ALIKE or len(np.unique(inside)) < _NEXT:
         return False
-    step_nt = float(np.diff(np.unique(field_nt[:, end.axis])).min())
+    beside = away[away <= max(_NEAR_END * float(away[-1]), float(inside[-1]))]
+    step_nt = float(np.diff(np.unique(beside)).min())
     expected = _NEXT * step_nt / float(inside[-1])
     # of the first sample there nothing is said: it makes the end; Poisson's tail by its first term
     return (alike - 1) * math.log(max(expected, 1e-300)) - math.lgamma(alike) < math.log(_BY_CHANCE)

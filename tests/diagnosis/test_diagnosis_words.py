@@ -67,7 +67,7 @@ def diagnosis(
             terms=(None,) * terms,
             x=before + np.array([3.0, -4.0, 12.0, *[0.0] * 6]),
             covariance=0.25 * np.eye(9),
-            problem=SimpleNamespace(aimed=None),
+            problem=SimpleNamespace(aimed=None, noise_nt=100.04, field_error=None),
         ),
         refused=(),
         modelled=None,
@@ -193,9 +193,15 @@ def test_a_clean_recording_agrees_to_the_noise() -> None:
 
 def test_what_the_field_model_may_err_by_is_said_beside_the_noise() -> None:
     clean = diagnosis(Verdict.NONE)
-    clean.prepared.problem.field_error = SimpleNamespace(rms_nt=22.46)
+    clean.fit.problem.field_error = SimpleNamespace(rms_nt=22.46)
     said = verdict_sentence(clean, [], HELD_OUT)
     assert said.endswith("over a noise of 100.0 nT, and 22.5 nT that the field model may err by.")
+
+
+def test_nothing_agrees_where_more_is_left_than_field_models_err_by() -> None:
+    said = verdict_sentence(diagnosis(Verdict.NONE, reasons=("field_model_doubtful",)), [], HELD_OUT)
+    assert "agree" not in said
+    assert "by more than field models usually err by: 101.5 nT are left" in said
 
 
 def test_while_the_recording_is_in_doubt_no_physics_is_named() -> None:

@@ -26,6 +26,9 @@ _OTHERS_MOVE: Final = 30.0
 _BEYOND: Final = 1.1
 """Times a stated range that readings may go to; choice: a factor for each axis, set by the factory, is within that."""
 
+_FEWEST_BEYOND: Final = 8  # readings; choice: fewer at a stop may differ by noise behind it
+_OWN_VALUE: Final = 0.5  # of them, that have a value of their own; choice
+
 _LONGEST_START: Final = 30  # rows; choice: half a minute at 1 Hz, settling and not physics
 _SHARE_OF_START: Final = 0.02  # choice: of the log; longer is no start
 _OUT: Final = 30.0
@@ -71,16 +74,25 @@ def saturated(log: Log) -> Iterator[Seen]:
     range_nt = log.recording.descriptor.magnetometer.range_nt
     found = stops(log.field_nt, log.magnitude_nt, range_nt)
     stated = [one for one in found if abs(one.at_nt) == range_nt]
-    exceeded = next((one for one in stated if float(np.median(_outwards(log, one))) > _BEYOND * abs(one.at_nt)), None)
+    exceeded = next((one for one in stated if _goes_on(log, one)), None)
     if exceeded is not None:
         says = f"{_at(log, exceeded, 'reach')}, the end of the range that the descriptor states"
-        says += f", and most of them go beyond it, up to {exceeded.side * float(_outwards(log, exceeded).max()):g} nT"
+        says += f", and they go on beyond it, up to {exceeded.side * float(_outwards(log, exceeded).max()):g} nT"
         yield Seen(Code.SATURATED, False, log.rows[exceeded.rows], says, "correct magnetometer.range_nt [nT]")
     for stop in found:
         if stop not in stated:
             yield _left_out(log, stop, f"{_at(log, stop, 'stop at')}: the end of the range")
         elif exceeded is None:
             yield _left_out(log, stop, f"{_at(log, stop, 'reach')}: the end of the range that the descriptor states")
+
+
+def _goes_on(log: Log, stop: Stop) -> bool:
+    """Whether readings go on beyond a stated end: most of them far, or most of them to a value of their own, where a
+    sensor that stops gives one."""
+    outwards = _outwards(log, stop)
+    if float(np.median(outwards)) > _BEYOND * abs(stop.at_nt):
+        return True
+    return len(outwards) >= _FEWEST_BEYOND and len(np.unique(outwards)) > _OWN_VALUE * len(outwards)
 
 
 def _outwards(log: Log, stop: Stop) -> FloatArray:
