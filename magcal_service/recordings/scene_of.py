@@ -20,7 +20,7 @@ from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import Clock, Frame
 
-_HALF_HOUR_S: Final = 1800.0
+_HALF_HOUR_S: Final = 1800.0  # over which a reference is looked at; choice: a third of a low orbit
 _LEAST_CHANGE: Final = 0.15
 """Of the field, what half an hour changes in orbit: a third of an orbit, over which a dipole's size changes by a fifth
 and more.  An aircraft's changes by 3 % on 500 km."""
