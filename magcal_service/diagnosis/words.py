@@ -341,7 +341,8 @@ def remaining(diagnosis: Ended) -> str:
         much = "too much to act on" if {"unexplained_structure", "mismatch_lasts"} & {*diagnosis.reasons} else "little"
         told, left = percent(diagnosis.unexplained), percent(diagnosis.left_share)
         shaped = "" if told == left else f" ({told} in a shape that could be told)"
-        return f"{left} of the mismatch{shaped}, more than noise but {much} beside what was named"
+        joined = "but little" if much == "little" else f"and {much}"
+        return f"{left} of the mismatch{shaped}, more than noise {joined} beside what was named"
     if diagnosis.left_share > 0.0:
         much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else "little"
         return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"

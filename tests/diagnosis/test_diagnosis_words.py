@@ -401,7 +401,7 @@ def test_what_remains_is_what_the_names_do_not_explain() -> None:
     both = diagnosis(Verdict.NAMED, terms=1, unexplained=0.0265, lasting=0.356, reasons=("mismatch_lasts",))
     assert verdict_sentence(both, [entry("a")], HELD_OUT).endswith("64.4 % of the mismatch is explained.")
     assert remaining(both) == (
-        "35.6 % of the mismatch (2.65 % in a shape that could be told), more than noise but too much to act on beside "
+        "35.6 % of the mismatch (2.65 % in a shape that could be told), more than noise and too much to act on beside "
         "what was named"
     )
 
@@ -437,7 +437,7 @@ def test_what_has_no_name_is_given_no_probability() -> None:
 
 def test_what_is_too_much_to_act_on_is_not_called_little() -> None:
     of = diagnosis(Verdict.NAMED, unexplained=0.15, reasons=("unexplained_structure",))
-    assert remaining(of) == "15 % of the mismatch, more than noise but too much to act on beside what was named"
+    assert remaining(of) == "15 % of the mismatch, more than noise and too much to act on beside what was named"
 
 
 # The summary

@@ -150,7 +150,11 @@ class Inspection:
         lines = [f"{found}; {self.account.used} of {self.account.rows} rows can be used{questions}"]
         lines += [f"left out: {self.account.why}"] if self.account.why else []
         more = self.account_to_diagnose.used - self.account.used
-        lines += [f"diagnose begins with {more} more, stuck or saturated, to name the cause"] if more else []
+        lines += (
+            [f"diagnose also looks at {more} more, stuck or saturated, to name the cause; no fit uses them"]
+            if more
+            else []
+        )
         return "\n".join([*lines, "diagnose also leaves out single spikes, and says how many"])
 
 
