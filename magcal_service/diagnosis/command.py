@@ -80,7 +80,7 @@ class Request:
         commands[-1] += ["--out", str(self.out / "vectors.csv")]
         lines = [f"next: {shlex.join(['magcal', *commands[0]])}"]
         lines += [f"      {shlex.join(['magcal', *command])}" for command in commands[1:]]
-        if found:
+        if diagnosis.fit.terms or diagnosis.modelled is not None:
             return [*lines, f"      {in_flight(physics)}"]
         return [*lines, f"      {shlex.join(['magcal', 'export', str(given), '--format', 'c-header'])}"]
 

@@ -8,12 +8,14 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
 import pytest
 
 from magcal_service.base import progress
+from magcal_service.diagnosis.command import Request
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema
@@ -262,3 +264,14 @@ def test_without_a_folder_the_files_go_to_one_of_that_name(
     assert diagnose(clean).code == 0
     names = {path.name for path in (tmp_path / "diagnosis").iterdir()}
     assert names == {"diagnosis.json", "report.html", "physics.toml"}
+
+
+@pytest.mark.parametrize(("terms", "modelled"), [((), None), ((object(),), None), ((), object())])
+def test_what_compensates_nothing_is_no_file_for_the_flight(terms: tuple[object, ...], modelled: object) -> None:
+    """A stop and a lattice are notes of ``physics.toml``: the nine errors go on board by a header."""
+    named = SimpleNamespace(
+        trusted=True, verdict=Verdict.NAMED, fit=SimpleNamespace(terms=terms), modelled=modelled, command=""
+    )
+    last = Request(Path("log.toml"), Path("out")).next_lines(named)[-1].strip()  # type: ignore[arg-type]
+    in_flight = bool(terms) or modelled is not None
+    assert last.startswith("in flight: physics = " if in_flight else "magcal export out/physics.toml")

@@ -46,7 +46,7 @@ EFFECT = Effect(
     confused_with=("torquer", "sun_disturbance"),
     separated_by="another sampling rate moves an alias and leaves a true line; switching the suspect off",
     source="spectra of platform magnetometers: converters, wheels and heaters, 1-500 nT",
-    says=("A line of {amplitude_nt.size} at {frequency_hz.size}, fixed in the body.",),
+    says=("A line of {amplitude_nt.size} at {frequency_hz.size}, or an alias of a faster one, fixed in the body.",),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

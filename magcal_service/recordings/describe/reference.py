@@ -21,6 +21,7 @@ from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.unit_answer import AnsweredUnit
 from magcal_service.recordings.describe.vocabulary import TEMPERATURE, Kind, frame_of
 from magcal_service.recordings.reference_spec import MAX_FIELD_NT
+from magcal_service.recordings.table import FloatArray
 
 _CONSTANT: Final = re.compile(r"(?:constant\s+|=)?\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*(nT|uT|mT|T|mG|G)?", re.ASCII)
 _FIELD: Final = re.compile(r"(?:constant\s|=|[+-]?\.?[0-9])[^,]*$")
@@ -34,6 +35,7 @@ _REFERENCE: Final = {
     "hmag", "overhauser", "proton",
 }  # fmt: skip
 _SAME: Final = 2e-3  # relative: lengths that agree so closely were computed from one another
+_STILL: Final = 0.01  # of the largest component; choice: a room changes by less, and an orbit by as much in ten seconds
 _FORM: Final = "49.2 uT"
 
 
@@ -166,8 +168,13 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
             draft.conclude("reference.frame", frame, "in it, and in no other, they are IGRF's")
     if not frame:
         asks = f"in which frame is the reference {triple.label}? no name says"
-        candidates = (("eci", "inertial"), ("ecef", "turns with the Earth"), ("ned", "north, east, down"))
-        draft.ask(Question("reference.frame", asks, candidates, "eci"))
+        candidates = [("eci", "inertial"), ("ecef", "turns with the Earth"), ("ned", "north, east, down")]
+        if _stands_still(triple.values):
+            candidates = [
+                ("ned", "north, east, down; it is one vector, as in one place on the ground"),
+                *candidates[:2],
+            ]
+        draft.ask(Question("reference.frame", asks, tuple(candidates), candidates[0][0]))
     draft.reserved |= {column.number for column in triple.columns}
     draft.put("reference", "columns", draft.names(triple.columns))
     draft.put_unit("reference", AnsweredUnit(unit.unit, unit.factor))
@@ -178,6 +185,13 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     if unit.sure:
         draft.conclude("reference.unit", unit.unit, unit.why)
     return True
+
+
+def _stands_still(vectors: FloatArray) -> bool:
+    """Whether rows (n, 3) are one vector: no craft in orbit has one, in any frame."""
+    known = vectors[np.isfinite(vectors).all(axis=1)]
+    size = float(np.max(np.abs(known), initial=0.0))
+    return bool(len(known)) and float(np.ptp(known, axis=0).max()) < _STILL * size
 
 
 def _ask_unit(draft: Draft, label: str, unit: UnitFound) -> None:

@@ -181,3 +181,14 @@ def test_a_unit_of_time_that_makes_no_usual_log_is_asked_about(
     for answer in (unit, right):
         text = describe(log, {"reference": "48 uT", "time.format": f"elapsed_{answer}"}).text
         assert f'format = "elapsed_{answer}"' in (text or "")
+
+
+@pytest.mark.parametrize(("turns", "first"), [(False, "ned"), (True, "eci")])
+def test_a_reference_that_is_one_vector_is_hardly_inertial(turns: bool, first: str, tmp_path: Path) -> None:
+    """No craft in orbit has one; where it turns, an inertial one comes first."""
+    field = maker_logs.ground()
+    angle = np.linspace(0.0, 3.0 * turns, len(field))
+    reference = np.stack([20.0 * np.cos(angle), 20.0 * np.sin(angle), np.full(len(field), 43.0)], axis=1)
+    log = write(tmp_path, "t_s,mx_uT,my_uT,mz_uT,hn_uT,he_uT,hd_uT", clock(field), field / 1e3, reference)
+    asked = question(describe(log, {}), "reference.frame")
+    assert f"--answer reference.frame={first}" in asked
