@@ -77,7 +77,7 @@ class _Beside:
     fit: Fit
     space: Workspace
     whole: Workspace
-    white_whole: Array | None
+    white_whole: Array | None = None
 
     def products(self, shape: Shape) -> tuple[Products, Products]:
         """Of a family's columns, which are not kept, with the residual without its tails, and with all of it."""
