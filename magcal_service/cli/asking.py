@@ -88,6 +88,10 @@ def viewers_address(link: str) -> str:
     return f"{place}?{'&'.join(kept)}" if kept else place
 
 
+_ENDS: Final = itertools.count(os.urandom(1)[0])
+"""Ends of this process: no two of the next 256 have the same two digits, and those of two processes seldom."""
+
+
 class Desk:
     """An end of a link that gives commands, each with a number of its own.
 
@@ -103,7 +107,7 @@ class Desk:
         self._link, self._names = link, dict[int, str]()
         # Replies are told apart by source and number: another end's must not be taken for this one's.  A later process
         # begins lower, which a daemon takes for a source's restart and not for messages that were lost.
-        self._source = f"{source}-{os.urandom(1).hex()}"
+        self._source = f"{source}-{next(_ENDS) % 256:02x}"
         self._numbers = itertools.count(_HIGHEST_START - time.time_ns() // 1_000_000 % _HIGHEST_START)
 
     def give(self, craft: str, name: str, arguments: Mapping[str, str | int | float | bool] | None = None) -> int:

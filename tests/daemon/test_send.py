@@ -133,3 +133,11 @@ def test_the_help_has_every_command_and_argument() -> None:
     for name, spec in COMMANDS.items():
         assert f"  {name:<14}  {spec.does}" in text
         assert all(f"{key}=VALUE: {one.accepted}" in text for key, one in spec.arguments.items())
+
+
+def test_ends_of_one_process_never_have_the_same_digits() -> None:
+    """Two that begin within a millisecond have the same number, too."""
+    with open_link("loop:ends", Role.SERVICE, crafts=["a"]) as service, open_link("loop:ends", Role.VIEWER) as link:
+        for _ in range(256):
+            Desk(link, "send").give("a", "freeze")
+        assert len({each.source for each in service.receive(0.1)}) == 256
