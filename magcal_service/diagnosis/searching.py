@@ -88,9 +88,7 @@ def without_names(end: End, prepared: Prepared) -> End:
     fit = search.refreshed(solve(problem, end.explained.fit.x))
     if is_beyond_model(fit):
         return end
-    phase = None if prepared.spin is None else prepared.spin.phase_rad
-    explained, left = _standing(search, prepared.baseline, Explained(fit), phase, end.floor_nt)
-    return replace(end, search=search, explained=explained, left=left).with_left(prepared.baseline)
+    return _nameless(end, prepared, search, fit)
 
 
 def without_unlikely(end: End, prepared: Prepared) -> End:
@@ -106,10 +104,14 @@ def without_unlikely(end: End, prepared: Prepared) -> End:
         return end
     search = replace(end.search, close=set(end.search.close))
     fit = search.refreshed(solve(search.problem, prepared.baseline.x))
+    found = _nameless(end, prepared, search, fit)
+    return found if significant(found.left[0]) else end
+
+
+def _nameless(end: End, prepared: Prepared, search: Search, fit: Fit) -> End:
+    """An end without names: what is left beside the nine errors of a fit that a search stands at."""
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     explained, left = _standing(search, prepared.baseline, Explained(fit), phase, end.floor_nt)
-    if not significant(left[0]):
-        return end
     return replace(end, search=search, explained=explained, left=left).with_left(prepared.baseline)
 
 
