@@ -27,7 +27,7 @@ def median_and_sigma(values: Array) -> tuple[float, float]:
 
 
 def white_floor(residual_nt: Array) -> float:
-    """Noise level of the white part of an evenly spaced residual (n,) [nT], n >= 16: lines and slow drifts don't count.
+    """White-noise level of an evenly spaced residual (n,) [nT], n >= 16: lines and slow drifts don't count.
 
     The median of the periodogram is ln 2 times the mean for white noise, and lines or a low-frequency hump touch only
     few of its bins.  Relative error about 0.6 / sqrt(n / 2); it overestimates when more than half of the band is hit.
@@ -41,8 +41,8 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def noise_floor(time_ns: NDArray[np.int64], residual_nt: Array) -> float:
-    """White noise level [nT] of a residual, over its evenly sampled stretches; the plain rms where all are short.
+def white_noise_level(time_ns: NDArray[np.int64], residual_nt: Array) -> float:
+    """White-noise level [nT] of a residual, over its evenly sampled stretches; the plain rms where all are short.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from magcal_service.model import Array, calibrate
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
-from magcal_service.residuals import noise_floor
+from magcal_service.residuals import white_noise_level
 from magcal_service.wire.messages import Frame
 
 _LEAST_GAIN: Final = (
@@ -164,6 +164,6 @@ def weighted(aimed: Aimed, scene: Scene, residual: Array, noise_nt: float) -> Ai
     unit = aimed.reference_nt / np.linalg.norm(aimed.reference_nt, axis=1)[:, None]
     rows = residual.reshape(-1, 3)
     across = rows - np.einsum("ni,ni->n", rows, unit)[:, None] * unit
-    levels = [noise_floor(scene.time_ns, column) for column in across.T]
+    levels = [white_noise_level(scene.time_ns, column) for column in across.T]
     level = float(np.sqrt(np.sum(np.square(levels)) / 2.0))  # two of three directions are across
     return replace(aimed, across=min(1.0, noise_nt / max(level, 1e-9)))

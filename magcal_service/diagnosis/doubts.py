@@ -74,11 +74,33 @@ def reasons(
         explained,
         rest,
         poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
-        unexplained_structure=unknown or (named and (unexplained > LITTLE_LEFT or _hardly_more(explained))),
-        rough_residual=named and not stated and is_rough(fit),
-        noisier_than_stated=stated and not has_own_noise and is_noisier(fit, added_noise_nt),
-        field_model_doubtful=is_beyond_model(fit),
+        unexplained_structure=unknown or (named and is_too_much(explained, unexplained)),
+        **of_noise_and_reference(
+            fit, named=named, stated=stated, has_own_noise=has_own_noise, added_noise_nt=added_noise_nt
+        ),
     )
+
+
+def of_noise_and_reference(
+    fit: Fit, *, named: bool, stated: bool, has_own_noise: bool = False, added_noise_nt: float = 0.0
+) -> dict[str, bool]:
+    """Which doubts hold about the noise and the reference of one recording, by itself or among several.
+
+    Parameters
+    ----------
+    fit: of the recording, with its effects.
+    named: whether there are any; the others as of ``reasons``.
+    """
+    return {
+        "rough_residual": named and not stated and is_rough(fit),
+        "noisier_than_stated": stated and not has_own_noise and is_noisier(fit, added_noise_nt),
+        "field_model_doubtful": is_beyond_model(fit),
+    }
+
+
+def is_too_much(explained: Explained, unexplained: float) -> bool:
+    """Whether too much is left without a name to act on the names: a share of the mismatch, or beside one of them."""
+    return unexplained > LITTLE_LEFT or _hardly_more(explained)
 
 
 def listed(
@@ -87,7 +109,6 @@ def listed(
     *,
     poor_coverage: bool,
     unexplained_structure: bool,
-    rough_residual: bool,
     **beside: bool,
 ) -> tuple[str, ...]:
     """The reasons that hold, in order: what any fit says of itself, with those that its diagnosis found.
@@ -96,7 +117,7 @@ def listed(
     ----------
     explained: with effects.
     rest: what lasts beside the names; None where the noise has a memory.
-    poor_coverage, unexplained_structure, rough_residual: whether these hold.
+    poor_coverage, unexplained_structure: whether these hold.
     beside: further ones, by name.
     """
     fit = explained.fit
@@ -108,7 +129,6 @@ def listed(
         "mismatch_lasts": bool(fit.terms) and rest is not None and rest.is_much,
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
         **{reason: bool(names) for reason, names in concerned(explained).items()},
-        "rough_residual": rough_residual,
         **beside,
     }
     return tuple(name for name, holds in found.items() if holds)

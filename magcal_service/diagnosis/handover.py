@@ -16,7 +16,7 @@ from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis, by_name
 from magcal_service.physics.scene.steady_spin import SpinSolution
-from magcal_service.residuals import noise_floor
+from magcal_service.residuals import white_noise_level
 from magcal_service.wire.messages import Clock
 
 
@@ -64,7 +64,7 @@ def noise_of(fit: Fit, stated_nt: float | None) -> float:
     if stated_nt is not None:
         return stated_nt
     time_ns, each = fit.problem.scene.time_ns, fit.problem.rows_per_sample
-    floors = [noise_floor(time_ns, column) for column in fit.residual.reshape(len(time_ns), each).T]
+    floors = [white_noise_level(time_ns, column) for column in fit.residual.reshape(len(time_ns), each).T]
     return float(np.sqrt(np.mean(np.square(floors)))) / fit.noise_gain
 
 

@@ -30,7 +30,7 @@ from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import cleaned, recorded_attitude, scene_of
 from magcal_service.recordings.specs import MagnetometerSpec
-from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
+from magcal_service.residuals import MEDIAN_TO_SIGMA, white_noise_level
 
 MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
@@ -278,7 +278,7 @@ def _sphere(scene: Scene) -> Array:
 
 def _white(scene: Scene, x: Array) -> float:
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
-    return max(noise_floor(scene.time_ns, residual), 1e-3)
+    return max(white_noise_level(scene.time_ns, residual), 1e-3)
 
 
 def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:

@@ -74,10 +74,8 @@ def agreed(
     left_nt: float,
     noise_nt: float,
     model_nt: float | None,
+    reasons: Sequence[str],
     compared: str = "recording",
-    *,
-    noisier: bool,
-    beyond_model: bool = False,
 ) -> str:
     """The verdict where nothing is left out.
 
@@ -85,17 +83,16 @@ def agreed(
     ----------
     left_nt: rms on data that took no part in the fit [nT].
     noise_nt, model_nt: noise of the sensor, and rms that the field model may err by, where that counts [nT].
+    reasons: what speaks against acting on it: more may be left than the noise, or than field models usually err by.
     compared: what the simulation agrees with.
-    noisier: whether more is left than the noise, nevertheless.
-    beyond_model: whether more is left than field models usually err by.
     """
     model = "" if model_nt is None else f", and {model_nt:.1f} nT that the field model may err by"
-    if noisier:
+    if "noisier_than_stated" in reasons:
         return (
             f"Simulation and {compared} differ by more than the stated noise, and nothing shows by what: {left_nt:.1f} "
             f"nT are left on data that took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
         )
-    if beyond_model:
+    if "field_model_doubtful" in reasons:
         return (
             f"Nothing that has a form was left out, and simulation and {compared} differ by more than field models "
             f"usually err by: {left_nt:.1f} nT are left on data that took no part in the fit, over a noise of "
@@ -152,10 +149,8 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
     if diagnosis.verdict is Verdict.NONE:
         problem = diagnosis.fit.problem
         error = problem.field_error
-        noisier = "noisier_than_stated" in diagnosis.reasons
         model_nt = None if error is None else error.rms_nt
-        beyond = "field_model_doubtful" in diagnosis.reasons
-        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, noisier=noisier, beyond_model=beyond)
+        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, diagnosis.reasons)
     known = titles(diagnosis.effects)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:

@@ -24,7 +24,7 @@ from magcal_service.recordings.inspect.inspection import Inspection
 from magcal_service.recordings.messages import messages
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.table import IntArray
-from magcal_service.residuals import MEDIAN_TO_SIGMA, noise_floor
+from magcal_service.residuals import MEDIAN_TO_SIGMA, white_noise_level
 from magcal_service.trust.vector_gate import strays
 from magcal_service.trust.verdict import Trust
 from magcal_service.wire.messages import (
@@ -175,7 +175,7 @@ def _noise(given: Given, recording: Recording) -> float:
 def _floor(given: Given, recording: Recording) -> float:
     usable = recording.sorted_unique()
     residual = np.linalg.norm(given.apply(usable.field_body_nt), axis=1) - usable.reference.magnitude_nt
-    return noise_floor(usable.time_ns, residual)
+    return white_noise_level(usable.time_ns, residual)
 
 
 def _compensation(given: Given, recording: Recording, inspection: Inspection) -> tuple[Compensation | None, str]:

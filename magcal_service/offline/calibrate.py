@@ -30,7 +30,7 @@ from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.usable import refuse_hopeless
-from magcal_service.residuals import noise_floor, rms
+from magcal_service.residuals import rms, white_noise_level
 from magcal_service.trust.reasons import Reason
 from magcal_service.wire.messages import Verdict
 
@@ -48,7 +48,7 @@ class Residuals:
     ----------
     before: with x = 0.
     after: with the estimate; where ``physics.toml`` is compensated, on the samples as they were compensated.
-    noise_floor: the noise that was given, or the white level of the residual after; ``is_stated``: whether it was.
+    noise_floor: the sensor noise as stated, or the white-noise level of the residual after; ``is_stated``: which.
     held_out: on blocks that took no part in a batch fit to the others; None where no such fit could be made.
     published: where ``physics.toml`` is compensated, |B_cal| - |H| of the vectors as they were published since the
         start, with the estimate of each moment; else None, and where no start was made.
@@ -305,7 +305,7 @@ def residuals_of(recording: Recording, result: Replay, craft: CraftConfig) -> Re
     return Residuals(
         before=rms(before),
         after=rms(after),
-        noise_floor=noise if noise is not None else noise_floor(times_ns, after),
+        noise_floor=noise if noise is not None else white_noise_level(times_ns, after),
         held_out=_held_out(field, magnitude, craft),
         published=published,
         is_stated=noise is not None,

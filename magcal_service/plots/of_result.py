@@ -51,7 +51,7 @@ def of_diagnosis(content: dict[str, Any]) -> Sheet:
         held, share = figure.subplots(1, 2)
         bars = held.bar([name.replace("_", "\n") for name in levels], list(levels.values()), color=AFTER)
         held.bar_label(bars, fmt="%.0f", fontsize=8)
-        held.axhline(fit["noise_floor_nt"], color=QUIET, ls="--", label="noise floor")
+        held.axhline(fit["noise_floor_nt"], color=QUIET, ls="--", label="sensor noise")
         held.set(title="held-out residual rms [nT]")
         held.set_ylim(top=1.3 * held.get_ylim()[1])  # the legend above the bars
         held.legend(loc="upper right")
@@ -79,7 +79,7 @@ def of_joint_diagnosis(content: dict[str, Any]) -> Sheet:
             each.bar_label(bars, ["" if math.isnan(value) else f"{value:.0f}" for value in heights], fontsize=7)
         for n, floor in enumerate(floors):
             ends = (n - 0.5 * _WIDTH, n + 0.5 * _WIDTH)
-            each.plot(ends, (floor, floor), color=QUIET, ls="--", label=None if n else "noise floor")
+            each.plot(ends, (floor, floor), color=QUIET, ls="--", label=None if n else "sensor noise")
         each.set_xticks(range(len(levels)), [one["name"] for one in recordings])
         each.set_title("held-out residual rms [nT]")
         each.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.1))

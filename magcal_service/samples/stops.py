@@ -298,7 +298,7 @@ class _Samples:
             return 0.0
         here, sigma = at_end
         foretold, uncertain, rough = _foretold(np.array(beside))
-        step_nt = float(np.diff(levels).min())
+        step_nt = float(np.diff(levels[1:]).min())  # the end itself may lie between two steps
         sure = _SURE_IF_OFTEN if times > _OFTEN and self._undithered(step_nt) < _MORE else _SURE
         return (here - foretold) / max(self._rounded(step_nt), sure * rough * math.hypot(sigma, uncertain))
 

@@ -38,8 +38,8 @@ class _Levels:
     block_samples: Final = 100  # residuals in one block mean
     blocks: Final = 40  # 4000 samples, over an hour at 1 Hz: what drifts more slowly is followed
     block_ratio: Final = 4.0  # mean of (block mean / its sigma)^2; 40 independent ones have at most 1 +- 0.22: seldom
-    spectrum_samples: Final = 512  # of the newest residuals, from which the white level is known to 4 %
-    spectrum_every: Final = 64  # ticks between two evaluations of the white level: an eighth of the samples is new
+    spectrum_samples: Final = 512  # of the newest residuals: the white-noise level is known to 4 %
+    spectrum_every: Final = 64  # ticks between two evaluations of it: an eighth of the samples is new
     rejected_share: Final = 0.15  # the gate stops 2e-9 of noise; choice: one in seven is more than single spikes
     sudden_samples: Final = 10  # samples over which a sudden fault shows
     sudden_share: Final = 0.5  # most are rejected: the errors jumped or the sensor fails; one in ten may be a spike
@@ -157,8 +157,8 @@ class TrustMonitor(Stateful, TrustMonitorMemory):
         return self._rejected_share
 
     @property
-    def noise_floor_nt(self) -> float:
-        """White noise level of the newest residuals [nT], 0 while there are too few."""
+    def white_noise_nt(self) -> float:
+        """White-noise level of the newest residuals [nT], 0 while there are too few."""
         return self._floor_nt
 
     @property

@@ -1,4 +1,4 @@
-"""What the summary says of a noise floor that was taken with the nine errors alone, with a fast cause in it."""
+"""What the summary says of a noise level that was taken with the nine errors alone, with a fast cause in it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def switching(noise_nt: float | None) -> Recording:
 
 
 @pytest.mark.parametrize("noise_nt", [None, NOISE_NT])
-def test_less_than_the_noise_floor_is_left_only_where_it_held_the_cause(noise_nt: float | None) -> None:
+def test_less_than_the_noise_is_left_only_where_it_held_the_cause(noise_nt: float | None) -> None:
     diagnosis = diagnose(switching(noise_nt))
     lines = summary(diagnosis, entries(diagnosis), held_out_rms(diagnosis), ())
     assert lines[0].startswith("verdict: named")

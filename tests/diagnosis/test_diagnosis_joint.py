@@ -16,18 +16,21 @@ from scipy.stats import chi2
 import magcal_service as magcal
 from magcal_service.diagnosis.advice import REASONS
 from magcal_service.diagnosis.belief import posterior
-from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.diagnose import Verdict, diagnose
+from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.joint.compare import chi_square_tail
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.result import as_json, model_of
-from magcal_service.diagnosis.joint.words import name_in_words, noise_of_one, sentence, summary
+from magcal_service.diagnosis.joint.words import ONE_ALONE, name_in_words, noise_of_one, sentence, summary
+from magcal_service.diagnosis.prepare import prepare
 from magcal_service.diagnosis.report.frame import Origin
 from magcal_service.diagnosis.words import chance
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Effect
 from magcal_service.recordings.recording import Recording
 from tests.diagnosis.joint_days import COUNT, NOISE_NT, Day, day
 
@@ -37,9 +40,9 @@ NONE = np.zeros(3)
 EFFECTS = tuple(effect_named(name) for name in ("thermal_bias", "current_loop", "bias_step"))
 
 
-def _together(days: list[Day]) -> JointDiagnosis:
+def _together(days: list[Day], effects: tuple[Effect, ...] = EFFECTS) -> JointDiagnosis:
     gathered = gather([one.recording for one in days])
-    return diagnose_together(gathered.inspections, gathered.names, EFFECTS)
+    return diagnose_together(gathered.inspections, gathered.names, effects)
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +130,14 @@ def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnos
     assert 'http-equiv="Content-Security-Policy"' in page
 
 
+def test_numbers_of_one_alone_are_said_to_be_of_the_common_form(found: JointDiagnosis) -> None:
+    """Beside the table and in the file: a diagnosis of one day by itself may take another form."""
+    page = html.unescape(report(found, Origin("three days", "magcal diagnose a b c", ())))
+    assert f"{ONE_ALONE.capitalize()}." in page
+    assert page.index(" alone</th>") < page.index("Numbers of one recording alone")
+    assert json.loads(as_json(found))["own_numbers"] == ONE_ALONE
+
+
 def test_nothing_is_named_from_clean_days() -> None:
     clean = _together([day(number, NONE, NONE) for number in range(2)])
     assert (clean.verdict, clean.fit.terms, clean.reasons) == (Verdict.NONE, (), ())
@@ -134,6 +145,45 @@ def test_nothing_is_named_from_clean_days() -> None:
     assert content["sentence"].startswith("Simulation and recordings agree to the noise: ")
     assert content["fit"]["held_out_rms_nt"]["with_effects"] == pytest.approx(NOISE_NT, rel=0.1)
     assert content["advice"] == []
+
+
+def test_a_field_model_that_errs_is_doubted_as_of_one_recording() -> None:
+    """Six times the usual errors, drawn along the field; with errors as usual neither says anything."""
+    for times, doubts in ((1.0, ()), (6.0, ("field_model_doubtful",))):
+        days = [erring(number, times) for number in range(2)]
+        for one in days:
+            assert diagnose(one.recording, effects=EFFECTS).reasons == doubts
+        found = _together(days)
+        assert (found.verdict, found.reasons) == (Verdict.NONE, doubts)
+        assert sentence(found).startswith("Nothing that has a form was left out" if doubts else "Simulation and recor")
+        assert bool(doubts) == ("differ by more than field models usually err by" in sentence(found))
+
+
+def erring(number: int, times: float) -> Day:
+    """A clean day whose reference errs by so many times what field models do."""
+    clean = day(number, NONE, NONE)
+    scene = prepare(clean.recording, ()).problem.scene
+    usual = FieldError.of(scene, NOISE_NT)
+    assert usual is not None
+    drawn = np.sqrt(usual.variance) * np.random.default_rng(9300 + number).standard_normal(len(usual.variance))
+    field = scene.field_nt @ (np.eye(3) + clean.D) - clean.bias_nt
+    unit = field / np.linalg.norm(field, axis=1, keepdims=True)
+    return day(number, NONE, NONE, added_nt=times * (usual.basis @ drawn)[:, None] * unit)
+
+
+def test_noise_that_rounding_adds_is_no_noise_beyond_the_stated() -> None:
+    """Of several recordings as of one: on steps of 250 nT there is more than the stated noise, and rounding is why."""
+    coarse, effects = [], (*EFFECTS, effect_named("quantisation"))
+    for number in range(2):
+        one = day(number, NONE, NONE)
+        field = np.round(one.recording.field_body_nt / 250.0) * 250.0
+        coarse.append(replace(one, recording=replace(one.recording, field_body_nt=field)))
+    for one in coarse:
+        assert "noisier_than_stated" not in diagnose(one.recording, effects=effects).reasons
+    assert "noisier_than_stated" in _together(coarse).reasons
+    found = _together(coarse, effects)
+    assert all("quantisation" in one.prepared.findings for one in found.recordings)
+    assert "noisier_than_stated" not in found.reasons
 
 
 def _rms(values: list[np.ndarray]) -> float:

@@ -34,7 +34,7 @@ def _rows(name: str) -> list[dict[str, Any]]:
 
 def recordings_main() -> str:
     """Residual levels and verdicts of every recording by the daemon's own method."""
-    head = ["recording", "samples", "before", "after", "held out", "noise floor", "verdict: reasons", "replay"]
+    head = ["recording", "samples", "before", "after", "held out", "white-noise level", "verdict: reasons", "replay"]
     rows = []
     for row in (row for row in _rows("recordings") if row["method"] == MAIN_METHOD):
         if "refused" in row:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from magcal_service.residuals import log_tail, median_and_sigma, noise_floor, rms, white_floor
+from magcal_service.residuals import log_tail, median_and_sigma, rms, white_floor, white_noise_level
 
 SECOND_NS = 1_000_000_000
 
@@ -58,7 +58,7 @@ def test_the_floor_over_stretches_weighs_each_by_its_length() -> None:
     rng = np.random.default_rng(3)
     quiet, loud = rng.normal(size=100), 4.0 * rng.normal(size=300)
     expected = math.sqrt((100 * white_floor(quiet) ** 2 + 300 * white_floor(loud) ** 2) / 400)
-    assert noise_floor(stretches(100, 300), np.r_[quiet, loud]) == pytest.approx(expected, rel=1e-12)
+    assert white_noise_level(stretches(100, 300), np.r_[quiet, loud]) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(("pause_s", "parted"), [(1.5, False), (1.6, True)])
@@ -67,7 +67,7 @@ def test_a_step_of_more_than_one_and_a_half_is_a_pause(pause_s: float, parted: b
     whole = white_floor(residual)
     halves = math.sqrt((white_floor(residual[:100]) ** 2 + white_floor(residual[100:]) ** 2) / 2.0)
     times = stretches(100, 100, pause_s=pause_s)
-    assert noise_floor(times, residual) == pytest.approx(halves if parted else whole, rel=1e-12)
+    assert white_noise_level(times, residual) == pytest.approx(halves if parted else whole, rel=1e-12)
     assert halves != pytest.approx(whole, rel=1e-3)
 
 
@@ -76,7 +76,7 @@ def test_stretches_of_64_samples_have_a_spectrum_and_shorter_ones_an_rms(count: 
     residual = np.random.default_rng(5).normal(size=2 * count) + 3.0
     floor = math.sqrt((white_floor(residual[:count]) ** 2 + white_floor(residual[count:]) ** 2) / 2.0)
     expected = floor if looked_at else rms(residual)
-    assert noise_floor(stretches(count, count), residual) == pytest.approx(expected, rel=1e-12)
+    assert white_noise_level(stretches(count, count), residual) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 6, 9, 29, 45])

@@ -49,6 +49,20 @@ def test_step_of_a_lattice(step: float) -> None:
     assert step_of(values) == pytest.approx(step, rel=1e-3)
 
 
+@pytest.mark.parametrize("between", [0.1, 0.5, 0.93])
+def test_a_range_that_ends_between_two_steps_hides_no_lattice(between: float) -> None:
+    """At the largest value, at the least, and at both; all three axes of a craft whose x and y are cut."""
+    values, end = 150.0 * np.round(10.0 * stirred(9420)), 150.0 * (12.0 + between)
+    for cut in (np.minimum(values, end), np.maximum(values, -end), np.clip(values, -end, end)):
+        assert step_of(cut) == pytest.approx(150.0, rel=1e-6)
+    field = np.round(NOISY.field_nt / 150.0) * 150.0
+    field[:, 0] = np.minimum(field[:, 0], 150.0 * (100.0 + between))
+    field[:, 1] = np.clip(field[:, 1], -150.0 * (90.0 + between), 150.0 * (80.0 + between))
+    found = find("quantisation", view(spoiled(field, NOISY)))
+    assert found is not None
+    assert found.parameters["lsb_by_axis_nt"].value == pytest.approx([150.0, 150.0, 150.0], rel=1e-6)
+
+
 def test_no_step_where_there_is_no_lattice() -> None:
     """Values that were not rounded, a constant, and two levels have no step."""
     assert step_of(800.0 * stirred(2)) == 0.0

@@ -64,7 +64,7 @@ def reasons(monitor: TrustMonitor, estimate: StateEstimate = SETTLED) -> set[Rea
 
 def test_a_fresh_watch_has_seen_nothing() -> None:
     monitor = TrustMonitor(CONFIG)
-    assert monitor.residual_rms_nt == monitor.innovation == monitor.rejected_share == monitor.noise_floor_nt == 0.0
+    assert monitor.residual_rms_nt == monitor.innovation == monitor.rejected_share == monitor.white_noise_nt == 0.0
     assert monitor.judge(replace(SETTLED, phase=Phase.STARTING)) == NOT_STARTED
     assert not monitor.observe_unchecked(UNLOOKED_S)
 
@@ -133,20 +133,20 @@ def test_an_absurd_residual_counts_as_one_at_the_gate(residual_nt: float, noise_
     assert monitor.residual_rms_nt == pytest.approx(gate_nt, rel=1e-12)
 
 
-def test_the_noise_floor_is_that_of_the_newest_512_every_64_ticks() -> None:
+def test_the_white_noise_level_is_that_of_the_newest_512_every_64_ticks() -> None:
     residual = np.random.default_rng(2).normal(size=900) * 200.0
     monitor = TrustMonitor(CONFIG)
     for index in range(900):
         monitor.observe(tick(index), outcome((float(residual[index]),)), SETTLED)
         count = (index + 1) // 64 * 64
         expected = white_floor(residual[max(0, count - 512) : count]) if count >= 256 else 0.0
-        assert monitor.noise_floor_nt == pytest.approx(expected, rel=1e-12)
+        assert monitor.white_noise_nt == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_noise_floor_needs_256_residuals_however_many_a_tick_has() -> None:
+def test_the_white_noise_level_needs_256_residuals_however_many_a_tick_has() -> None:
     residual = np.random.default_rng(3).normal(size=(64, 4)) * 200.0
     monitor = observed(outcome(row.tolist()) for row in residual)
-    assert monitor.noise_floor_nt == pytest.approx(white_floor(residual.reshape(-1)), rel=1e-12)
+    assert monitor.white_noise_nt == pytest.approx(white_floor(residual.reshape(-1)), rel=1e-12)
 
 
 # Levels
@@ -185,7 +185,7 @@ def test_where_the_noise_is_not_told_the_filters_own_stands_in_until_there_is_a_
     config = replace(CONFIG, sensor=SensorConfig(None))
     estimate = replace(SETTLED, noise_nt=noise_nt)
     monitor = observed([outcome((450.0 * (-1.0) ** n,)) for n in range(200)], estimate, config)
-    assert monitor.noise_floor_nt == 0.0
+    assert monitor.white_noise_nt == 0.0
     assert (Reason.STRUCTURED_RESIDUAL in reasons(monitor, estimate)) is bad
 
 
@@ -198,7 +198,7 @@ def test_a_filter_that_says_its_noise_is_zero_is_not_divided_by() -> None:
     assert Reason.DRIFTING_RESIDUAL in reasons(observed([outcome((100.0,))] * 1000, sure, config), sure)
 
 
-def with_noise_floor(floor_nt: float) -> TrustMonitor:
+def with_white_noise(floor_nt: float) -> TrustMonitor:
     monitor = observed([outcome()] * 300, config=replace(CONFIG, sensor=SensorConfig(None)))
     monitor.restore_state({**monitor.export_state(), "_floor_nt": floor_nt})
     return monitor
@@ -209,7 +209,7 @@ def test_noise_beyond_a_twentieth_of_the_field_is_too_high(noise_nt: float, bad:
     """|H| is 40 000 nT on the mean; the noise is the one that is told, or the floor."""
     told = observed([outcome()] * 300, config=replace(CONFIG, sensor=SensorConfig(noise_nt)))
     assert (Reason.NOISE_TOO_HIGH in reasons(told)) is bad
-    assert (Reason.NOISE_TOO_HIGH in reasons(with_noise_floor(noise_nt))) is bad
+    assert (Reason.NOISE_TOO_HIGH in reasons(with_white_noise(noise_nt))) is bad
 
 
 SPREADS = {

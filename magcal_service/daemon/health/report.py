@@ -147,7 +147,7 @@ class Health:
             ("troubles", "What is amiss, counted.", lambda craft: len(self.troubles(craft))),
             ("frozen", "1 while nothing is learned.", lambda craft: int(craft.frozen)),
             ("residual_rms_tesla", "Running rms of the scalar residual.", lambda c: 1e-9 * c.monitor.residual_rms_nt),
-            ("residual_floor_tesla", "White part of the residual.", lambda c: 1e-9 * c.monitor.noise_floor_nt),
+            ("residual_floor_tesla", "White part of the residual.", lambda c: 1e-9 * c.monitor.white_noise_nt),
             ("innovation_ratio", "Mean normalised innovation squared.", lambda craft: craft.monitor.innovation),
             ("rejected_ratio", "Share of samples stopped by the gate.", lambda craft: craft.monitor.rejected_share),
         )

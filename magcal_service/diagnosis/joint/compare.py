@@ -47,7 +47,7 @@ class Against:
     Parameters
     ----------
     name: of the recording.
-    own, others: from this recording alone, and from all others together.
+    own, others: from this recording alone, and from all others together; in the form that all have together.
     probability: of a difference at least so large by chance, were the number common.
     ratio: chi-square of the difference over its degrees of freedom, 1 on average by chance.
     """
@@ -204,14 +204,21 @@ class Apart:
     def compared(self) -> Compared:
         """Each recording fitted alone, all others fitted without it, and it predicted from those."""
         every = range(len(self.names))
-        own = [self._refitted([number]) for number in every]
+        own = [self._refitted([number], anywhere=True) for number in every]
         others = [self._refitted([k for k in every if k != number]) for number in every]
         shared = _shared(self.fit, own, others, self.names)
         predicted = [self._predicted(number, own[number], others[number]) for number in every]
         return Compared(tuple(own), tuple(shared), tuple(predicted))
 
-    def _refitted(self, numbers: Sequence[int], terms: Sequence[Term] | None = None, held: Sequence[Term] = ()) -> Fit:
-        """The fit again on some of the recordings, all of its terms or these."""
+    def _refitted(
+        self,
+        numbers: Sequence[int],
+        terms: Sequence[Term] | None = None,
+        held: Sequence[Term] = (),
+        *,
+        anywhere: bool = False,
+    ) -> Fit:
+        """The fit again on some of the recordings, all of its terms or these; ``anywhere``: as of ``refitted``."""
         assert isinstance(self.fit.problem, JointProblem)
         x = np.split(self.fit.x, np.cumsum([single.size for single in self.singles])[:-1])
         return refitted(
@@ -223,6 +230,7 @@ class Apart:
             held,
             self.fit.problem.dispersion,
             [self.fit.problem.relative[number] for number in numbers if self.fit.problem.relative],
+            anywhere=anywhere,
         )
 
     def _predicted(self, number: int, own: Fit, others: Fit) -> Predicted:

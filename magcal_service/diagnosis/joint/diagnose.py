@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_service.diagnosis.belief import with_left
-from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
+from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict, added_noise_nt
 from magcal_service.diagnosis.doubts import (
-    LITTLE_LEFT,
     concerned,
     has_coverage,
-    is_noisier,
-    is_rough,
+    is_too_much,
     listed,
+    of_noise_and_reference,
     stands_out,
 )
 from magcal_service.diagnosis.explain import Explained, Search
@@ -70,6 +69,15 @@ class Alone:
     def has_coverage(self) -> bool:
         """Whether the field pointed in enough directions to fix its nine errors."""
         return has_coverage(self.covariance)
+
+    def doubts(self, named: bool) -> Mapping[str, bool]:
+        """What speaks against its noise and its reference, beside effects or (``named`` false) none."""
+        return of_noise_and_reference(
+            self.fit,
+            named=named,
+            stated=self.prepared.view.stated_noise_nt is not None,
+            added_noise_nt=added_noise_nt(self.prepared.findings),
+        )
 
     @property
     def explained(self) -> float:
@@ -318,16 +326,13 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
     predicts = any(joint(term).common for term in fit.terms) and all(
         one.stands_out and one.kept > 0.0 for one in found.compared.predicted if one.shows
     )
+    each = [one.doubts(named) for one in found.recordings]
     return listed(
         found.explained,
         found.rest,
         poor_coverage=not any(one.has_coverage for one in found.recordings),
-        unexplained_structure=verdict is Verdict.UNKNOWN or (named and found.unexplained > LITTLE_LEFT),
-        rough_residual=named
-        and any(one.prepared.view.stated_noise_nt is None and is_rough(one.fit) for one in found.recordings),
-        noisier_than_stated=any(
-            one.prepared.view.stated_noise_nt is not None and is_noisier(one.fit) for one in found.recordings
-        ),
+        unexplained_structure=verdict is Verdict.UNKNOWN or (named and is_too_much(found.explained, found.unexplained)),
+        **{reason: any(one[reason] for one in each) for reason in each[0]},
         gain_in_scatter=named and not stands_out(solve(fit.problem, fit.x), fit, FLOOR * fit.problem.noise_nt),
         not_predicted=named and not predicts,
     )

@@ -15,6 +15,7 @@ from magcal_service.diagnosis.joint.levels import Levels, levels_of_each
 from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.joint.result import left_share
 from magcal_service.diagnosis.joint.words import (
+    ONE_ALONE,
     agreement,
     commonness,
     effect_of,
@@ -43,6 +44,7 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         diagnosis=diagnosis,
         sentence=sentence(diagnosis),
         advice=in_order(advice(diagnosis.reasons, diagnosis.concerned)),
+        one_alone=ONE_ALONE,
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
         light=light_lines(diagnosis.recordings, diagnosis.explained),

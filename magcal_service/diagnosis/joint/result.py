@@ -17,7 +17,7 @@ from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Sh
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
-from magcal_service.diagnosis.joint.words import effect_of, parameters, says, sentence
+from magcal_service.diagnosis.joint.words import ONE_ALONE, effect_of, parameters, says, sentence
 from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
@@ -37,6 +37,7 @@ def as_json(diagnosis: JointDiagnosis) -> str:
         "fit": levels_of_all(diagnosis).to_dict(),
         "recordings": _recordings(diagnosis),
         "effects": [_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
+        "own_numbers": ONE_ALONE,
         "shared": [_shared(one) for one in diagnosis.compared.shared],
         "predicted_from_the_others": [_predicted(diagnosis, one) for one in diagnosis.compared.predicted],
         "unexplained_share": round(diagnosis.unexplained, 4),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -34,6 +35,12 @@ from magcal_service.diagnosis.words import (
     titles,
 )
 from magcal_service.physics.interface import START, Effect, Values
+
+ONE_ALONE: Final = (
+    "numbers of one recording alone are of the same form, with the constants of all recordings, fitted to that one; a "
+    "diagnosis of it by itself chooses form and constants anew, so its numbers may differ by more than their sigma"
+)
+"""What stands as a recording's own numbers beside those of all."""
 
 
 def effect_of(diagnosis: JointDiagnosis, index: int) -> Effect:
@@ -75,8 +82,8 @@ def sentence(diagnosis: JointDiagnosis) -> str:
     """The verdict in one plain sentence: what is common, and what each recording has itself."""
     if diagnosis.verdict is Verdict.NONE:
         levels = levels_of_all(diagnosis)
-        noisier = "noisier_than_stated" in diagnosis.reasons
-        return agreed(levels.held_out_nt[1], levels.noise_nt, _field_model_nt(diagnosis), "recordings", noisier=noisier)
+        model_nt = _field_model_nt(diagnosis)
+        return agreed(levels.held_out_nt[1], levels.noise_nt, model_nt, diagnosis.reasons, "recordings")
     terms = list(enumerate(diagnosis.fit.terms))
     if diagnosis.verdict is Verdict.UNKNOWN:
         doubted = [one.name for one in diagnosis.recordings if one.inspection.open]

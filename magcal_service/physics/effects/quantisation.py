@@ -22,15 +22,34 @@ adds is white and independent of the field to less than 10^-33 (Widrow & Kollar 
 _LEAST_DETECTABILITY: Final = 10.0
 """Least detectability of its noise in the recording besides: sqrt(n) (q / sqrt 12) / sigma."""
 
+_FEWEST_INSIDE: Final = 8
+"""Levels without the ends from which their step is the lattice's: on one of half of it all would be even by chance once
+in 128 times."""
+
+_SAME_STEP: Final = 1e-6  # relative; the ends of a lattice move its step by rounding alone
+
 
 def step_of(values: Array) -> float:
-    """Lattice step of values (n,), 0 where there is none."""
+    """Lattice step of values (n,), 0 where there is none.
+
+    The least and the largest may lie between two steps, where a range ends: a step that only they show is none.
+    """
     levels = np.unique(values)
-    if len(levels) < 3 or len(levels) > 0.6 * len(values):
+    if len(levels) > 0.6 * len(values):
+        return 0.0
+    whole, inner = _step_of_levels(levels), _step_of_levels(levels[1:-1])
+    if len(levels) < _FEWEST_INSIDE + 2 or not inner or math.isclose(whole, inner, rel_tol=_SAME_STEP):
+        return whole
+    return inner
+
+
+def _step_of_levels(levels: Array) -> float:
+    """Step of rising values (n,), each of which came once or more often; 0 where they are on no lattice."""
+    if len(levels) < 3:
         return 0.0
     gaps = np.diff(levels)
     smallest = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.05) + 1e-12]))
-    if smallest <= 1e-9 * max(float(np.abs(values).max()), 1.0):
+    if smallest <= 1e-9 * max(float(np.abs(levels).max()), 1.0):
         return 0.0
     number = (levels - levels[0]) / smallest
     refined = float(levels[-1] - levels[0]) / max(round(float(number[-1])), 1)
