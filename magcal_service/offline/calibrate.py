@@ -20,7 +20,7 @@ from magcal_service.offline import short_log
 from magcal_service.offline.given import Given, read_given
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import refuse_unfit
-from magcal_service.offline.remedies import remedy_of
+from magcal_service.offline.remedies import BY_ATTITUDE, remedy_of
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.offline.scale import scale_doubt
@@ -29,6 +29,7 @@ from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.reader import read_recording
 from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.scene_of import recorded_attitude
 from magcal_service.recordings.usable import refuse_hopeless
 from magcal_service.residuals import rms, white_noise_level
 from magcal_service.trust.reasons import Reason
@@ -85,6 +86,7 @@ class Calibration(NineErrors):
     protection_nt, protection_by: protection level of the last estimate and what sets it; None while unknown.
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     of_one_place: whether one magnitude stands for the reference of all rows.
+    has_attitude: whether the recording has an attitude, which this does not use.
     """
 
     method: str
@@ -105,6 +107,7 @@ class Calibration(NineErrors):
     craft: str = ""
     whole_log: str = ""
     of_one_place: bool = False
+    has_attitude: bool = False
 
     @property
     def trusted(self) -> bool:
@@ -119,9 +122,10 @@ class Calibration(NineErrors):
     @property
     def remedy(self) -> str:
         """What to do about the first reason, empty where there is none."""
-        if self.whole_log or not self.reasons:
+        if not self.reasons:
             return self.whole_log
-        return remedy_of(self.reasons[0], of_one_place=self.of_one_place)
+        found = remedy_of(self.reasons[0], of_one_place=self.of_one_place, has_attitude=self.has_attitude)
+        return self.whole_log if self.whole_log and found is not BY_ATTITUDE else found
 
     def to_dict(self) -> dict[str, Any]:
         """What ``calibrate --json`` writes, as plain data."""
@@ -275,6 +279,7 @@ def _calibration(recording: Recording, inspection: Inspection, result: Replay, j
         craft=recording.of_craft or "",
         whole_log=judgement.whole_log,
         of_one_place=bool(np.nanmin(magnitude_nt) == np.nanmax(magnitude_nt)),
+        has_attitude=recorded_attitude(recording) is not None,
     )
 
 

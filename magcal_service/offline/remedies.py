@@ -42,6 +42,8 @@ _OF_A_RECORDING: Final = {
     "log each reading once",
     Reason.NOISE_MISSTATED: "the residual's noise is not magnetometer.noise_nt: set it to what was measured, or leave "
     "it out",
+    Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: record in a changing "
+    "field, or with an attitude, by which magcal diagnose compares whole vectors",
     Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it was not compensated any more: diagnose "
     "this recording",
 }
@@ -53,9 +55,23 @@ _OF_ONE_PLACE: Final = (
 )
 """In place of those that say to record for longer, where the reference is one magnitude for all rows."""
 
+BY_ATTITUDE: Final = (
+    "a field of one magnitude shows no more to calibrate, which takes no attitude, and the recording has one: magcal "
+    "diagnose compares whole vectors by it; give its diagnosis.json to apply or export in place of this result"
+)
+"""The same, where an attitude was recorded: what the magnitudes cannot tell apart, vectors do."""
 
-def remedy_of(reason: Reason, *, of_one_place: bool = False) -> str:
-    """What to do about a reason; ``of_one_place``: whether the reference is one magnitude for all rows."""
+
+def remedy_of(reason: Reason, *, of_one_place: bool = False, has_attitude: bool = False) -> str:
+    """What to do about a reason.
+
+    Parameters
+    ----------
+    of_one_place: whether the reference is one magnitude for all rows.
+    has_attitude: whether the recording has an attitude.
+    """
+    if has_attitude and (reason is Reason.CONSTANT_REFERENCE or (of_one_place and reason is Reason.NOT_SETTLED)):
+        return BY_ATTITUDE
     if of_one_place and reason is Reason.NOT_SETTLED:
         return _OF_ONE_PLACE
     return _OF_A_RECORDING.get(reason, REMEDIES[reason])

@@ -73,7 +73,7 @@ REMEDIES: Final = {
     Reason.NOISE_TOO_HIGH: "at this noise the covariance is no longer consistent: average the sensor faster, or take "
     "the sigmas as lower bounds",
     Reason.CONSTANT_REFERENCE: "with a constant magnitude a collapsed solution fits as well: move through a changing "
-    "field, or give attitude",
+    "field; by a recorded attitude magcal diagnose compares whole vectors",
     Reason.NO_REFERENCE: "samples arrive without a reference at their time: check the reference's source and clock, of "
     "positions that they are UTC and in km (not metres) from the Earth's centre",
     Reason.AXIS_STUCK: "one axis repeats one value while the others move: power-cycle the sensor",
