@@ -129,6 +129,7 @@ def _table(result: Calibration, path: Path) -> str:
             break
         number = f"{value:12.1f} +- {3 * error:9.1f} nT" if i < BIAS.stop else f"{value:12.5f} +- {3 * error:9.5f}"
         lines.append(f"  {name:<4}{number}   (3 sigma)")
+    lines += _temperature_lines(result)
     lines += [f"scale: {result.scale_doubt}"] if result.scale_doubt else []
     residuals = result.residuals
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
@@ -138,3 +139,12 @@ def _table(result: Calibration, path: Path) -> str:
     )
     lines.append(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt, path))
     return "\n".join(lines)
+
+
+def _temperature_lines(result: Calibration) -> list[str]:
+    from magcal_service.physics.drivers.held import held_in_words
+
+    if result.verdict == "not_started":
+        return []
+    lines = [f"  at {held_in_words(result.held_at)}"] if result.held_at else []
+    return [*lines, *([f"  constants over {result.over}"] if result.over is not None else [])]

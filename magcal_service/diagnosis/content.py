@@ -42,6 +42,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
             "bias_nt": fit.x[BIAS].tolist(),
             "D": d_matrix(fit.x[:STATE_SIZE]).tolist(),
             "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+            "errors_hold_at": [one.to_dict() for one in diagnosis.held_at],
             "bias_before_nt": diagnosis.prepared.baseline.x[BIAS].tolist(),
             "bias_moved_nt": moved_nt,
             "bias_moved_sigma_nt": moved_sigma_nt,

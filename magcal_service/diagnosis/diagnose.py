@@ -24,6 +24,7 @@ from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.drivers.held import HeldAt, held_at
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
@@ -121,6 +122,11 @@ class Diagnosis:
     def fit(self) -> Fit:
         """Nine errors and effects."""
         return self.explained.fit
+
+    @property
+    def held_at(self) -> tuple[HeldAt, ...]:
+        """At which temperature the nine errors hold, where an effect follows one."""
+        return held_at(term.hypothesis for term in self.fit.terms)
 
 
 def diagnose(

@@ -23,6 +23,7 @@ from magcal_service.diagnosis.words import (
     verdict_sentence,
 )
 from magcal_service.model import BIAS, Array
+from magcal_service.physics.drivers.held import held_in_words
 
 _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
@@ -66,7 +67,8 @@ def summary(
         misled = diagnosis.misled
         lines += wrapped(f"vectors without these effects: {misled}", "")
         start = ", at the start of the recording" if misled.from_start else ""
-        lines += wrapped(f"bias: {_vector(after)} nT{start}; by nine errors alone {_vector(before)} nT", "")
+        at = f", at {held_in_words(diagnosis.held_at)}" if diagnosis.held_at else ""
+        lines += wrapped(f"bias: {_vector(after)} nT{start}{at}; by nine errors alone {_vector(before)} nT", "")
     if diagnosis.prepared.sun is not None:
         lines += wrapped(f"Sun: {diagnosis.prepared.sun}", "")
     if diagnosis.verdict is not Verdict.UNKNOWN or sentence == IN_DOUBT:  # else the sentence has said it

@@ -18,12 +18,14 @@ from magcal_service.estimators.parts.start import batch_start
 from magcal_service.model import STATE_SIZE, Array, scalar_residual
 from magcal_service.offline import short_log
 from magcal_service.offline.given import Given, read_given
+from magcal_service.offline.held import Over, held_of, over_of
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.prior import refuse_unfit
 from magcal_service.offline.remedies import BY_ATTITUDE, remedy_of
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.offline.scale import scale_doubt
+from magcal_service.physics.drivers.held import HeldAt
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
@@ -87,6 +89,8 @@ class Calibration(NineErrors):
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     of_one_place: whether one magnitude stands for the reference of all rows.
     has_attitude: whether the recording has an attitude, which this does not use.
+    held_at: at which temperature the nine errors hold, where ``physics.toml`` has an effect that follows one.
+    over: the recorded temperature that the residual follows, over whose range they are constants.
     """
 
     method: str
@@ -108,6 +112,8 @@ class Calibration(NineErrors):
     whole_log: str = ""
     of_one_place: bool = False
     has_attitude: bool = False
+    held_at: tuple[HeldAt, ...] = ()
+    over: Over | None = None
 
     @property
     def trusted(self) -> bool:
@@ -145,6 +151,8 @@ class Calibration(NineErrors):
             "D": self.D.tolist(),
             "sigma": {"bias_nt": self.sigma_bias_nt.tolist(), "D": self.sigma_D.tolist()},
             "covariance": self.covariance.tolist(),
+            "errors_hold_at": [one.to_dict() for one in self.held_at],
+            "errors_over": None if self.over is None else self.over.to_dict(),
             "protection_nt": self.protection_nt,
             "protection_by": self.protection_by,
             "residual_rms_nt": {
@@ -280,6 +288,8 @@ def _calibration(recording: Recording, inspection: Inspection, result: Replay, j
         whole_log=judgement.whole_log,
         of_one_place=bool(np.nanmin(magnitude_nt) == np.nanmax(magnitude_nt)),
         has_attitude=recorded_attitude(recording) is not None,
+        held_at=held_of(pipeline),
+        over=None if inspection.open else over_of(recording, pipeline),
     )
 
 

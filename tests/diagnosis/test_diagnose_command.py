@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
 from magcal_service.base import progress
@@ -19,6 +20,7 @@ from magcal_service.diagnosis.command import Request
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema
+from magcal_service.recordings.reader import read_recording
 from tests.cli.cli_inputs import run
 from tests.diagnosis.diagnosis_runs import Done, diagnose, recorded
 
@@ -108,6 +110,32 @@ def test_the_summary_is_short_and_has_verdict_numbers_and_files(done: Done, fold
     assert any(line.startswith("bias: ") for line in lines)
     files = next(line for line in lines if line.startswith("files: "))
     assert all(str(folder / name) in files for name in ("diagnosis.json", "report.html", "physics.toml"))
+
+
+def test_it_says_at_which_temperature_the_nine_errors_hold(
+    done: Done, folder: Path, content: dict[str, Any], hot: Path
+) -> None:
+    """That of the file's effects, the mean of what was recorded, wherever a bias is printed."""
+    text = (folder / "physics.toml").read_text(encoding="utf-8")
+    (zero,) = {effect["constants"]["zero_degc"] for effect in tomllib.loads(text)["effect"]}
+    recording = read_recording(hot)
+    assert zero == pytest.approx(float(np.nanmean(recording.channels["temperature"].values)), abs=0.1)
+    (held,) = content["fit"]["errors_hold_at"]
+    assert (held["driver"], held["value"], held["unit"]) == ("channel:temperature", zero, "degC")
+    says = f"{held['value']:.1f} degC of channel temperature"
+    assert held["says"] == says
+    (bias,) = (line for line in done.out.splitlines() if line.startswith("bias: "))
+    assert f" nT, at {says}; by nine errors alone" in bias
+    assert f"[errors]  # D11 D22 D33 D12 D13 D23; at {says}\n" in text
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert f"With effects, the nine errors are those at {says}." in page
+    exported = run("export", folder / "physics.toml", "--format", "c-header")
+    assert f"without that they hold at {says}" in exported.out
+
+
+def test_without_heat_the_nine_errors_hold_anywhere(clean: Path, tmp_path: Path) -> None:
+    assert diagnose(clean, "--out", tmp_path).code == 0
+    assert json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))["fit"]["errors_hold_at"] == []
 
 
 def typed(value: object) -> object:

@@ -77,6 +77,17 @@ def test_numbers_lie_within_their_sigma(found: JointDiagnosis, days: list[Day]) 
         assert one.fit.rms_nt == pytest.approx(NOISE_NT, rel=0.1)
 
 
+def test_each_days_errors_are_said_to_hold_at_the_common_temperature(found: JointDiagnosis) -> None:
+    page = report(found, Origin("three days", "magcal diagnose a b c", ()))
+    (heat,) = (term.hypothesis for term in found.fit.terms if term.hypothesis.effect == "thermal_bias")
+    zero = heat.constants["zero_degc"]
+    assert 10.0 < zero < 14.0
+    for one in json.loads(as_json(found))["recordings"]:
+        (held,) = one["errors_hold_at"]
+        assert (held["driver"], held["value"], held["unit"]) == ("channel:board", zero, "degC")
+        assert f", at {held['says']}" in page
+
+
 def test_each_day_is_predicted_from_the_others(found: JointDiagnosis) -> None:
     assert [one.kept for one in found.compared.predicted] == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
     assert all(one.stands_out for one in found.compared.predicted)

@@ -35,6 +35,7 @@ from magcal_service.diagnosis.words import (
     verdict_sentence,
 )
 from magcal_service.physics.apply.empirical import Empirical, Kind
+from magcal_service.physics.drivers.held import HeldAt, held_at
 from magcal_service.recordings.inspect.account import Account
 
 HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48}
@@ -49,6 +50,7 @@ def diagnosis(
     lasting: float = 0.0,
     reasons: tuple[str, ...] = (),
     doubts: str = "",
+    held: tuple[HeldAt, ...] = (),
 ) -> Any:
     """As much of a diagnosis as words are made of: a bias that moved by 3, 4 and 12 nT."""
     before = np.array([10.0, 20.0, 30.0, *[0.0] * 6])
@@ -59,6 +61,7 @@ def diagnosis(
         reasons=reasons,
         may_last=0.26,
         added_noise_nt=0.0,
+        held_at=held,
         misled=Misled(14.04, 0.52, 20.06, 1234.0, 397.5),
         concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
         inspection=SimpleNamespace(open=tuple(doubts), findings=(), account_to_diagnose=Account(10, {"defect": 1})),
@@ -470,6 +473,18 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
         "rows: 7 of 10 rows used; left out: 1 with a certain defect, 2 that are single spikes",
         "files: out/diagnosis.json, out/report.html",
     ]
+
+
+def test_a_bias_beside_an_inferred_temperature_is_said_to_be_of_the_light_that_keeps_it_up() -> None:
+    held = held_at(
+        [
+            SimpleNamespace(driver="inferred:temperature", constants={"mean_light": 0.6209}),
+            SimpleNamespace(driver="none", constants={}),
+        ]
+    )
+    lines = summary(diagnosis(Verdict.NAMED, terms=1, held=held), [entry("a")], HELD_OUT, [])
+    (bias,) = (line for line in lines if line.startswith("bias: "))
+    assert bias.startswith("bias: (13.0, 16.0, 42.0) nT, at the temperature that 0.621 of full sunlight keeps up, the")
 
 
 def test_a_summary_of_many_effects_shows_three_and_counts_the_rest() -> None:

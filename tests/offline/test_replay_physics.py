@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from magcal_service.offline.compensated import Tally, compensation_lines
+from magcal_service.offline.held import over_of
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.physics.apply.empirical import NAME, OUTSIDE, Empirical, Kind
 from magcal_service.physics.apply.model_file import ModelTerm, Note, parse_model
@@ -74,6 +78,23 @@ def test_the_residual_that_is_printed_is_that_of_the_rows(recorded: Path) -> Non
     assert len(squares) > 900
     assert published == pytest.approx(np.sqrt(np.mean(squares)), rel=0.02)
     assert after == pytest.approx(NOISE_NT, rel=0.1)  # every sample without the heat, at the estimate of the end
+
+
+def test_nine_errors_beside_compensated_heat_hold_at_the_files_temperature(recorded: Path) -> None:
+    """Without the file they are constants over the range that was recorded, where the watch finds that it matters."""
+    done = run("calibrate", recorded / "RECORDING.toml", "--config", recorded / "magcal.toml", "--json", "-")
+    (held,) = json.loads(done.out)["errors_hold_at"]
+    assert (held["driver"], held["value"], held["unit"]) == ("channel:temperature", 20.0, "degC")
+    assert json.loads(done.out)["errors_over"] is None
+    assert "\n  at 20.0 degC of channel temperature\n" in done.err
+    recording = read_recording(recorded / "RECORDING.toml")
+    pipeline: Any = SimpleNamespace(watch=SimpleNamespace(finding=SimpleNamespace(driver="channel temperature")))
+    over, values = over_of(recording, pipeline), recording.channels["temperature"].values
+    assert over is not None
+    assert (over.low, over.high) == pytest.approx((np.nanmin(values), np.nanmax(values)), abs=1.0)
+    assert over.mean == pytest.approx(np.nanmean(values), abs=0.1)
+    pipeline.watch.finding = SimpleNamespace(driver="channel current")
+    assert over_of(recording, pipeline) is None
 
 
 def test_each_effect_is_said_to_be_compensated_or_why_not(recorded: Path) -> None:

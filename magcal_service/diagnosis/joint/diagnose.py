@@ -36,6 +36,7 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.drivers.held import HeldAt, held_at
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.inspect.inspection import Inspection
 
@@ -69,6 +70,11 @@ class Alone:
     def has_coverage(self) -> bool:
         """Whether the field pointed in enough directions to fix its nine errors."""
         return has_coverage(self.covariance)
+
+    @property
+    def held_at(self) -> tuple[HeldAt, ...]:
+        """At which temperature its nine errors hold, where an effect follows one."""
+        return held_at(term.hypothesis for term in self.fit.terms)
 
     def doubts(self, named: bool) -> Mapping[str, bool]:
         """What speaks against its noise and its reference, beside effects or (``named`` false) none."""

@@ -28,6 +28,7 @@ from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import driver_in_words, percent
 from magcal_service.model import BIAS
+from magcal_service.physics.drivers.held import held_in_words
 from magcal_service.physics.saying import measured
 
 _NOT_SEEN: Final = 1e-3
@@ -111,6 +112,7 @@ def _share(part: Kept) -> str:
 def _recording(one: Alone, levels: Levels) -> dict[str, Any]:
     sigma = np.sqrt(np.maximum(np.diagonal(one.covariance), 0.0))[BIAS].tolist()
     bias = ", ".join(measured(value, s) for value, s in zip(one.fit.x[BIAS].tolist(), sigma, strict=True))
+    bias += f", at {held_in_words(one.held_at)}" if one.held_at else ""
     share = left_share(one)
     return {
         "name": one.name,

@@ -71,6 +71,7 @@ def _recording(one: Alone, levels: Levels, moved_nt: float) -> dict[str, Any]:
         "bias_nt": one.fit.x[BIAS].tolist(),
         "D": d_matrix(one.fit.x[:STATE_SIZE]).tolist(),
         "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},
+        "errors_hold_at": [held.to_dict() for held in one.held_at],
         "bias_before_nt": one.baseline.x[BIAS].tolist(),
         "bias_moved_nt": moved_nt,
         "has_coverage": one.has_coverage,

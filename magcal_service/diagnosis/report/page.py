@@ -37,6 +37,7 @@ from magcal_service.diagnosis.words import (
 )
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.drivers.held import held_in_words
 from magcal_service.physics.interface import Value
 from magcal_service.physics.saying import AXES, labels_of, measured
 
@@ -71,6 +72,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         remaining=remaining(diagnosis),
         modelled=None if diagnosis.modelled is None else _modelled(diagnosis.modelled),
         errors=_errors(diagnosis),
+        held_at=held_in_words(diagnosis.held_at),
         misled=diagnosis.misled if diagnosis.fit.terms else None,
         noise=noise_of(diagnosis),
         unseen=_unseen(diagnosis, found),

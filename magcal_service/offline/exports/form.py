@@ -10,6 +10,7 @@ from magcal_service.base.version import __version__
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.offline.given import Given
 from magcal_service.offline.result_head import EQUATION
+from magcal_service.physics.drivers.held import held_at, held_in_words
 
 _REMEDY = "degauss or move the sensor, or calibrate it elsewhere"
 
@@ -74,6 +75,8 @@ def about(given: Given) -> list[str]:
         lines.append(
             "the effects of physics.toml are not in these numbers: they hold where its disturbances are subtracted"
         )
+        held = held_in_words(held_at(given.model.terms))
+        lines += [f"without that they hold at {held}"] if held else []
     return list(map(_plain, lines))
 
 

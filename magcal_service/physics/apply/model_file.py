@@ -28,6 +28,7 @@ from magcal_service.physics.apply.physics_model import (
 )
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.drivers.computed import driver_unit
+from magcal_service.physics.drivers.held import held_at, held_in_words
 
 __all__ = [
     "MOST_EFFECTS",
@@ -77,7 +78,7 @@ def text_of(model: PhysicsModel) -> str:
         f"clock = {_text(model.clock)}",
         *([f"doubts = {_text(model.doubts)}"] if model.doubts else []),
         "",
-        "[errors]  # D11 D22 D33 D12 D13 D23",
+        f"[errors]  # D11 D22 D33 D12 D13 D23{_comment_of_held(model)}",
         f"bias_nt = {_numbers(model.x[BIAS])}",
         f"D = {_numbers(model.x[D_ALL])}",
         f"bias_sigma_nt = {_numbers(model.sigma[BIAS])}",
@@ -118,6 +119,12 @@ def _table(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> li
         return []
     rows = [f"{key} = {_numbers(np.asarray(v))}{_comment(units.get(key, '1'))}" for key, v in values.items()]
     return [f"[{name}]", *rows]
+
+
+def _comment_of_held(model: PhysicsModel) -> str:
+    """At which temperature the errors hold, without what ends a comment in a channel's name."""
+    held = held_in_words(held_at(model.terms))
+    return f"; at {''.join(one if one.isprintable() else '?' for one in held)}" if held else ""
 
 
 def _comment(unit: str) -> str:
