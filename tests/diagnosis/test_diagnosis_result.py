@@ -30,6 +30,7 @@ from magcal_service.diagnosis.where import direction, lines, span
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers.held import HeldAt
 from magcal_service.physics.interface import Block, Finding, Hypothesis, Nonlinear, value_of
 from magcal_service.recordings.inspect.account import Account
 from tests.diagnosis.made_up import (
@@ -264,6 +265,7 @@ def made() -> Any:
         concerned={},
         added_noise_nt=28.9,
         misled=Misled.of(fit, explained.fit),
+        held_at=(HeldAt("channel:board", 21.5, "degC"),),
     )
 
 
@@ -492,6 +494,8 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     assert content["fit"]["sigma"]["bias_nt"] == pytest.approx(sigma[:3].tolist())
     assert content["fit"]["sigma"]["D"][0][0] == pytest.approx(sigma[3])
     assert content["fit"]["bias_before_nt"] == made().prepared.baseline.x[:3].tolist()
+    held = {"driver": "channel:board", "value": 21.5, "unit": "degC", "says": "21.5 degC of channel board"}
+    assert content["fit"]["errors_hold_at"] == [held]
     assert content["fit"]["vectors_off_nt"] == made().misled.to_dict()
     assert [effect["effect"] for effect in content["effects"]] == ["other", "one"]
     assert content["effects"][0]["evidence_nats"] == round(made().explained.nats[0], 2)
