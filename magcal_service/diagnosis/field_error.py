@@ -138,6 +138,24 @@ class Lines:
             np.matmul(stretch.weights, values[stretch.values], out=result[stretch.rows])
         return result
 
+    def weighed(self, values: Array) -> Array:
+        """What ``gathered`` makes of values (q, k) carried on (q, k): a line overlaps with its neighbours only."""
+        own, beside = self._overlaps
+        found = own[:, None] * values
+        found[:-1] += beside[:, None] * values[1:]
+        found[1:] += beside[:, None] * values[:-1]
+        return np.asarray(found)
+
+    @cached_property
+    def _overlaps(self) -> tuple[Array, Array]:
+        """Products of each line's weights with themselves (q,), and with those of the next (q - 1,)."""
+        own, beside = np.zeros(len(self.at)), np.zeros(len(self.at) - 1)
+        for stretch in self._stretches:
+            own[stretch.values] += np.einsum("rv,rv->v", stretch.weights, stretch.weights)
+            inside = slice(stretch.values.start, stretch.values.stop - 1)
+            beside[inside] += np.einsum("rv,rv->v", stretch.weights[:, :-1], stretch.weights[:, 1:])
+        return own, beside
+
     def less(self, rows: Array, values: Array) -> Array:
         """Rows (n, k) less values (q, k) carried on, each column in one piece."""
         result, turned = np.empty(rows.shape[::-1]), np.ascontiguousarray(values.T)
@@ -202,7 +220,7 @@ class FieldError:
         if not useful.any():
             return None
         courses = vectors[:, useful] * np.sqrt(values[useful])
-        squares, turn = np.linalg.eigh(courses.T @ lines.gathered(lines.carried_on(courses)))
+        squares, turn = np.linalg.eigh(courses.T @ lines.weighed(courses))
         kept = squares > _LEAST * noise_nt**2
         if not kept.any():
             return None
@@ -219,12 +237,15 @@ class FieldError:
         if scale not in self._at:
             made = self._made(self.lines, self.noise_nt, scale, self.coarse, self.fine)
             none = np.zeros(1)
-            self._at[scale] = made or replace(self, courses=self.courses[:, :1], variance=none, scale=scale)
+            found = made or replace(self, courses=self.courses[:, :1], variance=none, scale=scale)
+            found.__dict__["_at"] = self._at
+            self._at[scale] = found
         return self._at[scale]
 
     @cached_property
     def _at(self) -> dict[Scale, FieldError]:
-        return {}
+        """All that were made so far, by scale; one table for all of them."""
+        return {self.scale: self}
 
     def whitened(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) in which the noise is white again, of the white noise's own level."""

@@ -41,9 +41,12 @@ def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Ter
     return scale, nats
 
 
-def needed_scale(usual: FieldError, baseline: Fit, named: Fit) -> tuple[Scale, bool]:
-    """The scale that suits the nine errors alone, or the names where those are likelier still; and whether they are."""
-    alone, nats_alone = likeliest(baseline.problem, usual, baseline.x)
+def needed_scale(usual: FieldError, of_alone: tuple[Scale, float], named: Fit) -> tuple[Scale, bool]:
+    """The scale that suits the nine errors alone, or the names where those are likelier still; and whether they are.
+
+    ``of_alone``: what ``likeliest`` says of the nine errors alone, which is the same whatever a search has named.
+    """
+    alone, nats_alone = of_alone
     if not named.terms:
         return alone, False
     scale, nats = likeliest(named.problem, usual, named.x, named.terms)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magcal_service.config.settings import FilterConfig
 from magcal_service.diagnosis.aimed import guessed, in_body, weighted
 from magcal_service.diagnosis.collapse import is_collapsed
-from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.field_error import FieldError, Scale
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.sun_seen import SunSeen, sun_seen
@@ -80,6 +80,7 @@ class Prepared:
     findings: effects seen in the samples themselves, by name.
     form: of the residual.
     sun: where telemetry shows the Sun, if not where the stated time has it.
+    alone: how large the field model's errors are that suit the nine errors alone best; None: not asked.
     """
 
     recording: Recording
@@ -91,6 +92,7 @@ class Prepared:
     findings: Mapping[str, Finding] = field(default_factory=dict)
     form: Form = Form.SCALAR
     sun: SunSeen | None = None
+    alone: Scale | None = None
 
 
 def prepare(

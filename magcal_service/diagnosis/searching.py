@@ -80,7 +80,7 @@ def without_names(end: End, prepared: Prepared) -> End:
     error = end.search.problem.field_error
     if error is None or end.explained.fit.terms or len(end.whitening) or not significant(end.left[0]):
         return end
-    scale, _ = likeliest(end.search.problem, error, end.explained.fit.x)
+    scale = prepared.alone or likeliest(end.search.problem, error, end.explained.fit.x)[0]
     if scale.is_within(error.scale):
         return end
     problem = at_scale(end.search.problem, error, scale)
@@ -153,13 +153,16 @@ def _searched(
     spin_hz = None if prepared.spin is None else abs(prepared.spin.rate_rad_s) / (2.0 * np.pi)
     usual, taken = prepared.problem.field_error, min(SCALES)
     prepared = _settled(prepared, prepared.problem) if usual is None else _at_scale(prepared, usual, taken)
+    alone: tuple[Scale, float] | None = None
     while True:
         search = Search(prepared.problem, hypotheses_of(effects, prepared.problem), effects, spin_hz=spin_hz)
         floor = FLOOR * prepared.problem.noise_nt
         explained = from_records(search, search.run(prepared.baseline, floor, progress), floor, progress)
         if usual is None:
             return prepared, search, explained
-        scale, names_hold = needed_scale(usual, prepared.baseline, explained.fit)
+        alone = alone or likeliest(prepared.problem, usual, prepared.baseline.x)
+        prepared = replace(prepared, alone=alone[0])
+        scale, names_hold = needed_scale(usual, alone, explained.fit)
         if scale.is_within(taken):
             return prepared, search, explained
         taken = scale.at_least(taken)

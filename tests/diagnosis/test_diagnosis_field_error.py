@@ -30,6 +30,13 @@ def error() -> FieldError:
     return found
 
 
+def test_errors_at_one_scale_are_made_once(error: FieldError) -> None:
+    """Whichever scale they are asked of."""
+    twice = error.scaled(Scale(2.0, 1.0))
+    assert twice.scaled(Scale()) is error
+    assert error.scaled(Scale(4.0, 1.0)) is twice.scaled(Scale(4.0, 1.0))
+
+
 def test_variances_add_up_to_their_sources() -> None:
     """19 nT of the core field and 12 nT from outside; the crust fades with (a / r)^(2n + 4)."""
     low, high = degree_variances(300.0), degree_variances(600.0)
@@ -166,6 +173,7 @@ def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose(knots: int
     assert lines.carried_on(values) == pytest.approx(expected)
     assert lines.less(rows, values) == pytest.approx(rows - expected)
     assert float((expected * rows).sum()) == pytest.approx(float((values * lines.gathered(rows)).sum()))
+    assert lines.weighed(values) == pytest.approx(lines.gathered(expected))
 
 
 def test_products_of_white_rows_need_no_white_rows(error: FieldError) -> None:

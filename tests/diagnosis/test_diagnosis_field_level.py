@@ -82,14 +82,14 @@ def test_a_name_has_to_be_likelier_than_larger_errors() -> None:
     """Large model errors alone need their scale; a step beside usual ones does not, once it is named."""
     restless = problem(4.0, 7)
     alone = solve(restless, X)
-    scale, names_hold = needed_scale(usual(), alone, alone)
+    scale, names_hold = needed_scale(usual(), likeliest(restless, usual(), alone.x), alone)
     assert (scale.coarse, names_hold) == (4.0, False)
     step = (scene().time_s >= 4100.0)[:, None] * np.array([400.0, -300.0, 200.0])
     stepped = problem(1.0, 9, step)
     baseline = solve(stepped, X)
     form = effect_named("bias_step").hypotheses(scene())[0]
     named = solve(stepped, X, [Term(form, np.array([4100.0]), np.array([400.0, -300.0, 200.0]))])
-    assert needed_scale(usual(), baseline, named) == (Scale(), True)
+    assert needed_scale(usual(), likeliest(stepped, usual(), baseline.x), named) == (Scale(), True)
     assert at_scale(stepped, usual(), Scale(2.0, 1.0)).field_error is not None
 
 
@@ -110,7 +110,7 @@ def test_what_is_left_without_a_name_is_judged_under_the_errors_that_suit_it(dra
     left = structures(search, fit, None, NOISE_NT)
     assert significant(left[0])
     end = End(search, Explained(fit), left, NOISE_NT, np.zeros(0))
-    found = without_names(end, SimpleNamespace(spin=None, baseline=fit))  # type: ignore[arg-type]
+    found = without_names(end, SimpleNamespace(spin=None, baseline=fit, alone=None))  # type: ignore[arg-type]
     if drawn > 1.0:
         assert found is end
         return
@@ -118,4 +118,4 @@ def test_what_is_left_without_a_name_is_judged_under_the_errors_that_suit_it(dra
     assert error is not None
     assert error.scale.coarse == drawn
     assert not significant(found.left[0])
-    assert without_names(found, SimpleNamespace(spin=None, baseline=fit)) is found  # type: ignore[arg-type]
+    assert without_names(found, SimpleNamespace(spin=None, baseline=fit, alone=None)) is found  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ import pytest
 from magcal_service.diagnosis.plausible import above_least
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.drivers.late import by_low_pass, longer_by_low_pass
 from magcal_service.physics.interface import Hypothesis, value_of
 from magcal_service.physics.scene.scene import Scene, Telemetry
 
@@ -191,6 +192,26 @@ def test_what_a_low_pass_held_at_its_start_is_a_number_of_its_own() -> None:
     assert (begun.blocks[1].name, begun.blocks[1].is_start, begun.refines) == ("start_nt", True, plain.label)
     assert start_nt == pytest.approx(2000.0, rel=0.1)
     assert np.std(without - start_nt * columns[:, 1]) < 0.1 * np.std(without)
+
+
+def test_a_start_is_followed_until_it_is_forgotten() -> None:
+    """|y_k| = E |y_(k-1)| cos a + sqrt(|c_k|^2 - E^2 |y_(k-1)|^2 sin^2 a), twice, from two beginnings."""
+    length = np.linalg.norm(turned(0.1 * TIME_S), axis=1) * (1.0 + 0.2 * np.sin(TIME_S / 30.0))
+    rate, steps = np.full(COUNT, 0.16), np.full(COUNT, PERIOD_S)
+    steps[0] = np.inf
+    tau_s, more = 3.0, 500.0
+    plain = by_low_pass(length, rate, steps, tau_s)
+    kept, turn = np.exp(-PERIOD_S / tau_s), rate[0] * PERIOD_S
+    beside = np.sqrt((plain[1:] - kept * np.cos(turn) * plain[:-1]) ** 2 + (kept * np.sin(turn) * plain[:-1]) ** 2)
+    longer = plain + 0.0
+    longer[0] += more
+    for row, came in enumerate(beside, 1):
+        across = kept * np.sin(turn) * longer[row - 1]
+        longer[row] = kept * np.cos(turn) * longer[row - 1] + np.sqrt(came**2 - across**2)
+    found = longer_by_low_pass(length, rate, steps, tau_s, more)
+    assert found == pytest.approx(longer - plain, abs=1e-6)
+    assert found[10] > 1.0
+    assert not found[-100:].any()
 
 
 def test_a_start_that_is_not_in_the_scene_adds_nothing() -> None:

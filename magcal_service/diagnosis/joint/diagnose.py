@@ -19,8 +19,8 @@ from magcal_service.diagnosis.doubts import (
     stands_out,
 )
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.field_error import SCALES
-from magcal_service.diagnosis.field_level import at_scale, needed_scale
+from magcal_service.diagnosis.field_error import SCALES, Scale
+from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.compare import Apart, Compared
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, joint, transferred
@@ -210,6 +210,7 @@ class _Run:
         self._scales = [min(SCALES)] * len(self.prepared)
         self._dispersion = 1.0
         self._relative: tuple[float, ...] = ()
+        self._of_alone: list[tuple[Scale, float] | None] = [None] * len(self.prepared)
         self.singles = self._scaled()
         self.catalogue = Forms.of(self.effects, self.singles)
 
@@ -241,10 +242,13 @@ class _Run:
 
     def _grown(self, baseline: Fit, fit: Fit) -> tuple[bool, bool]:
         """Whether some recording needs larger errors of the field model, taken from now on; and whether names hold."""
-        pairs = zip(_parts(baseline), _parts(fit), strict=True)
+        rows = zip(self._usual, _parts(baseline), self._of_alone, strict=True)
+        self._of_alone = [
+            known if known or usual is None else likeliest(one.problem, usual, one.x) for usual, one, known in rows
+        ]
         needed = [
-            (min(SCALES), True) if usual is None else needed_scale(usual, *pair)
-            for usual, pair in zip(self._usual, pairs, strict=True)
+            (min(SCALES), True) if usual is None or of_alone is None else needed_scale(usual, of_alone, part)
+            for usual, of_alone, part in zip(self._usual, self._of_alone, _parts(fit), strict=True)
         ]
         grown = [not scale.is_within(old) for (scale, _), old in zip(needed, self._scales, strict=True)]
         hold = all(holds for (_, holds), is_grown in zip(needed, grown, strict=True) if is_grown)

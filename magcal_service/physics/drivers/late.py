@@ -10,41 +10,69 @@ Source: the response of a first-order low-pass to what turns in a plane, 1 / (1 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_service.model import Array
 
 
-def followed(drive: Array, turn_rad: Array, kept: Array, gain: Array, more: float = 0.0) -> Array:
-    """Length (n,) of what follows a drive.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Steps:
+    """The triangle of each row but the first: E cos a (n - 1,), E^2 sin^2 a and |c|^2; |y| at the first row."""
 
-    Parameters
-    ----------
-    drive: (n,) length that came in over the step to each row.
-    turn_rad: (n,) angle of that step.
-    kept: (n,) share E of the vector before that is left after it; 0 begins anew, as if the turn had always been so.
-    gain: (n,) what is left of a drive's length in such a turn for ever.
-    more: by how much longer it begins than if the first turn had always been.
-    """
-    cosine = np.cos(turn_rad)
-    came2 = np.maximum(1.0 - 2.0 * kept * cosine + kept**2, 0.0) * (gain * drive) ** 2
-    along, across2 = kept * cosine, (kept * np.sin(turn_rad)) ** 2
-    first = math.sqrt(float(came2[0])) + more
-    value, found, root = first, [first], math.sqrt
-    for towards, beside2, new2 in zip(along[1:].tolist(), across2[1:].tolist(), came2[1:].tolist(), strict=True):
-        left2 = new2 - beside2 * value * value
-        value = towards * value if left2 <= 0.0 else towards * value + root(left2)
-        found.append(value)
-    return np.array(found)
+    along: Array
+    across2: Array
+    came2: Array
+    first: float
+
+    @classmethod
+    def of(cls, drive: Array, turn_rad: Array, kept: Array, gain: Array) -> _Steps:
+        """Of a drive's length (n,) over the steps to each row, the steps' angles, E, and what is left of a drive's
+        length in such a turn for ever; E = 0 begins anew, as if the turn had always been so."""
+        cosine = np.cos(turn_rad)
+        came2 = np.maximum(1.0 - 2.0 * kept * cosine + kept**2, 0.0) * (gain * drive) ** 2
+        along, across2 = kept * cosine, (kept * np.sin(turn_rad)) ** 2
+        return cls(along[1:], across2[1:], came2[1:], math.sqrt(float(came2[0])))
+
+    def followed(self) -> Array:
+        """Length (n,) of what follows."""
+        value, found, root = self.first, [self.first], math.sqrt
+        for towards, beside2, new2 in zip(self.along.tolist(), self.across2.tolist(), self.came2.tolist(), strict=True):
+            left2 = new2 - beside2 * value * value
+            value = towards * value if left2 <= 0.0 else towards * value + root(left2)
+            found.append(value)
+        return np.array(found)
+
+    def longer(self, more: float) -> Array:
+        """By how much longer (n,) it is if it begins so much longer; zero from where that is forgotten to the bit."""
+        value, other, root = self.first, self.first + more, math.sqrt
+        found = np.zeros(len(self.along) + 1)
+        found[0] = other - value
+        for row, towards in enumerate(self.along.tolist(), 1):
+            if value == other:
+                break
+            beside2, new2 = float(self.across2[row - 1]), float(self.came2[row - 1])
+            value, other = (towards * one + root(max(new2 - beside2 * one * one, 0.0)) for one in (value, other))
+            found[row] = other - value
+        return found
 
 
-def by_low_pass(field_nt: Array, rate_rad_s: Array, step_s: Array, tau_s: float, more: float = 0.0) -> Array:
+def by_low_pass(field_nt: Array, rate_rad_s: Array, step_s: Array, tau_s: float) -> Array:
     """Length (n,) after a low-pass of a field of length (n,), which turns and changes evenly in each step.
 
-    ``step_s`` (n,): of the step to each row; infinite where one begins anew, whose field is the drive then.  ``more``
-    as of ``followed``.
+    ``step_s`` (n,): of the step to each row; infinite where one begins anew, whose field is the drive then.
     """
+    return _low_pass_steps(field_nt, rate_rad_s, step_s, tau_s).followed()
+
+
+def longer_by_low_pass(field_nt: Array, rate_rad_s: Array, step_s: Array, tau_s: float, more: float) -> Array:
+    """By how much longer (n,) it is after a low-pass, parameters as ``by_low_pass``, that begins so much longer than if
+    the first turn had always been."""
+    return _low_pass_steps(field_nt, rate_rad_s, step_s, tau_s).longer(more)
+
+
+def _low_pass_steps(field_nt: Array, rate_rad_s: Array, step_s: Array, tau_s: float) -> _Steps:
     again = ~np.isfinite(step_s)
     steps = np.where(again, 1.0, step_s)
     kept = np.where(again, 0.0, np.exp(-steps / tau_s))
@@ -52,7 +80,7 @@ def by_low_pass(field_nt: Array, rate_rad_s: Array, step_s: Array, tau_s: float,
     # the drive's change within a step counts by the ramp's exact weights, as in ``sunlight.first_order``
     early = np.where(again, 0.0, ((1.0 - kept) * tau_s / steps - kept) / (1.0 - kept))
     drive = field_nt + (before - field_nt) * early
-    return followed(drive, rate_rad_s * steps, kept, 1.0 / np.sqrt(1.0 + (rate_rad_s * tau_s) ** 2), more)
+    return _Steps.of(drive, rate_rad_s * steps, kept, 1.0 / np.sqrt(1.0 + (rate_rad_s * tau_s) ** 2))
 
 
 def by_average(field_nt: Array, rate_rad_s: Array, step_s: Array, period_s: float, share: float) -> Array:
@@ -65,4 +93,4 @@ def by_average(field_nt: Array, rate_rad_s: Array, step_s: Array, period_s: floa
     kept = np.where(again, 0.0, old**steps)
     turn = rate_rad_s * period_s
     gain = share / np.sqrt(1.0 - 2.0 * old * np.cos(turn) + old**2)
-    return followed(field_nt, turn * steps, kept, gain)
+    return _Steps.of(field_nt, turn * steps, kept, gain).followed()

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.drivers.late import by_average, by_low_pass
+from magcal_service.physics.drivers.late import by_average, by_low_pass, longer_by_low_pass
 from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
+from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import AT_START_S, Scene
 from magcal_service.physics.scene.smooth import quintic_slope, smooth_course
 
@@ -64,6 +65,8 @@ _LEAST_STEPS: Final = 3  # to either side: its six numbers are then from seven s
 _MOST_STEPS: Final = 30  # to either side: a craft that hardly turns loses nothing by its turn
 
 _LEAST_LATE_S: Final = 1e-3  # less moves the field by less than 0.1 nT in any orbit
+
+_MOST_KNOWN: Final = 16  # answers kept for what is tried again: all of a grid, and one about its best
 
 _FEWEST: Final = 64
 """Samples from which on a stretch has a course whose steps are told from noise."""
@@ -153,11 +156,10 @@ def _by_steps(scene: Scene, turned2: Array, rate: Array, constants: Mapping[str,
         """What the plain form has, and what is added along the field by one nT more at the start."""
         held = plain.columns(theta)
         assert held.body is not None
-        drive, steps = scene.magnitude_nt, _steps_s(scene)
-        more = np.zeros(len(scene))
+        more: Array = np.zeros(len(scene))
         if begins and float(theta[0]) > _LEAST_LATE_S:
-            first, last = (by_low_pass(drive, rate, steps, float(theta[0]), start) for start in (0.0, _AT_START_NT))
-            more = (last - first) / _AT_START_NT
+            steps = _steps_s(scene)
+            more = longer_by_low_pass(scene.magnitude_nt, rate, steps, float(theta[0]), _AT_START_NT) / _AT_START_NT
         return Columns(body=np.concatenate([held.body, (more[:, None] * scene.unit)[None]]))
 
     own = plain.nonlinear[0]
@@ -200,6 +202,7 @@ def _form(
     found = 0.0 if scene.moved_s is None else -float(np.mean(scene.moved_s))
     has_course = len(scene) >= FEWEST_FOR_MEANS and scene.memory is None  # a moment has none
     steps, length = _steps_s(scene), np.linalg.norm(scene.calibrated_nt, axis=1)
+    known: Recent[float, Array] = Recent(_MOST_KNOWN)
 
     def short(at_s: float) -> Array:
         """(n,) what is added along the field by an amplitude of one [nT]: by the whole of what a lag so late does."""
@@ -209,9 +212,12 @@ def _form(
             return turned / _rooted(-2.0 * turned * size(max(at_s, 0.0)) / length)
         if at_s <= _LEAST_LATE_S:
             return turned
+        return known.once(at_s, lambda: followed(follow, at_s))
+
+    def followed(follow: Callable[[float, Array, Array], Array], at_s: float) -> Array:
         drive = np.array(scene.magnitude_nt)
         drive[scene.pauses] -= at_s * scene.magnitude_slope[scene.pauses]
-        return (follow(at_s, drive, steps) - scene.magnitude_nt) / size(at_s)
+        return np.asarray((follow(at_s, drive, steps) - scene.magnitude_nt) / size(at_s))
 
     def columns(theta: Array) -> Columns:
         return Columns(body=(short(float(theta[0]))[:, None] * scene.unit)[None])
