@@ -177,9 +177,9 @@ def diagnose(
 
 
 def _comes_and_goes(diagnosis: Diagnosis) -> dict[str, Finding]:
-    """Effects of the field that show by when they act, where something has no name and the recording is in no doubt."""
+    """Effects of the field that show by when they act, beside the names, where the recording is in no doubt."""
     prepared, fit = diagnosis.prepared, diagnosis.fit
-    if diagnosis.verdict is not Verdict.UNKNOWN or diagnosis.inspection.open or prepared.problem.is_vector:
+    if diagnosis.inspection.open or prepared.problem.is_vector:
         return {}
     view = replace(prepared.view, scene=fit.problem.scene, residual_nt=fit.residual)
     found = {}

@@ -64,6 +64,13 @@ def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
     assert np.mean(pulses.spoiled[~ON]) < 0.12
 
 
+def test_one_coil_with_either_sign_is_found_with_more_doubt() -> None:
+    pulses = found(ON[:, None] * levels()[:, :1] * np.array([0.6, -0.64, 0.48]))
+    assert pulses is not None
+    assert float(pulses.parameters["period_s"].value) == CYCLE_S
+    assert pulses.doubt == 0.06
+
+
 @pytest.mark.parametrize(("wave", "seen"), [(False, True), (True, False)])
 def test_a_wave_that_passes_through_none_is_no_coil(wave: bool, seen: bool) -> None:
     """A half of a sine in each cycle swells and fades, where a coil is on at once and at all of it."""
@@ -102,7 +109,7 @@ ELSE = {
     "nothing": np.zeros((COUNT, 3)),
     "noise with a memory": _memory(),
     "bursts at no regular times": _bursts(),
-    "a load of another current in each cycle": ON[:, None] * levels()[:, :1] * ONE_WAY,
+    "a load of another current in each cycle": ON[:, None] * np.abs(levels()[:, :1]) * ONE_WAY,
     "the same field in each pulse": ON[:, None] * np.array([150.0, -90.0, 60.0]),
     "pulses that follow the orbit": ON[:, None]
     * 200.0

@@ -51,7 +51,11 @@ _ACTIVE: Final = 0.3
 A few bursts that begin at multiples of some cycle have less."""
 
 _LEAST_NATS: Final = 50.0
-"""Evidence for pulses over their absence, for more than one direction over one, each beside what the search costs."""
+"""Evidence for pulses over their absence, beside what the search costs; and for more than one direction over one."""
+
+_BOTH_WAYS: Final = 0.2
+"""Share of the squares that pulses in one direction have to have with either sign, to be those of a coil: what is
+switched on has one sign, a coil's dipole both.  Choice: of pulses that are noise half have either."""
 
 _STEADY: Final = 0.5
 """Correlation of a pulse's field with the next one's from which on it follows something, and is another effect."""
@@ -77,6 +81,9 @@ UNRECORDED: Final = "inferred:pulses"
 
 _DOUBT: Final = 0.03
 """Share that is left to something else on a beat of its own: as to an effect whose driver was not recorded."""
+
+_OF_ONE_WAY: Final = 0.06
+"""The same where the pulses may all have one direction: a wheel's motor and a battery have currents of both signs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +154,13 @@ def pulses(view: View) -> Finding | None:
     fields = _fields(squares, products, size)
     off_nats = float(_evidence(*sums.gaps(beat), size).sum())
     follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
-    turning = nats - _of_one_direction(squares, products, fields)
+    turns = nats - _of_one_direction(squares, products, fields) > _LEAST_NATS
     strength = (fields**2).sum(axis=1)
     active = float(strength.sum() ** 2 / max(float(strength @ strength), 1e-300))
     many = len(fields) >= _FEWEST and active > _ACTIVE * len(fields)
-    clear = many and min(nats, turning) > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
-    return _finding(view, beat, fields, nats) if clear and not _swells(view, beat, fields) else None
+    is_coil = turns or _goes_both_ways(fields)
+    clear = many and nats > _LEAST_NATS and is_coil and off_nats < 0.0 and abs(follows) < _STEADY
+    return _finding(view, beat, fields, nats, turns) if clear and not _swells(view, beat, fields) else None
 
 
 def _swells(view: View, beat: Beat, fields: Array) -> bool:
@@ -185,7 +193,8 @@ def _nats(found: tuple[float, Beat, float]) -> float:
     return found[0]
 
 
-def _finding(view: View, beat: Beat, fields: Array, nats: float) -> Finding:
+def _finding(view: View, beat: Beat, fields: Array, nats: float, turns: bool) -> Finding:
+    """``turns``: whether the pulses have more than one direction for certain."""
     scene = view.scene
     rows = beat.rows(scene.time_s, _MARGIN * scene.period_s)
     size_nt = view.noise_nt * np.sqrt((fields**2).sum(axis=1))
@@ -201,7 +210,7 @@ def _finding(view: View, beat: Beat, fields: Array, nats: float) -> Finding:
         1.0,
         spoiled=rows,
         driver=UNRECORDED,
-        doubt=_DOUBT,
+        doubt=_DOUBT if turns else _OF_ONE_WAY,
     )
 
 
@@ -258,6 +267,13 @@ def _evidence(squares: Array, products: Array, size: float) -> Array:
     """(k,) ln of the odds for a field of a variance over none in each stretch [nats]."""
     explained = np.einsum("ki,ki->k", products, _fields(squares, products, size))
     return np.asarray(0.5 * (explained - np.linalg.slogdet(np.eye(3) + size * squares)[1]))
+
+
+def _goes_both_ways(fields: Array) -> bool:
+    """Whether fields (k, 3), in units of the noise, have both signs along what they have in common: no load's current."""
+    along = fields @ np.linalg.eigh(fields.T @ fields)[1][:, -1]
+    forward = float((np.maximum(along, 0.0) ** 2).sum()) / max(float(along @ along), 1e-300)
+    return min(forward, 1.0 - forward) > _BOTH_WAYS
 
 
 def _of_one_direction(squares: Array, products: Array, fields: Array) -> float:
