@@ -270,7 +270,7 @@ def _evidence(squares: Array, products: Array, size: float) -> Array:
 
 
 def _goes_both_ways(fields: Array) -> bool:
-    """Whether fields (k, 3), in units of the noise, have both signs along what they have in common: no load's current."""
+    """Whether fields (k, 3), in units of the noise, have both signs along what they have in common, as no load has."""
     along = fields @ np.linalg.eigh(fields.T @ fields)[1][:, -1]
     forward = float((np.maximum(along, 0.0) ** 2).sum()) / max(float(along @ along), 1e-300)
     return min(forward, 1.0 - forward) > _BOTH_WAYS
