@@ -29,6 +29,10 @@ _OF_ATTITUDE: Final = 0.5
 """Of what a line holds, what functions of the attitude may hold in its place: of eleven true lines they held 0.02 at
 the most, of three that were the attitude's own 0.7 at the least."""
 
+_CLEARLY: Final = 100.0
+"""Nats that a line has to hold more than functions of the attitude, and leave nothing, to stand whatever share of it
+they hold: on a strong one of few turns they hold more than half by chance, yet far from all."""
+
 _BY_REFIT: Final = 0.5
 """Of a name's evidence to first order, what it has to hold by a fit without it: true ones hold 0.98 to 1.06, two false
 ones held 0.001 and 0.05."""
@@ -51,7 +55,7 @@ def standing(
     floor_nt: least noise that evidence is counted in [nT].
     is_left: whether families without a name hold something beside the names.
     """
-    explained = _each_its_own(search, explained, phase, floor_nt)
+    explained = _each_its_own(search, explained, phase, floor_nt, is_left)
     if explained.fit.terms:
         explained = _all_together(search, baseline, explained, phase, floor_nt, is_left)
     explained = against_signals(search, explained, floor_nt)
@@ -126,13 +130,15 @@ def _all_together(
     return Explained(search.refreshed(solve(search.problem, baseline.x)))
 
 
-def _each_its_own(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> Explained:
+def _each_its_own(
+    search: Search, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
+) -> Explained:
     """Without effects in whose place a family without a name would do better, one after another."""
     while explained.fit.terms:
-        outdone = _first_outdone(search, explained, phase, floor_nt)
+        outdone = _first_outdone(search, explained, phase, floor_nt, is_left)
         if outdone is None:
             break
-        explained = _without(search, outdone, floor_nt)
+        explained, is_left = _without(search, outdone, floor_nt), True
     return explained
 
 
@@ -152,10 +158,12 @@ class _Less:
         return self.refreshed
 
 
-def _first_outdone(search: Search, explained: Explained, phase: Array | None, floor_nt: float) -> _Less | None:
+def _first_outdone(
+    search: Search, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
+) -> _Less | None:
     """Without the faintest name, if a fit without one leaves hardly more; the weakest of several, if a family holds
     more than it does; a free form, if a family is likelier than it; a line or a beat, if a family of the attitude holds
-    half as much: a craft's own turning has lines, too."""
+    half as much and it does not clearly hold more and leave nothing: a craft's own turning has lines, too."""
     fit, several = explained.fit, len(explained.fit.terms) > 1
     without = [solve(search.problem, fit.x, _others(fit, index)) for index in range(len(fit.terms))]
     held = [_held_by_refit(search, explained, index, one, floor_nt) for index, one in enumerate(without)]
@@ -175,7 +183,9 @@ def _first_outdone(search: Search, explained: Explained, phase: Array | None, fl
         best = families[0]
         own = _squares(search, less) - _squares(search, fit)
         turning = max((f.squares for f in families if f.shape.of_attitude and significant(f)), default=0.0)
-        if is_line and turning / less.noise_gain**2 > _OF_ATTITUDE * own:
+        turning /= less.noise_gain**2
+        clear = _CLEARLY * 2.0 * (max(fit.white_rms_nt, floor_nt) / fit.noise_gain) ** 2
+        if is_line and turning > _OF_ATTITUDE * own and (is_left or own - turning < clear):
             return outdone
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
             return outdone
