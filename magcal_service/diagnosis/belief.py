@@ -14,7 +14,7 @@ from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.signals import UNLISTED, said
-from magcal_service.diagnosis.sized import numbers_of
+from magcal_service.diagnosis.sized import may_as_well_be, numbers_of
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.recordings.inspect.motion import kepler_rad_s
@@ -114,7 +114,8 @@ def posterior(explained: Explained, index: int) -> Posterior:
         for c, one in zip(ranked, ahead, strict=True)
     }
     weights[name] = 1.0
-    weights |= dict.fromkeys(mine.as_well, 1.0)
+    as_well = may_as_well_be(explained.fit, index)
+    weights |= dict.fromkeys(as_well, 1.0)
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + _slow_odds(explained, index)
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
@@ -124,7 +125,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     apart = [one + max(c.hypothesis.odds - mine.odds, 0.0) for c, one in zip(ranked, ahead, strict=True)]
     effects = [c.hypothesis.effect for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
-    effects += [*mine.as_well, *([UNLISTED] if _may_be_slow(explained, index) else [])]
+    effects += [*as_well, *([UNLISTED] if _may_be_slow(explained, index) else [])]
     return Posterior(weights[name] / total, tuple(rivals), tuple(dict.fromkeys((name, *effects))))
 
 

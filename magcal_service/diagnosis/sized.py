@@ -27,8 +27,20 @@ def has_size(fit: Fit, index: int) -> bool:
     A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift; a
     change that ends beside the last sample may be going on.
     """
-    if _at_an_end(fit.terms[index]) or _is_cut_off(fit, index):
-        return False
+    return not (_at_an_end(fit.terms[index]) or _is_cut_off(fit, index)) and _stands_out(fit, index)
+
+
+def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
+    """Effects that a term may as well be, by its form: those that act exactly so, and those that are met by what
+    completes its form, where nothing else of it stands out."""
+    hypothesis = fit.terms[index].hypothesis
+    if not hypothesis.if_completed or _stands_out(fit, index):
+        return hypothesis.as_well
+    return tuple(dict.fromkeys((*hypothesis.as_well, *hypothesis.if_completed)))
+
+
+def _stands_out(fit: Fit, index: int) -> bool:
+    """Whether one amplitude of what a term says of itself is some times its own sigma."""
     blocks = fit.terms[index].hypothesis.blocks
     own = np.repeat([not block.completes for block in blocks], [block.size for block in blocks])
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))

@@ -130,6 +130,7 @@ class Hypothesis:
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
     at_once: effect of the same change at an instant, for one that takes a while.
     as_well: other effects that act exactly so, and are met as often: the field alone never tells them apart.
+    if_completed: other effects that it may as well be where only blocks that complete its form stand out.
     samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
         none.
     moves_s: from its amplitudes (k,) to how far along the recording's course it moves the reference [s], one number or
@@ -154,6 +155,7 @@ class Hypothesis:
     in_place: bool = False
     at_once: str = ""
     as_well: tuple[str, ...] = ()
+    if_completed: tuple[str, ...] = ()
     samples_in: Callable[[Array], int] | None = None
     moves_s: Callable[[Array], Array | float] | None = None
 

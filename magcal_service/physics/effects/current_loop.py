@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -34,6 +34,10 @@ _LAGS: Final = np.array([0.5, 1.0, 2.0, 4.0])
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
 """Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
 the point of most power tens; a sensor's warmth takes at least 120 (``TIME_CONSTANTS_S``)."""
+
+_LIMITS: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.1])
+"""Most that flows of an inferred array's current, in full suns on one panel: what loads and a battery that is full
+take; three panels at once give 1.7."""
 
 _MOST_TOGETHER: Final = 12
 """Circuits that are tried all at once: 36 amplitudes; more of them explain one another."""
@@ -184,12 +188,36 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
             yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
     used = scene.chosen("face", used)
     if len(used) >= 3:
-        constants = {f"face_{index}": float(face) for index, face in enumerate(used)}
-        total = faces[:, used].sum(axis=1, keepdims=True)
-        yield Hypothesis("current_loop", driver, _fixed(total), (block,), "sum of all panels", constants=constants)
+        yield from _strings(faces, used, names)
         every = Block("nt_full_sun", "nT", (len(used), 3), labels=(tuple(f"panel {names[i]}" for i in used), AXES))
-        form = "every panel its own circuit"
+        form, constants = "every panel its own circuit", _faces(used)
         yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
+
+
+def _strings(faces: Array, used: Sequence[int], names: Sequence[str]) -> Iterator[Hypothesis]:
+    """One current of all panels, or of those on the sides of two axes; each as it is where the loads and the battery
+    take no more of it."""
+    choices = [("all panels", list(used))]
+    for left_out in range(3):
+        some = [face for face in used if face % 3 != left_out]
+        if 2 < len(some) < len(used):
+            choices.append(("panels " + " ".join(names[face] for face in some), some))
+    block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
+    limit = Nonlinear("limit", "1", _LIMITS)
+    for of, some in choices:
+        total, constants = faces[:, some].sum(axis=1, keepdims=True), _faces(some)
+        whole = Hypothesis("current_loop", driver, _fixed(total), (block,), f"sum of {of}", constants=constants)
+        yield whole
+        form = f"sum of {of}, limited"
+        yield replace(whole, columns=_limited(total), variant=form, nonlinear=(limit,), refines=whole.label)
+
+
+def _limited(total: Array) -> Callable[[Array], Columns]:
+    return lambda theta: along_axes(np.minimum(total, float(theta[0])))
+
+
+def _faces(used: Sequence[int]) -> dict[str, float]:
+    return {f"face_{index}": float(face) for index, face in enumerate(used)}
 
 
 def _direct(term: Term) -> Direct | None:
@@ -207,8 +235,8 @@ EFFECT = Effect(
     watched=((Watched.BIAS_BY, "current"), (Watched.BIAS_BY, LIGHT)),
     title="currents in the harness or the solar arrays",
     switched="the suspected load or array string",
-    equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s)",
-    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT", "lag_s": "s"},
+    equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s), at most what is taken of it",
+    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT", "lag_s": "s", "limit": "1"},
     prior=(1.0, _MOST_NT),
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
@@ -221,6 +249,8 @@ EFFECT = Effect(
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}, {lag_s.signed} late.",
+        "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}, which is limited to "
+        "{limit.percent} of full sun on one panel.",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,14 +45,22 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         yield Hypothesis("sun_disturbance", driver, _fixed(sun), (linear,), constants=constants)
         square = Block("second_nt", "nT", (5, 3), labels=(_HARMONICS, AXES), completes=True)
         both = np.concatenate([sun, harmonics(sun)], axis=1)
-        second = (linear, square)
-        yield Hypothesis("sun_disturbance", driver, _fixed(both), second, "second degree", constants=constants)
+        second = Hypothesis(
+            "sun_disturbance",
+            driver,
+            _fixed(both),
+            (linear, square),
+            "second degree",
+            constants=constants,
+            if_completed=("current_loop",),  # of panels in any direction, whose half waves are of second degree
+        )
+        yield second
         light = np.linalg.norm(sun, axis=1, keepdims=True)
         if float(np.std(light)) > 0.05 or scene.is_given:
             whole = np.concatenate([sun, harmonics(sun), light], axis=1)
             blocks = (linear, square, Block("light_nt", "nT", completes=True))
             form = "second degree and light"
-            yield Hypothesis("sun_disturbance", driver, _fixed(whole), blocks, form, constants=constants)
+            yield replace(second, columns=_fixed(whole), blocks=blocks, variant=form)
 
 
 EFFECT = Effect(
