@@ -15,8 +15,8 @@ from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 
-_MOST_PER_NT2: Final = 0.1 / 50e3**2
-"""A cube's size at the most [1/nT^2]: a tenth at 50 uT, ten times the linearity of the poorest AMR sensors."""
+_MOST_PER_NT2: Final = 1.0 / 3.0 / 50e3**2
+"""A cube's size at the most [1/nT^2]: with more a reading would no longer rise with the field at 50 uT."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
