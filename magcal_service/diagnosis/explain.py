@@ -52,7 +52,7 @@ _MOST_EXCHANGES: Final = 3  # names that give their place to a rival at the end;
 _MOST_TRIED: Final = 5  # effects fitted jointly in one step, the best first; recorded drivers are tried after them too
 _NEARLY: Final = 0.95  # of an inferred driver's evidence, what its record has to hold to replace it
 _MOST_RESCORED: Final = 30  # candidates scored again at the noise that the best one would leave
-_MOST_RIVALS: Final = 12  # of them kept as rivals for later steps
+_MOST_RIVALS: Final = 12  # of them kept as rivals for later steps, beside those by records and the best of each effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,12 +216,10 @@ class Search(Screen):
         sigma = max(math.sqrt(left), floor_nt)
         close = [self._again(candidate, space, fit, sigma) for candidate in ranked[:_MOST_RESCORED]]
         close.sort(key=lambda candidate: -candidate.nats)
-        least = RIVAL_SHARE * close[0].nats
-        self.close |= {
-            candidate.hypothesis.label
-            for number, candidate in enumerate(close)
-            if candidate.nats > least and (number < _MOST_RIVALS or is_recorded(candidate.hypothesis))
-        }
+        near = [candidate for candidate in close if candidate.nats > RIVAL_SHARE * close[0].nats]
+        recorded = [one for one in near if is_recorded(one.hypothesis)]
+        each = best_of_each(near, lambda hypothesis: hypothesis.effect)
+        self.close |= {candidate.hypothesis.label for candidate in (*near[:_MOST_RIVALS], *recorded, *each)}
         return close
 
     def _again(self, candidate: Candidate, space: Workspace, fit: Fit, sigma: float) -> Candidate:
