@@ -19,11 +19,13 @@ from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of
-from magcal_service.diagnosis.sized import has_size
+from magcal_service.diagnosis.sized import has_size, may_as_well_be
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from tests.diagnosis.made_up import QUICK, SLOW, along, body_form, searching
+from tests.diagnosis.made_up import flown as made_of
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 STEP_NT = np.array([220.0, -140.0, 90.0])
@@ -66,6 +68,23 @@ def test_where_another_course_holds_as_much_a_change_has_no_size(behind: float, 
     others = has_other_course(Term(evenly, np.zeros(0), np.zeros(3)), ranked, CLASS_NATS)
     assert others is not sized
     assert ("size_uncertain" in said(replace(explained([]), courses=(others,)))) is not sized
+
+
+@pytest.mark.parametrize(("own_nt", "others"), [(0.0, ("current_loop",)), (400.0, ())])
+def test_what_only_completes_a_form_may_be_the_cause_that_it_is_met_of_too(
+    own_nt: float, others: tuple[str, ...]
+) -> None:
+    blocks = (Block("nt", "nT", (1,)), Block("second_nt", "nT", (1,), completes=True))
+    both = body_form("sun_disturbance", "", along(0, SLOW), along(1, QUICK), if_completed=("current_loop",))
+    search, alone = searching(made_of(own_nt * along(0, SLOW) + 900.0 * along(1, QUICK)), replace(both, blocks=blocks))
+    fit = solve(search.problem, alone.x, [Term(search.hypotheses[0], np.zeros(0), np.zeros(2))])
+    assert may_as_well_be(fit, 0) == others
+
+
+def test_what_the_sun_is_met_of_in_the_second_degree_may_be_panels() -> None:
+    forms = {h.variant: h.if_completed for h in effect_named("sun_disturbance").hypotheses(scene())}
+    panels = ("current_loop",)
+    assert forms == {"": (), "second degree": panels, "second degree and light": panels}
 
 
 def said(named: Explained, unexplained: float = 0.0, unknown: bool = False) -> tuple[str, ...]:

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis import nameless
+from magcal_service.diagnosis.blocks import Gain
 from magcal_service.diagnosis.explain import Explained
+from magcal_service.diagnosis.leftover import Structure
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.problem import Term
+from magcal_service.diagnosis.shapes import body_shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.interface import Nonlinear
 from tests.diagnosis.made_up import FLOOR_NT, SLOW, TIME_S, along, body_form, flown, searching
 from tests.physics.scenes import COUNT, scene
 
@@ -66,6 +70,35 @@ def test_what_does_not_arrive_stands_in_a_simpler_form_that_does(names: list[str
     reached = nameless._in_a_simpler_form(search, stalled.fit, FLOOR_NT)
     assert reached.converged == (len(names) > 1)
     assert [term.hypothesis.variant for term in reached.terms] == names[:1]
+
+
+@pytest.mark.parametrize(
+    ("size_nt", "share", "is_left", "left"),
+    [
+        (900.0, 0.4, True, 1),
+        (900.0, 0.6, True, 0),
+        (900.0, 0.6, False, 1),
+        (900.0, 0.999, False, 0),
+        (9.0, 0.6, False, 0),
+    ],
+)
+def test_a_line_that_the_attitude_half_holds_stays_where_it_clearly_holds_more_and_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, size_nt: float, share: float, is_left: bool, left: int
+) -> None:
+    """``share``: of what the line holds, what a family of the attitude would hold in its place."""
+    frequency = Nonlinear("frequency_hz", "Hz", np.empty(0), "frequency")
+    field = along(0, SLOW)
+    line = replace(body_form("one", "", field), nonlinear=(frequency,))
+    search, fit = searching(flown(size_nt * field), line)
+    with_line = solve(search.problem, fit.x, [Term(search.hypotheses[0], np.array([0.01]), np.array([0.0]))])
+    own = float((fit.sensor_residual**2).sum() - (with_line.sensor_residual**2).sum())
+    turning = replace(body_shape(search.problem, "field", "", SLOW[:, None]), of_attitude=True)
+    held = Structure(turning, 50.0, share * own * fit.noise_gain**2, lambda: SLOW)
+    monkeypatch.setattr(nameless, "structures", lambda *_: [held])
+    found = Explained(with_line, ((),), (200.0,), (Gain(200.0, 1.0, 9, 9),))
+    monkeypatch.setattr(nameless, "_held_by_refit", lambda *_: 200.0)
+    outdone = nameless._first_outdone(search, found, None, FLOOR_NT, is_left)
+    assert (outdone is None) == bool(left)
 
 
 def test_nothing_is_outdone_where_nothing_was_found() -> None:

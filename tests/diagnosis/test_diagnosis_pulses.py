@@ -19,7 +19,7 @@ COUNT, NOISE_NT, CYCLE_S = 4800, 80.0, 60.0
 
 
 @cache
-def diagnosed() -> Diagnosis:
+def diagnosed(size_nt: float = 250.0) -> Diagnosis:
     """A tumbling craft whose coils are on for a quarter of each minute, with a new dipole each time."""
     rng = np.random.default_rng(21)
     time_s = np.arange(COUNT) * 1.0
@@ -35,7 +35,7 @@ def diagnosed() -> Diagnosis:
     attitude = np.stack([first, second, np.cross(first, second)], axis=1) @ turn
     body = np.einsum("nij,nj->ni", attitude, reference)
     on = time_s % CYCLE_S < 0.25 * CYCLE_S
-    fields = rng.normal(0.0, 250.0, (COUNT // int(CYCLE_S), 3))[(time_s // CYCLE_S).astype(int)]
+    fields = rng.normal(0.0, size_nt, (COUNT // int(CYCLE_S), 3))[(time_s // CYCLE_S).astype(int)]
     field = measure(X, body + on[:, None] * fields + rng.normal(0.0, NOISE_NT, body.shape))
     recording = Recording.from_arrays(
         time_ns.astype("datetime64[ns]"),
@@ -54,6 +54,13 @@ def test_the_torquer_is_named_and_something_is_left_to_doubt() -> None:
     assert (entry.effect, entry.driver, entry.probability) == ("torquer", "inferred:pulses", 0.97)
     assert entry.parameters["period_s"].value == CYCLE_S
     assert "fire every 60.0" in entry.says
+
+
+def test_faint_pulses_that_no_family_of_courses_shows_are_found_too() -> None:
+    """60 nT beside 80 nT of noise, each pulse in a direction of its own."""
+    (entry,) = entries(diagnosed(60.0))
+    assert (entry.effect, entry.driver) == ("torquer", "inferred:pulses")
+    assert entry.parameters["period_s"].value == CYCLE_S
 
 
 def test_the_rows_of_the_pulses_are_accounted_for() -> None:

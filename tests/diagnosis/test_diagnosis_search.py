@@ -282,6 +282,16 @@ def test_what_only_takes_another_s_place_is_never_one_effect_more(near: bool, fo
     assert [term.hypothesis.effect for term in search.run(fit, FLOOR_NT).fit.terms] == found
 
 
+def test_of_every_effect_that_comes_near_the_best_form_stays_a_rival_however_many_one_has() -> None:
+    """Fourteen forms of one before the only one of another, which another effect beside it hides at first."""
+    many = [body_form("many", f"{k}", along(0, SLOW + 0.02 * k * QUICK)) for k in range(14)]
+    search, fit = searching(flown(along(0, 150.0 * SLOW)), *many, body_form("other", "", along(0, SLOW + 0.6 * QUICK)))
+    ranked = search._ranked(fit, FLOOR_NT, ())
+    assert [candidate.hypothesis.effect for candidate in ranked] == ["many"] * 14 + ["other"]
+    assert "other" in search.close
+    assert len(search.close) == 13
+
+
 # What was recorded comes first
 
 

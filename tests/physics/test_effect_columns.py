@@ -387,6 +387,22 @@ def test_panels_that_were_not_recorded_follow_the_sun() -> None:
     assert found["sum of all panels"].constants == found["every panel its own circuit"].constants == constants
 
 
+def test_an_array_gives_no_more_than_is_taken_of_it() -> None:
+    """All panels, and those on the sides of two axes, each sum cut at a share of full sun on one panel."""
+    assert scene().sun_body is not None
+    assert scene().lit is not None
+    faces = np.maximum(np.concatenate([scene().sun_body, -scene().sun_body], axis=1), 0.0) * scene().lit[:, None]
+    found = forms("current_loop")
+    for name, used in (("all panels", [0, 1, 3, 4, 5]), ("panels +x +y -x -y", [0, 1, 3, 4])):
+        total = faces[:, used].sum(axis=1)
+        form = found["inferred:array_current", f"sum of {name}, limited"]
+        assert form.refines == f"current_loop[sum of {name}] by inferred:array_current"
+        for limit in (0.5, 1.1):
+            field = form.columns(np.array([limit])).field(np.array([1.0, 0.0, -2.0]))
+            assert field == pytest.approx(np.minimum(total, limit)[:, None] * [1.0, 0.0, -2.0])
+            assert np.mean(total > limit) > 0.1
+
+
 def test_a_model_has_the_panels_that_it_names() -> None:
     given = replace(scene(), given={"face_0": 5.0, "face_1": 0.0, "face_2": 4.0})
     found = forms("current_loop", given)["inferred:array_current", "every panel its own circuit"]

@@ -178,6 +178,8 @@ def sums_of(residual_nt: Array) -> Sums:
             np.stack([rows[part].T @ rows[part] for part in parts]),
             np.zeros((len(parts), 0, rows.shape[1])),
             np.stack([rows[part].T @ right[part] for part in parts]),
+            float(right @ right),
+            len(right),
         )
 
     return sums
@@ -249,3 +251,19 @@ def test_intervals_without_samples_take_no_place_among_the_sums() -> None:
     assert (cuts[1:, 0] == cuts[:-1, -1]).all()
     interval = np.repeat(np.arange(len(cuts)), cuts[:, -1] - cuts[:, 0])
     assert np.floor(times / 20.0) == pytest.approx(np.floor(times[cuts[interval, 0]] / 20.0))
+
+
+def test_a_strong_duty_is_proposed_with_its_edges_between_the_same_samples() -> None:
+    """Cycle, share and phase between those that are tried: of 600 rows hardly one is taken for on that is off, or the
+    other way."""
+    hypothesis, numbers = form("regular duty"), (47.3, 0.37, 0.713)
+    assert hypothesis.proposals is not None
+    field = field_of(hypothesis, np.array([300.0, -200.0, 100.0]), *numbers)
+    noise = np.random.default_rng(8).normal(0.0, 60.0, field.shape)
+    tried = hypothesis.proposals(
+        sums_of(field + noise), [np.array([47.5]), *(n.grid for n in hypothesis.nonlinear[1:])]
+    )
+    on, truly = (field_of(hypothesis, np.ones(3), *each)[:, 0] for each in (tried[0], numbers))
+    assert int(np.sum(on != truly)) <= 3
+    by_slots = field_of(hypothesis, np.ones(3), *tried[1])[:, 0]
+    assert int(np.sum(by_slots != truly)) > 10

@@ -65,8 +65,11 @@ _CLEAR: Final = 200.0
 """Drop in squares [variances of the residual] from which on a duty's edges are sought beyond its slots: a slot's half
 holds a fiftieth of it."""
 
-_FINEST: Final = 0.25
-"""Steps of a duty's edges at the last [samples]; choice: edges between the same samples are the same."""
+_ASIDE: Final = 4
+"""Steps to either side that the cycle and each edge of a duty are moved by at once: a slot, at the first."""
+
+_FINEST: Final = 1.0 / 16.0
+"""Steps of a duty's edges at the last [samples]: between the same two the many edges of one duty lie anywhere."""
 
 _ON_SLOTS: Final = (3, 5, 7, 10)
 """Lengths of a dump that are tried, in slots: 12 to 42 % of the interval, each about half longer than the last."""
@@ -176,35 +179,30 @@ def _sharpened(scene: Scene, found: tuple[float, list[float]], sums: Sums) -> tu
     alone gets nowhere: a longer cycle moves every edge.
     """
     span_s, middle_s = float(np.ptp(scene.time_s)), float(scene.time_s.mean())
-    every = max(1, -(-len(scene) // _MOST_STRETCHES))
-    firsts = np.arange(0, len(scene), every)
+    firsts = np.arange(0, len(scene), max(1, -(-len(scene) // _MOST_STRETCHES)))
     running = sums(along_axes(np.ones(len(scene))), firsts).running
-    times = scene.time_s[firsts]
+    times = scene.time_s[firsts] - middle_s
 
-    def drop(duty: tuple[float, float, float]) -> float:
-        """Of a cycle [s] and where it begins and ends at the middle of the recording [cycles]."""
-        period_s, begin, end = duty
-        if not (period_s > 0.0 and 0.0 < end - begin < 1.0):
-            return 0.0
-        number = np.floor((times - middle_s) / period_s - begin)
-        cycles = np.unique(number)[:, None] + np.array([begin, end, begin + 1.0])
-        cuts = np.searchsorted(times, middle_s + period_s * cycles)
-        return float(running.folded(cuts).drop(np.array([[1.0, 0.0]]))[0])
+    def around(period_s: float, begin: float, end: float, step: float) -> tuple[float, tuple[float, float, float]]:
+        """The largest drop, and the duty that has it, of those of a cycle [s] whose edges at the middle of the
+        recording are within some steps of these [cycles]."""
+        moves = step * np.arange(-_ASIDE, _ASIDE + 1)
+        edges = np.concatenate([begin + moves, end + moves])
+        if end - begin <= 2.0 * moves[-1] or end + moves[-1] >= begin + moves[0] + 1.0:
+            return 0.0, (period_s, begin, end)
+        cycles = np.unique(np.floor(times / period_s - edges[0]))[:, None] + np.append(edges, edges[0] + 1.0)
+        drops = running.folded(np.searchsorted(times, period_s * cycles)).drop(_BETWEEN)
+        first, last = np.divmod(int(np.argmax(drops)), len(moves))
+        return float(drops.max()), (period_s, begin + float(moves[first]), end + float(moves[last]))
 
-    best, (period_s, share, phase) = found
-    begin = np.mod(phase - middle_s / period_s, 1.0)
-    duty = (period_s, float(begin), float(begin) + share)
-    step = 0.5 / _SLOTS
+    best, (period_s, share, phase) = 0.0, found[1]  # what whole slots hold is not of the same rows
+    begin = float(np.mod(phase - middle_s / period_s, 1.0))
+    duty, step = (period_s, begin, begin + share), 0.25 / _SLOTS
     while step > _FINEST * scene.period_s / period_s:
-        around = [
-            (duty[0] + wider * step * duty[0] ** 2 / (0.5 * span_s), duty[1] + sooner * step, duty[2] + later * step)
-            for wider in (-1, 0, 1)
-            for sooner in (-1, 0, 1)
-            for later in (-1, 0, 1)
-        ]
-        top = max(around, key=drop)
-        if drop(top) > best:
-            best, duty = drop(top), top
+        wider = step * duty[0] ** 2 / (0.5 * span_s) * np.arange(-_ASIDE, _ASIDE + 1)
+        drop, top = max(around(duty[0] + float(more), duty[1], duty[2], step) for more in wider)
+        if drop > best:
+            best, duty = drop, top
         else:
             step *= 0.5
     period_s, begin, end = duty
@@ -396,3 +394,11 @@ def _patterns_of(numbers: list[tuple[int, int]]) -> Array:
 _DUTIES: Final = _patterns_of(_DUTY_NUMBERS)
 _ON_NUMBERS: Final = [(share, slot) for share in _ON_SLOTS for slot in range(_SLOTS)]
 _ON: Final = _patterns_of(_ON_NUMBERS)
+
+_BETWEEN: Final = np.array(
+    [
+        [float(i <= at < 2 * _ASIDE + 1 + j) for at in range(4 * _ASIDE + 2)]
+        for i, j in np.ndindex((2 * _ASIDE + 1,) * 2)
+    ]
+)
+"""(m, 2 x 9) which stretches between the tried places of two edges are on, of each place of either."""
