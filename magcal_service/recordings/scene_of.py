@@ -25,6 +25,9 @@ _LEAST_CHANGE: Final = 0.15
 """Of the field, what half an hour changes in orbit: a third of an orbit, over which a dipole's size changes by a fifth
 and more.  An aircraft's changes by 3 % on 500 km."""
 
+_LOW_ORBIT_NT: Final = (15e3, 68e3)
+"""Field that a low orbit passes through [nT]: 17 uT in the South Atlantic at 800 km, 66 uT near the poles' surface."""
+
 _FASTEST_NT_S: Final = 100.0
 """Change of the field's size from which on no way through it is smooth [nT/s]: in low orbit it is 40 at the most."""
 
@@ -58,16 +61,19 @@ def scene_of(recording: Recording) -> Scene:
 
 
 def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
-    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference, or by a
-    vector in the Earth's axes whose size changes as along an orbit; a coil's size may change so, too."""
+    """Whether a recording was made in orbit: as stated, else by its altitude, else by an inertial reference, or by one
+    whose size changes as along an orbit.
+
+    A coil may change so, too, if it is driven through the Earth's own range; where that is taken for an orbit, errors
+    of a field model are counted that it has not, and currents in space are looked for: ``[platform]`` says better.
+    """
     stated = recording.descriptor.platform
     if stated is not None:
         return stated.kind is PlatformKind.ORBIT
     if ecef is not None:
         return float(np.median(np.linalg.norm(ecef, axis=1))) - geomagnetic.EARTH_KM > geomagnetic.LOWEST_ORBIT_KM
-    if recording.reference.vector_nt is None:
-        return False
-    return recording.reference.frame is Frame.ECI or _changes_as_in_orbit(recording)
+    is_inertial = recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
+    return is_inertial or _changes_as_in_orbit(recording)
 
 
 def _changes_as_in_orbit(recording: Recording) -> bool:
@@ -77,6 +83,8 @@ def _changes_as_in_orbit(recording: Recording) -> bool:
     size = recording.reference.magnitude_nt
     rate = np.abs(np.diff(size)) / np.maximum(np.diff(time_s), 1e-9)
     if len(size) < 2 or float(np.max(rate)) > _FASTEST_NT_S:
+        return False
+    if not _LOW_ORBIT_NT[0] < float(size.min()) <= float(size.max()) < _LOW_ORBIT_NT[1]:
         return False
     parts = np.searchsorted(time_s, np.arange(0.0, float(time_s[-1]), _HALF_HOUR_S))
     changes = [float(np.ptp(part)) for part in np.split(size, parts[1:]) if len(part)]

@@ -22,17 +22,16 @@ TIMES = np.datetime64("2025-03-01T00:00:00", "ns") + np.arange(400) * np.timedel
 FIELD = 30_000.0 * np.random.default_rng(2).normal(size=(400, 3))
 
 
-def passing(over_s: float, jumps: bool = False, frame: str = "ecef") -> Recording:
+def passing(over_s: float, jumps: bool = False, frame: str = "ecef", times: float = 1.0) -> Recording:
     """A reference whose size changes by a fifth over a time, evenly or in jumps; no frame: its size alone."""
-    size = 40_000.0 + 8000.0 * np.arange(400) / 400.0
+    size = times * (40_000.0 + 8000.0 * np.arange(400) / 400.0)
     size = np.repeat(size[::40], 40) if jumps else size
-    times = np.datetime64("2025-03-01T00:00:00", "ns") + np.round(np.arange(400) * over_s / 400.0 * 1e9).astype(
-        "timedelta64[ns]"
-    )
+    since = np.round(np.arange(400) * over_s / 400.0 * 1e9).astype("timedelta64[ns]")
+    at = np.datetime64("2025-03-01T00:00:00", "ns") + since
     if not frame:
-        return Recording.from_arrays(times, FIELD, size)
+        return Recording.from_arrays(at, FIELD, size)
     vectors = FIELD * (size / np.linalg.norm(FIELD, axis=1))[:, None]
-    return Recording.from_arrays(times, FIELD, vectors, frame=frame)
+    return Recording.from_arrays(at, FIELD, vectors, frame=frame)
 
 
 def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -> Recording:
@@ -53,14 +52,16 @@ def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -
         (made(None, magnitude=True), False),
         (passing(1500.0), True),
         (passing(1500.0, frame="ned"), True),
-        (passing(1500.0, frame=""), False),
+        (passing(1500.0, frame=""), True),
+        (passing(1500.0, frame="", times=1.5), False),
+        (passing(1500.0, frame="", times=0.3), False),
         (passing(3.0 * 3600.0), False),
         (passing(1500.0, jumps=True), False),
     ],
 )
 def test_the_place_is_guessed(recording: Recording, in_orbit: bool) -> None:
-    """120 km is where orbits begin; without a place an inertial reference speaks of one, or a vector that changes as
-    there: by a fifth in less than half an hour, and smoothly.  A size alone may be a coil's."""
+    """120 km is where orbits begin; without a place an inertial reference speaks of one, or one that changes as there:
+    by a fifth in less than half an hour, smoothly, and within what a low orbit passes through."""
     assert scene_of(recording).in_orbit is in_orbit
 
 
