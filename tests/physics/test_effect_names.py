@@ -49,7 +49,7 @@ def references(tree: ast.AST) -> set[int]:
     return {
         id(part)
         for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg in ("confused_with", "as_well", "at_once")
+        if isinstance(node, ast.keyword) and node.arg in ("confused_with", "as_well", "at_once", "if_completed")
         for part in ast.walk(node.value)
     }
 
