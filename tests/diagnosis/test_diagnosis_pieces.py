@@ -53,12 +53,15 @@ def test_a_grid_is_that_of_the_number_or_of_the_residuals_lines() -> None:
 
 
 def test_a_period_shows_as_a_line_or_as_side_lines_of_the_spin() -> None:
-    """Each line, and it less and more the spin; what is slower than five minutes is a step."""
+    """Each line, and it less and more the spin; or the wave whose third it is, near the spin itself.  What is slower
+    than five minutes is a step."""
     lines = np.array([0.05, 0.012])
     alone = tried_first(number("period"), lines, None)
     assert alone == pytest.approx([1.0 / 0.012, 1.0 / 0.05])
     beside = tried_first(number("period"), lines, 0.01)
     assert beside == pytest.approx([1.0 / f for f in (0.012, 0.022, 0.04, 0.05, 0.06)])
+    by_third = tried_first(number("period"), lines, 0.0042)  # 0.012 / 3 is hidden by the spin, 0.05 / 3 is not
+    assert by_third == pytest.approx([1.0 / f for f in (0.004, 0.0078, 0.012, 0.0162, 0.0458, 0.05, 0.0542)])
     edge = tried_first(number("period"), np.array([1.0 / 299.0, 1.0 / 301.0]), None)
     assert edge == pytest.approx([1.0 / round(1.0 / 299.0, 7)])
 
