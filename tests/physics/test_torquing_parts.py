@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.drivers import torquing
+from magcal_service.physics.drivers import duty, torquing
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.segments import Segments, Sums
@@ -244,7 +244,7 @@ def test_dumping_is_proposed_first_at_its_interval_with_every_hold(step: int, sl
 def test_intervals_without_samples_take_no_place_among_the_sums() -> None:
     """Two passes four days apart: every sample is in one interval, and none of the 17 000 between them is kept."""
     times = np.concatenate([100.0 + TIME_S, 350_000.0 + TIME_S])
-    cuts = torquing._cuts(times, 20.0)
+    cuts = duty.cuts(times, 20.0)
     assert len(cuts) == 60 + 60
     assert cuts[0, 0] == 0
     assert cuts[-1, -1] == len(times)

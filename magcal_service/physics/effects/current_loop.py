@@ -188,23 +188,25 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
             yield Hypothesis("current_loop", driver, _fixed(faces[:, pair]), (both,), f"panels +-{name}")
     used = scene.chosen("face", used)
     if len(used) >= 3:
-        yield from _strings(faces, used, names)
+        yield from _strings(faces, used, scene.is_given)
         every = Block("nt_full_sun", "nT", (len(used), 3), labels=(tuple(f"panel {names[i]}" for i in used), AXES))
         form, constants = "every panel its own circuit", _faces(used)
         yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
 
 
-def _strings(faces: Array, used: Sequence[int], names: Sequence[str]) -> Iterator[Hypothesis]:
+def _strings(faces: Array, used: Sequence[int], is_given: bool) -> Iterator[Hypothesis]:
     """One current of all panels, or of those on the sides of two axes; each as it is where the loads and the battery
     take no more of it."""
-    choices = [("all panels", list(used))]
-    for left_out in range(3):
+    choices = {"all panels": list(used)}
+    for left_out, axes in enumerate(("y and z", "x and z", "x and y")):
         some = [face for face in used if face % 3 != left_out]
-        if 2 < len(some) < len(used):
-            choices.append(("panels " + " ".join(names[face] for face in some), some))
+        if is_given:  # a model's are those that it names, whatever they were of
+            choices[f"panels across {axes}"] = list(used)
+        elif 2 < len(some) < len(used):
+            choices[f"panels across {axes}"] = some
     block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
     limit = Nonlinear("limit", "1", _LIMITS)
-    for of, some in choices:
+    for of, some in choices.items():
         total, constants = faces[:, some].sum(axis=1, keepdims=True), _faces(some)
         whole = Hypothesis("current_loop", driver, _fixed(total), (block,), f"sum of {of}", constants=constants)
         yield whole
