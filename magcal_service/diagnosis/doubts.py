@@ -9,6 +9,8 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import Explained
+from magcal_service.diagnosis.field_error import Scale
+from magcal_service.diagnosis.field_level import likelier_by
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.sized import has_size
@@ -18,11 +20,12 @@ from magcal_service.residuals import MEDIAN_TO_SIGMA
 SURE: Final = 0.95
 """Probability from which on a name is acted on: of those said so, one in twenty may be false."""
 
-_FIELD_MODEL: Final = 2.0
-"""Times the usual errors of a field model, beyond which a recording is doubted: one model in twenty errs so much."""
+_FIELD_MODELS: Final = Scale(2.0, 3.0)
+"""Times the usual errors of a field model, beyond which a recording is doubted: one model in twenty errs so much; of
+what changes over shorter ways on a quiet night a third of that, on most others as much."""
 
-_FINE: Final = 3.0
-"""The same of what changes over shorter ways: on a quiet night it is a third of that, on most others as much."""
+_BEYOND_NATS: Final = 6.0
+"""Nats by which larger errors have to be likelier to be seen, as of a family of shapes."""
 
 STANDS_OUT: Final = 3.0
 """Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
@@ -172,10 +175,13 @@ def is_noisier(fit: Fit, added_nt: float = 0.0) -> bool:
 
 
 def is_beyond_model(fit: Fit) -> bool:
-    """Whether the reference errs by more than field models do, and what is left shows it: nobody knows by what."""
+    """Whether the reference errs by more than field models do, and what is left shows it, by its size or by how it
+    hangs together: nobody knows by what."""
     error = fit.problem.field_error
-    if error is None or (error.scale.coarse <= _FIELD_MODEL and error.scale.fine <= _FINE):
+    if error is None or error.scale.is_within(_FIELD_MODELS):
         return False
+    if likelier_by(fit, _FIELD_MODELS) > _BEYOND_NATS:
+        return True
     return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, error.usual_nt))
 
 

@@ -51,3 +51,11 @@ def needed_scale(usual: FieldError, of_alone: tuple[Scale, float], named: Fit) -
         return alone, False
     scale, nats = likeliest(named.problem, usual, named.x, named.terms)
     return (scale, True) if nats > nats_alone + ACCEPTED_NATS else (alone, False)
+
+
+def likelier_by(fit: Fit, most: Scale) -> float:
+    """Nats by which errors as large as a fit's are likelier than with neither scale beyond ``most``."""
+    error = fit.problem.field_error
+    assert error is not None
+    within = Scale(min(error.scale.coarse, most.coarse), min(error.scale.fine, most.fine))
+    return log_likelihood(fit) - log_likelihood(solve(at_scale(fit.problem, error, within), fit.x, fit.terms))

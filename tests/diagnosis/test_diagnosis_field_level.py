@@ -100,6 +100,20 @@ def test_a_reference_that_errs_beyond_field_models_is_doubted(drawn: float, scal
     assert is_beyond_model(fit) is doubtful
 
 
+@pytest.mark.parametrize(("drawn", "doubtful"), [(3.0, True), (1.5, False)])
+def test_beneath_a_loud_sensor_s_noise_they_are_doubted_by_how_they_hang_together(drawn: float, doubtful: bool) -> None:
+    """150 nT of noise hide errors three times the usual: less than a fifth more is left."""
+    loud_nt = 150.0
+    error = FieldError.of(scene(), loud_nt)
+    assert error is not None
+    quiet = problem(drawn, 17)
+    extra = np.sqrt(loud_nt**2 - NOISE_NT**2) * np.random.default_rng(18).normal(size=(len(scene()), 3))
+    spoilt = spoiled(quiet.scene.field_nt + extra, scene())
+    fit = solve(at_scale(Problem(spoilt, loud_nt, field_error=error), error, Scale(4.0, 1.0)), X)
+    assert fit.held_out_rms_nt < 1.2 * np.hypot(fit.noise_gain * loud_nt, error.usual_nt)
+    assert is_beyond_model(fit) is doubtful
+
+
 @pytest.mark.parametrize("drawn", [1.0, 4.0])
 def test_what_is_left_without_a_name_is_judged_under_the_errors_that_suit_it(drawn: float) -> None:
     """Names were sought under the least errors; once none has stood, a recording whose model errs as usual has nothing
