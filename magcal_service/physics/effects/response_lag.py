@@ -222,9 +222,7 @@ def _form(
     def columns(theta: Array) -> Columns:
         return Columns(body=(short(float(theta[0]))[:, None] * scene.unit)[None])
 
-    rate2 = -2.0 * float(np.mean(turned / length))  # of the turn, per amplitude of one
-    turning = [late_s(turn**2 / rate2) for turn in _TRIED_TURNS] if rate2 > 0.0 else []
-    tried = np.unique([*_TRIED_S, *(tau for tau in turning if _LEAST_LATE_S < tau < max(_TRIED_S))])
+    tried = _tried_s(-2.0 * float(np.mean(turned / length)), late_s)
     by_course = float(np.sum((found * scene.magnitude_slope) ** 2))
     by_turn = float(np.sum((size(found) * turned) ** 2))
     return Hypothesis(
@@ -241,6 +239,12 @@ def _form(
         odds=_SELDOM if found > _LEAST_LATE_S else 0.0,
         moves_s=lambda a: -late_s(float(a[0])),
     )
+
+
+def _tried_s(rate2: float, late_s: Callable[[float], float]) -> Array:
+    """(m,) how late it may be [s], also by the turn in it, whose mean square is ``rate2`` for an amplitude of one."""
+    turning = [late_s(turn**2 / rate2) for turn in _TRIED_TURNS] if rate2 > 0.0 else []
+    return np.unique([*_TRIED_S, *(tau for tau in turning if _LEAST_LATE_S < tau < max(_TRIED_S))])
 
 
 def _expanded(scene: Scene, turned: Array, size: Callable[[float], float], at_s: float) -> Array:
