@@ -18,7 +18,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, columns_of
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, oscillation
-from magcal_service.physics.effects.coloured_noise import whitened
+from magcal_service.physics.effects.coloured_noise import Whitener
 from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import SUN_AHEAD
 from magcal_service.physics.segments import Segments
@@ -79,6 +79,7 @@ class Screen:
     _cache: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
     _units: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
     _known: dict[str, list[Array]] = field(default_factory=dict, init=False, repr=False)
+    _whitener: Whitener | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.look_at(self.problem, self.hypotheses)
@@ -86,6 +87,7 @@ class Screen:
     def look_at(self, problem: Problem, hypotheses: Sequence[Hypothesis]) -> None:
         """Continue with another problem and its hypotheses; rows of the one before are discarded."""
         self.problem, self.hypotheses, self._cache, self._units = problem, hypotheses, {}, {}
+        self._whitener = None
         names = [hypothesis.effect for hypothesis in hypotheses]
         self._forms = {name: names.count(name) for name in set(names)}  # what choosing the best of them costs
 
@@ -99,8 +101,9 @@ class Screen:
         rows = self.problem.white(rows)
         if not len(self.whitening):
             return rows
-        found = whitened(rows.reshape(len(rows), -1), self.whitening, self.problem.scene.unit)
-        return found.reshape(rows.shape)
+        if self._whitener is None:
+            self._whitener = Whitener(self.whitening, self.problem.scene.unit)
+        return self._whitener.white(rows.reshape(len(rows), -1)).reshape(rows.shape)
 
     @property
     def is_symmetric(self) -> bool:

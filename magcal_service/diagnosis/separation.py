@@ -21,7 +21,7 @@ from magcal_service.diagnosis.imagined import Turn, continued, spun, steady, til
 from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, evaluate, free_numbers
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.model import Array, measure
-from magcal_service.physics.effects.coloured_noise import whitened
+from magcal_service.physics.effects.coloured_noise import Whitener
 from magcal_service.physics.interface import Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -273,7 +273,7 @@ class _Pair:
             return rows
         count = len(self._scene)
         unit = scene.unit[half * count : (half + 1) * count]
-        return whitened(rows.reshape(len(rows), -1), self._search.whitening, unit).reshape(rows.shape)
+        return Whitener(self._search.whitening, unit).white(rows.reshape(len(rows), -1)).reshape(rows.shape)
 
     def _left(self, signal: Array, columns: Array, tie: Array) -> float:
         """Nats that are left of a signal (m,) after a fit of columns (m, p) with inverse prior variances (p,)."""

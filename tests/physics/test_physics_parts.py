@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.drivers import far
-from magcal_service.physics.effects.coloured_noise import autoregression, covariance, long_memory, whitened
+from magcal_service.physics.effects.coloured_noise import Whitener, autoregression, covariance, long_memory
 from magcal_service.physics.effects.nutation import _near, _peak, _spectrum
 from magcal_service.physics.effects.quantisation import step_of
 from magcal_service.physics.effects.spin_rate import _fitted, _tolerance
@@ -170,7 +170,7 @@ def test_whitening_takes_off_what_was_seen_before_by_the_cosine_of_the_turn() ->
     unit = rng.normal(size=(260, 3))
     unit /= np.linalg.norm(unit, axis=1)[:, None]
     rows, coefficients = rng.normal(size=(260, 9)), rng.normal(size=250) * 0.05
-    found = whitened(rows, coefficients, unit)
+    found = Whitener(coefficients, unit).white(rows)
     expected = np.array(rows)
     for row in range(260):
         for lag in range(1, min(row, 250) + 1):

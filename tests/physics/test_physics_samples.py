@@ -11,6 +11,7 @@ import pytest
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.effects.coloured_noise import (
+    Whitener,
     _independent,
     autoregression,
     body_correlation,
@@ -18,7 +19,6 @@ from magcal_service.physics.effects.coloured_noise import (
     is_noise,
     long_memory,
 )
-from magcal_service.physics.effects.coloured_noise import whitened as whitened_in_body
 from magcal_service.physics.effects.hysteresis import play
 from magcal_service.physics.effects.quantisation import step_of
 from magcal_service.physics.effects.torquer import remembered
@@ -351,6 +351,6 @@ def test_whitening_in_the_body_takes_the_memory_off() -> None:
     """What a model of the body's noise leaves of its own noise is white, though the craft turns."""
     unit = scene().unit
     noise = np.einsum("ni,ni->n", unit, first_order_body(0.8, 9))
-    left = whitened_in_body(noise[:, None], long_memory(noise, unit), unit)[:, 0]
+    left = Whitener(long_memory(noise, unit), unit).white(noise[:, None])[:, 0]
     assert covariance(unit, noise, 1) / covariance(unit, noise, 0) == pytest.approx(0.8, abs=0.1)
     assert abs(covariance(unit, left, 1) / covariance(unit, left, 0)) < 0.1
