@@ -86,8 +86,9 @@ class ChannelUnit:
     offset: float = 0.0
 
     def to_base(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """The values, any shape, in the base unit."""
-        return self.factor * np.asarray(values, dtype=np.float64) + self.offset
+        """The values, any shape, in the base unit; those that are in it are the same array."""
+        given = np.asarray(values, dtype=np.float64)
+        return given if (self.factor, self.offset) == (1.0, 0.0) else self.factor * given + self.offset
 
 
 def _family(quantity: str, base: str, factors: Mapping[str, float]) -> dict[str, ChannelUnit]:

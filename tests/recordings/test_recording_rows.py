@@ -106,6 +106,15 @@ def test_rows_out_of_order_and_doubled_stay_in_file_order_and_are_counted(tmp_pa
     assert recording.report.count("time", RowFault.DOUBLED_TIME) == 3
 
 
+def test_rows_that_are_in_order_already_are_not_copied(tmp_path: Path) -> None:
+    """Of hundreds of channels a copy is half of the recording's memory."""
+    rows = [row(1700000000 + second, 10 + second) for second in range(3)]
+    batch = read_recording(write_log(tmp_path, None, rows))
+    assert np.shares_memory(batch.sorted_unique().field_body_nt, batch.field_body_nt)
+    doubled = read_recording(write_log(tmp_path, None, [rows[0], *rows]))
+    assert doubled.sorted_unique().field_body_nt.tolist() == batch.field_body_nt.tolist()
+
+
 def test_sorted_unique_keeps_the_first_of_each_time_that_has_a_reference(tmp_path: Path) -> None:
     rows = [row(1700000002, 12), row(1700000001, 11), row(1700000002, 13), row(1700000003, 14, hx="nan")]
     batch = read_recording(write_log(tmp_path, None, rows)).sorted_unique()

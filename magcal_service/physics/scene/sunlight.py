@@ -137,7 +137,12 @@ def carried(kept: Array, pushed: Array, value: Array) -> Array:
 
 
 def hold_over_nan(values: Array) -> Array:
-    """The values (n, k) with NaN filled by linear interpolation over the row number, ends held; all-NaN becomes 0."""
+    """The values (n, k) with NaN filled by linear interpolation over the row number, ends held; all-NaN becomes 0.
+
+    Where nothing is missing they are the same array.
+    """
+    if np.isfinite(values).all():
+        return np.asarray(values, dtype=np.float64)
     filled = np.array(values, dtype=np.float64)
     rows = np.arange(len(filled))
     for column in filled.T:
