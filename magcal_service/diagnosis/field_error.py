@@ -22,6 +22,7 @@ table 2 of doi 10.1186/s40623-015-0245-8), and several times that on others (Aak
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -63,7 +64,7 @@ _KNOT_S: Final = 40.0  # 2.5 deg of the orbit
 _MOST_KNOTS: Final = 900
 """Places at which the covariance is worked out: 2.5 deg of the orbit, a quarter of the shortest wave of degree 36."""
 
-_TOGETHER: Final = 16  # lines; between 8 and 32 nothing changes
+_TOGETHER: Final = 16  # columns that lines are carried on to, or gathered from, at a time: a core's cache holds them
 _LEAST: Final = 0.03
 """Of the white noise's variance: directions in which the model's error has less change no weight by 2 %."""
 
@@ -94,15 +95,6 @@ SCALES: Final = {Scale(c, f): odds + more for c, odds in _COARSE.items() for f, 
 """Both together, with the logarithm of the prior odds."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stretch:
-    """The lines of some rows in a row: their weights (r, v) on the values that they lie between."""
-
-    rows: slice
-    values: slice
-    weights: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Lines:
     """Straight lines between rows: values at ``at`` (q,), rising from the first row to the last, carried on to all n.
@@ -117,26 +109,44 @@ class Lines:
     count: int
 
     @cached_property
-    def _stretches(self) -> list[_Stretch]:
-        """All rows, ``_TOGETHER`` lines at a time: products of small dense matrices are faster than sums by row."""
-        before = np.repeat(np.arange(len(self.at) - 1), np.diff(np.append(self.at[:-1], self.count)))
-        share = (np.arange(self.count) - self.at[before]) / (self.at[before + 1] - self.at[before])
-        found = []
-        for first in range(0, len(self.at) - 1, _TOGETHER):
-            last = min(first + _TOGETHER, len(self.at) - 1)
-            rows = slice(int(self.at[first]), self.count if last == len(self.at) - 1 else int(self.at[last]))
-            weights = np.zeros((rows.stop - rows.start, last - first + 1))
-            row, left = np.arange(len(weights)), before[rows] - first
-            weights[row, left], weights[row, left + 1] = 1.0 - share[rows], share[rows]
-            found.append(_Stretch(rows, slice(first, last + 1), weights))
-        return found
+    def _lengths(self) -> NDArray[np.intp]:
+        """Rows (q - 1,) of each line, of which the last has both of its ends."""
+        return np.diff(np.append(self.at[:-1], self.count))
+
+    @cached_property
+    def _share(self) -> Array:
+        """How far (n,) along its line a row is."""
+        first, last = (np.repeat(ends, self._lengths) for ends in (self.at[:-1], self.at[1:]))
+        return np.asarray((np.arange(self.count) - first) / (last - first))
+
+    def _carry(self, values: Array, out: Array) -> None:
+        """Values (k, q) at all rows (k, n)."""
+        for some in _together(len(values)):
+            out[some] = np.repeat(np.diff(values[some], axis=1), self._lengths, axis=1)
+            out[some] *= self._share
+            out[some] += np.repeat(values[some, :-1], self._lengths, axis=1)
 
     def carried_on(self, values: Array) -> Array:
-        """Values (q, k) at all rows (n, k)."""
-        result = np.empty((self.count, values.shape[1]))
-        for stretch in self._stretches:
-            np.matmul(stretch.weights, values[stretch.values], out=result[stretch.rows])
-        return result
+        """Values (q, k) at all rows (n, k), each column in one piece."""
+        result = np.empty((values.shape[1], self.count))
+        self._carry(np.ascontiguousarray(values.T), result)
+        return result.T
+
+    def less(self, rows: Array, values: Array) -> Array:
+        """Rows (n, k) less values (q, k) carried on, each column in one piece."""
+        result = self.carried_on(values).T
+        return np.subtract(rows.T, result, out=result).T
+
+    def gathered(self, rows: Array) -> Array:
+        """The transpose: rows (n, k) to (q, k)."""
+        found = np.zeros((rows.shape[1], len(self.at)))
+        for some in _together(len(found)):
+            columns = np.ascontiguousarray(rows.T[some])
+            found[some, :-1] = np.add.reduceat(columns, self.at[:-1], axis=1)
+            at_ends = np.add.reduceat(columns * self._share, self.at[:-1], axis=1)
+            found[some, :-1] -= at_ends
+            found[some, 1:] += at_ends
+        return found.T
 
     def weighed(self, values: Array) -> Array:
         """What ``gathered`` makes of values (q, k) carried on (q, k): a line overlaps with its neighbours only."""
@@ -149,26 +159,17 @@ class Lines:
     @cached_property
     def _overlaps(self) -> tuple[Array, Array]:
         """Products of each line's weights with themselves (q,), and with those of the next (q - 1,)."""
-        own, beside = np.zeros(len(self.at)), np.zeros(len(self.at) - 1)
-        for stretch in self._stretches:
-            own[stretch.values] += np.einsum("rv,rv->v", stretch.weights, stretch.weights)
-            inside = slice(stretch.values.start, stretch.values.stop - 1)
-            beside[inside] += np.einsum("rv,rv->v", stretch.weights[:, :-1], stretch.weights[:, 1:])
-        return own, beside
+        at_start, at_end = 1.0 - self._share, self._share
+        first, both, last = (
+            np.add.reduceat(product, self.at[:-1])
+            for product in (at_start * at_start, at_start * at_end, at_end * at_end)
+        )
+        return np.append(first, 0.0) + np.append(0.0, last), both
 
-    def less(self, rows: Array, values: Array) -> Array:
-        """Rows (n, k) less values (q, k) carried on, each column in one piece."""
-        result, turned = np.empty(rows.shape[::-1]), np.ascontiguousarray(values.T)
-        for stretch in self._stretches:
-            np.matmul(turned[:, stretch.values], stretch.weights.T, out=result[:, stretch.rows])
-        return np.subtract(rows.T, result, out=result).T
 
-    def gathered(self, rows: Array) -> Array:
-        """The transpose: rows (n, k) to (q, k)."""
-        found = np.zeros((len(self.at), rows.shape[1]))
-        for stretch in self._stretches:
-            found[stretch.values] += stretch.weights.T @ rows[stretch.rows]
-        return found
+def _together(count: int) -> Iterator[slice]:
+    """So many columns, a few at a time."""
+    return (slice(first, first + _TOGETHER) for first in range(0, count, _TOGETHER))
 
 
 @dataclass(frozen=True, eq=False)

@@ -163,7 +163,7 @@ def test_there_is_none_on_the_ground_or_under_much_noise() -> None:
 
 @pytest.mark.parametrize("knots", [4, 17, 40])
 def test_lines_carry_on_and_gather_as_interpolation_and_its_transpose(knots: int) -> None:
-    """Against numpy's own interpolation, and (L a)'b = a'(L'b); sixteen lines are worked out together."""
+    """Against numpy's own interpolation, and (L a)'b = a'(L'b)."""
     rng = np.random.default_rng(4)
     at = np.concatenate([[0], np.cumsum(rng.integers(1, 9, knots - 1))]).astype(np.intp)
     count = int(at[-1]) + 1
