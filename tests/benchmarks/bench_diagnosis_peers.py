@@ -111,7 +111,7 @@ def run(name: str) -> Diagnosis:
 
 def main() -> None:
     """Print the table."""
-    print("| injected | held-out rms before | after | floor | baseline after | named | largest error | time [s] |")
+    print("| injected | held-out rms before | after | noise | baseline after | named | largest error | time [s] |")
     print("|---|---|---|---|---|---|---|---|")
     for name, (_, parameter, truth, baseline) in CASES.items():
         began = time.process_time()
