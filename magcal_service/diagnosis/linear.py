@@ -36,6 +36,10 @@ places spread over the recording.
 _ROUNDING: Final = 1e-9
 """Share of a column's square below which what a projection leaves of it is rounding."""
 
+_MANY: Final = 40
+"""Stretches for each column from which on products are summed column by column: as fast for 3 columns in 100 stretches,
+and four times as fast in 4000."""
+
 _SPREADS: Final = np.geomspace(1e-6, 1e6, 61)
 
 
@@ -167,16 +171,20 @@ class Workspace:
         Columns (m, k) count in units of their rms.
         """
         scaled = columns / _scale(columns)
-        ends = np.append(first_rows[1:], len(columns))
-        each = [slice(first, end) for first, end in zip(first_rows.tolist(), ends.tolist(), strict=True)]
-        normal = np.stack([scaled[rows].T @ scaled[rows] for rows in each])
-        beside = np.stack([self._fixed[rows].T @ scaled[rows] for rows in each])
+        if len(first_rows) > _MANY * scaled.shape[1] and (np.diff(first_rows) > 0).all():
+            normal, beside = (_by_sums(left, scaled, first_rows) for left in (scaled, self._fixed))
+        else:
+            ends = np.append(first_rows[1:], len(columns))
+            each = [slice(first, end) for first, end in zip(first_rows.tolist(), ends.tolist(), strict=True)]
+            normal, beside = (
+                np.stack([left[rows].T @ scaled[rows] for rows in each]) for left in (scaled, self._fixed)
+            )
         return Segments(normal, beside[:, :-1], beside[:, -1], self.squares, self.count)
 
     @cached_property
     def _fixed(self) -> Array:
-        """(m, p + 1) the model's basis, and the residual."""
-        return np.concatenate([self._basis, self.residual[:, None]], axis=1)
+        """(m, p + 1) the model's basis, and the residual, each column in one piece."""
+        return np.concatenate([self._basis.T, self.residual[None]]).T
 
     def gated(self, columns: Array, first_rows: NDArray[np.intp], sigma_nt: float) -> list[Gain]:
         """Gains of columns (m, k) that are zero before each of the rows (g,), rising; at the cost of about one."""
@@ -186,6 +194,15 @@ class Workspace:
         )
         left = normal - np.swapaxes(inside, 1, 2) @ inside
         return evidences(left, right, _scale(columns), sigma_nt, _ROUNDING * len(columns))
+
+
+def _by_sums(left: Array, right: Array, first_rows: NDArray[np.intp]) -> Array:
+    """(g, p, k) products of columns (m, p) and (m, k) in stretches that begin at each of the rows (g,), rising."""
+    found = np.empty((len(first_rows), left.shape[1], right.shape[1]))
+    columns = np.ascontiguousarray(left.T)
+    for number, column in enumerate(np.ascontiguousarray(right.T)):
+        found[:, :, number] = np.add.reduceat(columns * column, first_rows, axis=1).T
+    return found
 
 
 def _scale(columns: Array) -> Array:

@@ -89,7 +89,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             yield _plain("place", "the field's magnitude, by place on the Earth", places)
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
-            bins = _quantiles(values)
+            bins = scene.once(f"ranges of {channel.name} {index}", partial(_quantiles, values))
             if bins is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
                 yield _body(problem, name, f"a body-fixed field that follows {channel.name}", bins)

@@ -162,3 +162,23 @@ def test_fold_solutions_rms_grows_with_idle_columns() -> None:
     solutions = np.stack(fold_solutions(residual, idle, fold, np.zeros(40)))
     outside = residual - np.einsum("mp,mp->m", idle, solutions[fold])
     assert inside < float(residual @ residual) < float(outside @ outside)
+
+
+@pytest.mark.parametrize("stretches", [7, 300])
+def test_sums_over_few_and_many_stretches_are_those_of_their_rows(stretches: int) -> None:
+    """Of columns of unit rms, with one another, with the model's basis and with the residual; the first rows are in
+    none."""
+    residual, model, columns = drawn(21, 900, 4, 2)
+    space = Workspace(residual, model)
+    first = np.linspace(20, 900, stretches, endpoint=False).astype(np.intp)
+    found = space.segments(columns, first)
+    columns = columns / np.sqrt(np.mean(columns**2, axis=0))
+    for number, (low, high) in enumerate(zip(first, np.append(first[1:], 900), strict=True)):
+        rows = slice(low, high)
+        assert found.normal[number] == pytest.approx(columns[rows].T @ columns[rows])
+        assert found.right[number] == pytest.approx(columns[rows].T @ space.residual[rows])
+    whole = columns[20:].T @ columns[20:] - found.normal.sum(axis=0)
+    assert whole == pytest.approx(np.zeros((2, 2)), abs=1e-9)
+    inside = found.inside.sum(axis=0)
+    basis = np.linalg.qr(model)[0][20:]
+    assert inside.T @ inside == pytest.approx(columns[20:].T @ basis @ basis.T @ columns[20:])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from functools import partial
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ _SAME_FIELD: Final = 0.01
 
 _CLOCK: Final = 0.98
 """Rank correlation with time from which on a driver is a clock: the recording cannot tell it from elapsed time."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +107,13 @@ def drivers_of(scene: Scene, with_sun: bool) -> Iterator[tuple[str, int, str]]:
         if values is None or not np.isfinite(values).all():
             continue
         least = _SAME_FIELD * float(np.mean(values)) if driver == "computed:field_size" else 0.0
-        if np.ptp(values) > least and not _is_clock(values):
+        if np.ptp(values) > least and not _once(scene, driver, f"clock {column}", partial(_is_clock, values)):
             yield driver, column, quantity
+
+
+def _once(scene: Scene, driver: str, name: str, make: Callable[[], T]) -> T:
+    """What follows of a driver's values alone, made once of a channel; what is computed of the field may change."""
+    return scene.once(f"{name} of {driver}", make) if driver.startswith("channel:") else make()
 
 
 def _is_clock(values: Array) -> bool:
@@ -122,8 +130,14 @@ def form_of(scene: Scene, driver: str, column: int, quantity: str, kind: Kind, c
     x = values_of(scene, driver, column, quantity)
     assert x is not None
     edge = 0.0 if driver == ELAPSED else _EDGE
+    knots = _once(scene, driver, f"{count} knots over {column}", partial(_knots, x, edge, count))
+    return None if knots is None else Form(driver, kind, quantity, column, *knots)
+
+
+def _knots(x: Array, edge: float, count: int) -> tuple[Array, Array] | None:
+    """Knots (k,) at equal shares of values (n,), with the mean weight of each; None where too few are told apart."""
     knots = np.unique(np.quantile(x, np.linspace(edge, 1.0 - edge, count)))
     inside = (x >= knots[0]) & (x <= knots[-1])
     if len(knots) < 2 or np.count_nonzero(inside) < _FEWEST_IN_RANGE:
         return None
-    return Form(driver, kind, quantity, column, knots, hats(x[inside], knots).mean(axis=0))
+    return knots, hats(x[inside], knots).mean(axis=0)
