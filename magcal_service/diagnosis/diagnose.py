@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.doubts import concerned, reasons
+from magcal_service.diagnosis.doubts import concerned, reasons, unsure, with_unsure
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
@@ -111,7 +111,8 @@ class Diagnosis:
     @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
         """The effects that a reason is about, by the reason."""
-        return concerned(self.explained)
+        found = concerned(self.explained)
+        return {**found, "name_uncertain": (*found["name_uncertain"], *unsure(self.findings))}
 
     @property
     def trusted(self) -> bool:
@@ -172,6 +173,7 @@ def diagnose(
         prepared=replace(again.prepared, left_out=left_out),
         findings={**again.findings, **comes_and_goes},
         verdict=Verdict.NAMED,
+        reasons=with_unsure(again.reasons, comes_and_goes),
         seconds=time.monotonic() - began,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.sized import has_size
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.physics.interface import Finding
 from magcal_service.residuals import MEDIAN_TO_SIGMA
 
 SURE: Final = 0.95
@@ -144,6 +146,16 @@ def concerned(explained: Explained) -> dict[str, tuple[str, ...]]:
     sized = [has_size(explained.fit, i) and not any(explained.courses[i : i + 1]) for i in range(len(names))]
     unsized = [name for name, is_sized in zip(names, sized, strict=True) if not is_sized]
     return {"name_uncertain": tuple(unsure), "size_uncertain": tuple(unsized)}
+
+
+def unsure(findings: Mapping[str, Finding]) -> tuple[str, ...]:
+    """Names of findings that leave too much to something else."""
+    return tuple(name for name, one in findings.items() if 1.0 - one.doubt < SURE)
+
+
+def with_unsure(against: tuple[str, ...], findings: Mapping[str, Finding]) -> tuple[str, ...]:
+    """Reasons, and that a name is uncertain where one of some findings is."""
+    return tuple(dict.fromkeys((*against, *(["name_uncertain"] if unsure(findings) else []))))
 
 
 def has_coverage(covariance: Array) -> bool:

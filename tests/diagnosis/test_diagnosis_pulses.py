@@ -19,7 +19,7 @@ COUNT, NOISE_NT, CYCLE_S = 4800, 80.0, 60.0
 
 
 @cache
-def diagnosed(size_nt: float = 250.0) -> Diagnosis:
+def diagnosed(size_nt: float = 250.0, coils: int = 3) -> Diagnosis:
     """A tumbling craft whose coils are on for a quarter of each minute, with a new dipole each time."""
     rng = np.random.default_rng(21)
     time_s = np.arange(COUNT) * 1.0
@@ -36,6 +36,7 @@ def diagnosed(size_nt: float = 250.0) -> Diagnosis:
     body = np.einsum("nij,nj->ni", attitude, reference)
     on = time_s % CYCLE_S < 0.25 * CYCLE_S
     fields = rng.normal(0.0, size_nt, (COUNT // int(CYCLE_S), 3))[(time_s // CYCLE_S).astype(int)]
+    fields[:, coils:] = 0.0
     field = measure(X, body + on[:, None] * fields + rng.normal(0.0, NOISE_NT, body.shape))
     recording = Recording.from_arrays(
         time_ns.astype("datetime64[ns]"),
@@ -61,6 +62,15 @@ def test_faint_pulses_that_no_family_of_courses_shows_are_found_too() -> None:
     (entry,) = entries(diagnosed(60.0))
     assert (entry.effect, entry.driver) == ("torquer", "inferred:pulses")
     assert entry.parameters["period_s"].value == CYCLE_S
+
+
+def test_pulses_that_may_all_lie_in_one_direction_are_named_and_not_acted_on() -> None:
+    """A wheel's motor has a current of both signs, too."""
+    found = diagnosed(coils=1)
+    assert found.verdict is Verdict.NAMED
+    assert (entries(found)[0].effect, entries(found)[0].probability) == ("torquer", 0.94)
+    assert found.reasons == ("name_uncertain",)
+    assert found.concerned["name_uncertain"] == ("torquer",)
 
 
 def test_the_rows_of_the_pulses_are_accounted_for() -> None:

@@ -258,14 +258,15 @@ def test_noise_with_a_memory_is_told_with_its_correlation_and_explains_no_mismat
     ("period_s", "in_orbit", "level_nt", "is_said"),
     [(10.0, True, 20.0, False), (10.0, True, 90.0, True), (1.0, True, 20.0, True), (10.0, False, 20.0, True)],
 )
+@pytest.mark.parametrize("placed", [True, False])
 def test_a_memory_that_a_field_models_errors_have_as_well_is_not_the_sensors(
-    period_s: float, in_orbit: bool, level_nt: float, is_said: bool
+    period_s: float, in_orbit: bool, level_nt: float, is_said: bool, placed: bool
 ) -> None:
     """In orbit, sampled so slowly that they fade within ten samples, and no larger than they are."""
     noise = np.random.default_rng(9071).normal(0.0, 0.8 * level_nt, COUNT)
     for row in range(1, COUNT):
         noise[row] += 0.6 * noise[row - 1]
     seen = viewed(np.tile([30e3, 0.0, 0.0], (COUNT, 1)), noise)
-    place = np.tile([6878.0, 0.0, 0.0], (COUNT, 1))
+    place = np.tile([6878.0, 0.0, 0.0], (COUNT, 1)) if placed else None
     scene = replace(seen.scene, time_s=period_s * np.arange(COUNT), in_orbit=in_orbit, position_ecef_km=place)
     assert (find("coloured_noise", replace(seen, scene=scene)) is not None) is is_said

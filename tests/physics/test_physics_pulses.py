@@ -114,6 +114,9 @@ ELSE = {
     "pulses that follow the orbit": ON[:, None]
     * 200.0
     * np.stack([np.sin(TIME_S / 900.0 + k) for k in range(3)], axis=1),
+    "a gain that is lower in every third pulse": -0.008 * (ON & (CYCLE % 3 == 0))[:, None] * scene().field_nt,
+    "a gain that is lower in each pulse": -0.004 * ON[:, None] * scene().field_nt,
+    "gains of the axes that change in each pulse": ON[:, None] * scene().field_nt * np.array([0.006, -0.005, 0.003]),
     "a field in the gaps as well": levels() + 0.5 * levels(4),
     "ten bursts, by chance at multiples of a cycle": (ON & np.isin(CYCLE, [3, 17, 22, 38, 41, 59, 66, 78, 90, 95]))[
         :, None

@@ -57,6 +57,10 @@ _BOTH_WAYS: Final = 0.2
 """Share of the squares that pulses in one direction have to have with either sign, to be those of a coil: what is
 switched on has one sign, a coil's dipole both.  Choice: of pulses that are noise half have either."""
 
+_OF_A_GAIN: Final = 0.5
+"""Of the evidence for pulses, what one gain and bias for all of them may have; choice: fields that are drawn anew for
+each have a few hundredths of it, those of a gain nearly all."""
+
 _STEADY: Final = 0.5
 """Correlation of a pulse's field with the next one's from which on it follows something, and is another effect."""
 
@@ -146,10 +150,10 @@ def pulses(view: View) -> Finding | None:
     if not scene.in_orbit or scene.of_quantity("magnetic moment") or span_s < _FEWEST * _CYCLES_S[0]:
         return None
     sums = _Sums.of(scene.time_s, scene.unit, view.residual_nt / view.noise_nt)
-    best = max((_best(sums, period) for period in _cycles(sums, scene.period_s)), default=None, key=_nats)
-    if best is None:
+    found = [_best(sums, period) for period in _cycles(sums, scene.period_s)]
+    if not found:
         return None
-    nats, beat, size = best
+    nats, beat, size = max(found, key=_nats)
     squares, products = sums.pulses(beat)
     fields = _fields(squares, products, size)
     off_nats = float(_evidence(*sums.gaps(beat), size).sum())
@@ -160,7 +164,12 @@ def pulses(view: View) -> Finding | None:
     many = len(fields) >= _FEWEST and active > _ACTIVE * len(fields)
     is_coil = turns or _goes_both_ways(fields)
     clear = many and nats > _LEAST_NATS and is_coil and off_nats < 0.0 and abs(follows) < _STEADY
-    return _finding(view, beat, fields, nats, turns) if clear and not _swells(view, beat, fields) else None
+    if not clear or _swells(view, beat, fields):
+        return None
+    near = (other for its_nats, other, _ in found if its_nats > _OF_A_GAIN * nats)  # multiples of its cycle, and parts
+    if any(_nats_of_a_gain(view, other) > _OF_A_GAIN * nats for other in near):
+        return None
+    return _finding(view, beat, fields, nats, turns)
 
 
 def _swells(view: View, beat: Beat, fields: Array) -> bool:
@@ -181,6 +190,24 @@ def _swells(view: View, beat: Beat, fields: Array) -> bool:
         return False
     lacks, sigma = 1.0 - ends[0] / middle[0], float(np.hypot(ends[1], middle[1])) / abs(middle[0])
     return lacks > max(_SWELLS, _SWELLS_SIGMA * sigma)
+
+
+def _nats_of_a_gain(view: View, beat: Beat) -> float:
+    """Evidence [nats] for a gain and a bias that change for every pulse by the same, against none.
+
+    While a transmitter is on, a sensor's supply and its gain may drop; to a craft that turns from pulse to pulse that
+    is another field each time.
+    """
+    w, unit = view.scene.calibrated_nt, view.scene.unit
+    on = beat.rows(view.scene.time_s)
+    products = np.stack([unit[:, i] * w[:, j] + unit[:, j] * w[:, i] for i in range(3) for j in range(i, 3)], axis=1)
+    columns = np.concatenate([products, unit], axis=1)[on]
+    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    residual = view.residual_nt[on] / view.noise_nt
+    left: Array = residual - columns @ np.linalg.lstsq(columns, residual, rcond=1e-9)[0]
+    drop = float(residual @ residual) - float(left @ left)
+    cost: float = columns.shape[1] * math.log(max(len(residual), 2))
+    return 0.5 * (drop - cost)
 
 
 def _share(expected: Array, seen: Array) -> tuple[float, float]:

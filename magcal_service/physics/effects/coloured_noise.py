@@ -267,7 +267,7 @@ def _find(view: View) -> Finding | None:
 
 def _is_field_models(scene: Scene) -> bool:
     """Whether what lasts for some samples may be the errors of a field model along an orbit."""
-    return scene.in_orbit and scene.position_ecef_km is not None and scene.period_s >= _MODEL_S
+    return scene.in_orbit and scene.period_s >= _MODEL_S
 
 
 EFFECT = Effect(
