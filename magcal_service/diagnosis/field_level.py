@@ -8,12 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
+
+import numpy as np
 
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
+
+_KNOWN_TO: Final = 0.1
+"""Of a field model's usual errors, what the way they hang together is known to along a common orbit, where no places
+are known: a clean craft's turn over nadir left 1.7 nT of 14 that fitted a late clock.  Choice: a tenth, 2.2 nT."""
+
+_SMOOTH: Final = 0.25
+"""Of a signal's square, what whitening by the largest errors leaves at the most of one that is as smooth as they."""
 
 
 def at_scale(problem: Problem, usual: FieldError, scale: Scale) -> Problem:
@@ -59,3 +69,21 @@ def likelier_by(fit: Fit, most: Scale) -> float:
     assert error is not None
     within = Scale(min(error.scale.coarse, most.coarse), min(error.scale.fine, most.fine))
     return log_likelihood(fit) - log_likelihood(solve(at_scale(fit.problem, error, within), fit.x, fit.terms))
+
+
+def may_be_the_models(problem: Problem, squares_nt2: float, signal_nt: Array) -> bool:
+    """Whether, without places, a signal in the residual is as smooth as a field model's errors, and so little of it is
+    left by their whitening that the covariance would have to be that of the craft's own orbit to tell the two apart.
+
+    Parameters
+    ----------
+    squares_nt2: what it holds of the white residual [nT^2].
+    signal_nt: (m,) in the residual, before it is whitened.
+    """
+    error = problem.field_error
+    if error is None or problem.scene.position_ecef_km is not None:
+        return False
+    if float(np.sqrt(squares_nt2 / len(signal_nt))) > _KNOWN_TO * error.usual_nt:
+        return False
+    left = at_scale(problem, error, max(SCALES)).white(signal_nt)
+    return float(left @ left) < _SMOOTH * float(signal_nt @ signal_nt)

@@ -10,10 +10,12 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.doubts import stands_out
 from magcal_service.diagnosis.explain import Explained, Search
+from magcal_service.diagnosis.field_level import may_be_the_models
 from magcal_service.diagnosis.grids import OF_LINES
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
+from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, is_simpler
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import ended, exchanged, solve
@@ -89,9 +91,26 @@ def _in_a_simpler_form(search: Search, fit: Fit, floor_nt: float) -> Fit:
     return fit
 
 
+def _may_be_the_models(explained: Explained, index: int) -> bool:
+    """Whether a name that follows no record, and does not happen at an instant, may be the field model's errors."""
+    fit = explained.fit
+    term = fit.terms[index]
+    own = term.hypothesis
+    if is_recorded(own) or own.by_samples or any(number.role == "instant" for number in own.nonlinear):
+        return False
+    rows = fit.problem.rows(own.columns(term.theta), fit.unit)
+    squares = 2.0 * max(explained.gains[index].nats, 0.0) * fit.white_rms_nt**2
+    return rows is not None and may_be_the_models(fit.problem, squares, rows @ term.amplitudes)
+
+
 def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:
-    """A name that a rival beats and may not replace; else the weakest, where the fit or its gain does not hold."""
-    each = [posterior(explained, index) for index in range(len(explained.fit.terms))]
+    """A name that the field model's errors may be, or that a rival beats and may not replace; else the weakest, where
+    the fit or its gain does not hold."""
+    every = range(len(explained.fit.terms))
+    beneath = next((index for index in every if _may_be_the_models(explained, index)), None)
+    if beneath is not None:
+        return beneath
+    each = [posterior(explained, index) for index in every]
     beside = [one.own / max((rival for _, rival in one.rivals), default=1e-300) for one in each]
     if min(beside) < _LEAST_PROBABLE:
         return int(np.argmin(beside))

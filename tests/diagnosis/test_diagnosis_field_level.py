@@ -11,7 +11,13 @@ import pytest
 from magcal_service.diagnosis.doubts import is_beyond_model
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
-from magcal_service.diagnosis.field_level import at_scale, likeliest, log_likelihood, needed_scale
+from magcal_service.diagnosis.field_level import (
+    at_scale,
+    likeliest,
+    log_likelihood,
+    may_be_the_models,
+    needed_scale,
+)
 from magcal_service.diagnosis.leftover import significant, structures
 from magcal_service.diagnosis.problem import Problem, Term
 from magcal_service.diagnosis.searching import End, without_names
@@ -133,3 +139,20 @@ def test_what_is_left_without_a_name_is_judged_under_the_errors_that_suit_it(dra
     assert error.scale.coarse == drawn
     assert not significant(found.left[0])
     assert without_names(found, SimpleNamespace(spin=None, baseline=fit, alone=None)) is found  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("period_s", "white_nt", "placed", "may_be"),
+    [(2400.0, 1.5, False, True), (2400.0, 1.5, True, False), (2400.0, 3.0, False, False), (20.0, 1.5, False, False)],
+)
+def test_without_places_a_smooth_trifle_may_be_the_models_own(
+    period_s: float, white_nt: float, placed: bool, may_be: bool
+) -> None:
+    """As smooth as errors along an orbit, and less than a tenth of the usual 22 nT once they are whitened."""
+    of = scene() if placed else replace(scene(), position_ecef_km=None)
+    error = FieldError.of(of, NOISE_NT)
+    assert error is not None
+    signal = 8.0 * np.sin(2.0 * np.pi * of.time_s / period_s)
+    known = Problem(of, NOISE_NT, field_error=error)
+    assert may_be_the_models(known, len(signal) * white_nt**2, signal) is may_be
+    assert not may_be_the_models(replace(known, field_error=None), len(signal) * white_nt**2, signal)
