@@ -71,19 +71,18 @@ def likelier_by(fit: Fit, most: Scale) -> float:
     return log_likelihood(fit) - log_likelihood(solve(at_scale(fit.problem, error, within), fit.x, fit.terms))
 
 
-def may_be_the_models(problem: Problem, squares_nt2: float, signal_nt: Array) -> bool:
-    """Whether, without places, a signal in the residual is as smooth as a field model's errors, and so little of it is
-    left by their whitening that the covariance would have to be that of the craft's own orbit to tell the two apart.
-
-    Parameters
-    ----------
-    squares_nt2: what it holds of the white residual [nT^2].
-    signal_nt: (m,) in the residual, before it is whitened.
-    """
+def is_trifle(problem: Problem, square_nt2: float) -> bool:
+    """Whether a signal, of which so much per row is left by whitening [nT^2], holds too little to be told from a field
+    model's errors if it is as smooth, where no places are known."""
     error = problem.field_error
     if error is None or problem.scene.position_ecef_km is not None:
         return False
-    if float(np.sqrt(squares_nt2 / len(signal_nt))) > _KNOWN_TO * error.usual_nt:
-        return False
+    return float(np.sqrt(square_nt2)) < _KNOWN_TO * error.usual_nt
+
+
+def is_as_smooth(problem: Problem, signal_nt: Array) -> bool:
+    """Whether a signal (m,) in the residual, before it is whitened, is as smooth as a field model's errors."""
+    error = problem.field_error
+    assert error is not None
     left = at_scale(problem, error, max(SCALES)).white(signal_nt)
     return float(left @ left) < _SMOOTH * float(signal_nt @ signal_nt)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.field_level import may_be_the_models
+from magcal_service.diagnosis.field_level import is_as_smooth, is_trifle
 from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
@@ -56,14 +56,12 @@ class Structure:
     nats: evidence for it, after the number of families tried.
     squares: sum of squares that it holds, less what noise alone would give it [nT^2].
     fitted: works out its fitted value (m,) in each row [nT]; the columns are made again for it.
-    raw: the same before the nine errors are taken out of it and it is whitened.
     """
 
     shape: Shape
     nats: float
     squares: float
     fitted: Callable[[], Array]
-    raw: Callable[[], Array]
 
     @cached_property
     def signal(self) -> Array:
@@ -122,15 +120,7 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
             break
         sigma = better
     sudden = _transients(beside, sigma, cost)
-    every = [_beside_the_models(one, beside) for one in (found if sudden is None else [*found, sudden])]
-    return sorted(every, key=lambda structure: -structure.nats)
-
-
-def _beside_the_models(structure: Structure, beside: _Beside) -> Structure:
-    """The same, or without evidence where a field model's errors may make it."""
-    if not significant(structure) or not may_be_the_models(beside.fit.problem, structure.squares, structure.raw()):
-        return structure
-    return replace(structure, nats=0.0)
+    return found if sudden is None else sorted([*found, sudden], key=lambda structure: -structure.nats)
 
 
 def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
@@ -171,6 +161,7 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
         search.problem, "transients", "a body-fixed field that comes and goes at no regular times", signals
     )
     found = _structure(shape, beside.products(shape), beside, sigma, cost)
+    # a field that comes and goes is told from smooth errors by that
     return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
 
 
@@ -220,13 +211,17 @@ def _structure(
     """A family's evidence by what single samples count for at the most, and its size by all that they hold."""
     held, whole = (each.gain(sigma) for each in products)
     squares = max(whole.squares - whole.effective * sigma**2, 0.0)
-    return Structure(
-        shape,
-        held.nats - cost,
-        squares,
-        lambda: beside.signal(shape, whole.amplitudes),
-        lambda: shape.columns(beside.fit.unit) @ whole.amplitudes,
-    )
+    made = Structure(shape, held.nats - cost, squares, lambda: beside.signal(shape, whole.amplitudes))
+    return _beside_the_models(made, beside, lambda: shape.columns(beside.fit.unit) @ whole.amplitudes)
+
+
+def _beside_the_models(structure: Structure, beside: _Beside, raw_nt: Callable[[], Array]) -> Structure:
+    """The same, or without evidence where a field model's errors may make it; ``raw_nt`` works out its signal (m,)
+    before it is whitened."""
+    problem = beside.fit.problem
+    if not significant(structure) or not is_trifle(problem, structure.squares / beside.space.count):
+        return structure
+    return replace(structure, nats=0.0) if is_as_smooth(problem, raw_nt()) else structure
 
 
 def significant(structure: Structure) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.doubts import stands_out
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.field_level import may_be_the_models
+from magcal_service.diagnosis.field_level import is_as_smooth, is_trifle
 from magcal_service.diagnosis.grids import OF_LINES
 from magcal_service.diagnosis.leftover import largest_product, significant, structures
 from magcal_service.diagnosis.plausible import all_within_physics
@@ -98,9 +98,11 @@ def _may_be_the_models(explained: Explained, index: int) -> bool:
     own = term.hypothesis
     if is_recorded(own) or own.by_samples or any(number.role == "instant" for number in own.nonlinear):
         return False
-    rows = fit.problem.rows(own.columns(term.theta), fit.unit)
     squares = 2.0 * max(explained.gains[index].nats, 0.0) * fit.white_rms_nt**2
-    return rows is not None and may_be_the_models(fit.problem, squares, rows @ term.amplitudes)
+    if not is_trifle(fit.problem, squares / len(fit.residual)):
+        return False
+    rows = fit.problem.rows(own.columns(term.theta), fit.unit)
+    return rows is not None and is_as_smooth(fit.problem, rows @ term.amplitudes)
 
 
 def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:

@@ -13,9 +13,10 @@ from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import (
     at_scale,
+    is_as_smooth,
+    is_trifle,
     likeliest,
     log_likelihood,
-    may_be_the_models,
     needed_scale,
 )
 from magcal_service.diagnosis.leftover import significant, structures
@@ -154,5 +155,5 @@ def test_without_places_a_smooth_trifle_may_be_the_models_own(
     assert error is not None
     signal = 8.0 * np.sin(2.0 * np.pi * of.time_s / period_s)
     known = Problem(of, NOISE_NT, field_error=error)
-    assert may_be_the_models(known, len(signal) * white_nt**2, signal) is may_be
-    assert not may_be_the_models(replace(known, field_error=None), len(signal) * white_nt**2, signal)
+    assert (is_trifle(known, white_nt**2) and is_as_smooth(known, signal)) is may_be
+    assert not is_trifle(replace(known, field_error=None), white_nt**2)
