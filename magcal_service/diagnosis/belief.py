@@ -193,8 +193,14 @@ def _least_unlisted(explained: Explained, index: int) -> float:
 
 def _is_within_another(explained: Explained, index: int) -> bool:
     """Whether a name that follows no record holds no more than the form of a larger one may be inexact by."""
-    largest = max(gain.nats for gain in explained.gains)
-    return not is_recorded(explained.fit.terms[index].hypothesis) and explained.gains[index].nats < _INEXACT * largest
+    terms = explained.fit.terms
+    own = explained.gains[index].nats
+    left = (
+        max(_INEXACT, term.hypothesis.inexact) * gain.nats
+        for number, (term, gain) in enumerate(zip(terms, explained.gains, strict=True))
+        if number != index
+    )
+    return not is_recorded(terms[index].hypothesis) and own < max(left, default=0.0)
 
 
 def _share_an_orbit(fit: Fit, index: int) -> bool:

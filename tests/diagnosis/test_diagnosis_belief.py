@@ -267,6 +267,18 @@ def test_a_small_name_beside_a_much_larger_one_may_be_its_other_form(larger: flo
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
 
 
+@pytest.mark.parametrize(("larger", "own"), [(4.0, 0.7), (3.0, 0.97)])
+def test_beside_a_name_whose_course_is_guessed_a_small_one_is_doubted_earlier(larger: float, own: float) -> None:
+    """Currents in space as a polynomial in time leave three tenths, which wrong places take."""
+    named = explained([])
+    currents = form("external_field")
+    assert currents.inexact == 0.3
+    fit = replace(named.fit, terms=(*named.fit.terms, Term(currents, np.zeros(0), np.full(currents.size, 1e-6))))
+    gains = (*named.gains, replace(named.gains[0], nats=larger * named.gains[0].nats))
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=gains)
+    assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
+
+
 @pytest.mark.parametrize(
     ("driver", "by", "own_nats", "behind", "odds"),
     [
