@@ -300,14 +300,17 @@ def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolutio
     """Whether a nutation is no larger than what disturbs the vectors anyway, of which the residual sees one part only.
 
     A body field turns the vector by its parts across it, which no scalar residual bounds: a field of the same rms in
-    every direction as the residual's excess along it is taken for granted, or that of the effects found.
+    every direction as the residual's excess along it is taken for granted, or that of the effects found, or the usual
+    error of a field model.
     """
     if spin is None:
         return False
     turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(spin.across_nt)
     body, _ = disturbances(fit.terms, fit.problem.scene)
     excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
-    return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2))
+    error = fit.problem.field_error
+    model_nt2 = 0.0 if error is None else error.usual_nt**2
+    return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2, model_nt2))
 
 
 def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:

@@ -143,9 +143,19 @@ def test_a_nutation_no_larger_than_the_rest_of_the_disturbance_is_imitated(angle
     prepared: Any = SimpleNamespace(
         baseline=SimpleNamespace(rms_nt=200.0), problem=SimpleNamespace(noise_nt=100.0, scene=scene())
     )
-    quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene()))
+    quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=None))
     assert _imitated(finding(angle_deg=angle_deg), prepared, quiet, spin) is imitated
     assert not _imitated(finding(angle_deg=angle_deg), prepared, quiet, None)
+
+
+@pytest.mark.parametrize(("angle_deg", "imitated"), [(0.04, True), (0.05, False)])
+def test_a_nutation_no_larger_than_a_field_models_usual_error_is_imitated(angle_deg: float, imitated: bool) -> None:
+    """22 nT turn a vector of 30 uT by 0.042 degrees, however quiet the sensor."""
+    error: Any = SimpleNamespace(usual_nt=22.0)
+    fit: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=error))
+    prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=8.0), problem=SimpleNamespace(noise_nt=8.0))
+    spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
+    assert _imitated(finding(angle_deg=angle_deg), prepared, fit, spin) is imitated
 
 
 @pytest.mark.parametrize(("angle_deg", "imitated"), [(0.75, True), (0.78, False)])
@@ -153,7 +163,7 @@ def test_a_nutation_no_larger_than_the_effects_that_were_found_is_imitated(angle
     """400 nT of a found field turn a vector of 30 uT by 0.76 degrees."""
     form = body_form("one", "", np.tile([0.0, 0.6, 0.8], (COUNT, 1)))
     term = Term(form, np.zeros(0), np.array([400.0]))
-    fit: Any = SimpleNamespace(terms=(term,), problem=SimpleNamespace(scene=scene()))
+    fit: Any = SimpleNamespace(terms=(term,), problem=SimpleNamespace(scene=scene(), field_error=None))
     prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=90.0), problem=SimpleNamespace(noise_nt=100.0))
     spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
     assert _imitated(finding(angle_deg=angle_deg), prepared, fit, spin) is imitated
