@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.field_level import is_as_smooth, is_trifle
 from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit
@@ -161,7 +160,6 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
         search.problem, "transients", "a body-fixed field that comes and goes at no regular times", signals
     )
     found = _structure(shape, beside.products(shape), beside, sigma, cost)
-    # a field that comes and goes is told from smooth errors by that
     return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
 
 
@@ -211,17 +209,7 @@ def _structure(
     """A family's evidence by what single samples count for at the most, and its size by all that they hold."""
     held, whole = (each.gain(sigma) for each in products)
     squares = max(whole.squares - whole.effective * sigma**2, 0.0)
-    made = Structure(shape, held.nats - cost, squares, lambda: beside.signal(shape, whole.amplitudes))
-    return _beside_the_models(made, beside, lambda: shape.columns(beside.fit.unit) @ whole.amplitudes)
-
-
-def _beside_the_models(structure: Structure, beside: _Beside, raw_nt: Callable[[], Array]) -> Structure:
-    """The same, or without evidence where a field model's errors may make it; ``raw_nt`` works out its signal (m,)
-    before it is whitened."""
-    problem = beside.fit.problem
-    if not significant(structure) or not is_trifle(problem, structure.squares / beside.space.count):
-        return structure
-    return replace(structure, nats=0.0) if is_as_smooth(problem, raw_nt()) else structure
+    return Structure(shape, held.nats - cost, squares, lambda: beside.signal(shape, whole.amplitudes))
 
 
 def significant(structure: Structure) -> bool:

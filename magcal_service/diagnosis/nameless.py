@@ -32,8 +32,9 @@ _OF_ATTITUDE: Final = 0.5
 the most, of three that were the attitude's own 0.7 at the least."""
 
 _CLEARLY: Final = 100.0
-"""Nats that a line has to hold more than functions of the attitude, and leave nothing, to stand whatever share of it
-they hold: on a strong one of few turns they hold more than half by chance, yet far from all."""
+"""Nats that a duty has to hold more than functions of the attitude, and leave nothing, to stand whatever share of it
+they hold: of a strong one in a few turns they hold more than half by chance, yet far from all.  A tone does not: the
+Sun's turn in the body is one, and none of these functions."""
 
 _BY_REFIT: Final = 0.5
 """Of a name's evidence to first order, what it has to hold by a fit without it: true ones hold 0.98 to 1.06, two false
@@ -183,8 +184,8 @@ def _first_outdone(
     search: Search, explained: Explained, phase: Array | None, floor_nt: float, is_left: bool
 ) -> _Less | None:
     """Without the faintest name, if a fit without one leaves hardly more; the weakest of several, if a family holds
-    more than it does; a free form, if a family is likelier than it; a line or a beat, if a family of the attitude holds
-    half as much and it does not clearly hold more and leave nothing: a craft's own turning has lines, too."""
+    more than it does; a free form, if a family is likelier than it; a line or a duty, if a family of the attitude holds
+    half as much: a craft's own turning has lines, too.  A duty that clearly holds more and leaves nothing stays."""
     fit, several = explained.fit, len(explained.fit.terms) > 1
     without = [solve(search.problem, fit.x, _others(fit, index)) for index in range(len(fit.terms))]
     held = [_held_by_refit(search, explained, index, one, floor_nt) for index, one in enumerate(without)]
@@ -206,7 +207,8 @@ def _first_outdone(
         turning = max((f.squares for f in families if f.shape.of_attitude and significant(f)), default=0.0)
         turning /= less.noise_gain**2
         clear = _CLEARLY * 2.0 * (max(fit.white_rms_nt, floor_nt) / fit.noise_gain) ** 2
-        if is_line and turning > _OF_ATTITUDE * own and (is_left or own - turning < clear):
+        is_duty = any(number.role == "period" for number in term.hypothesis.nonlinear)
+        if is_line and turning > _OF_ATTITUDE * own and (is_left or not is_duty or own - turning < clear):
             return outdone
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
             return outdone

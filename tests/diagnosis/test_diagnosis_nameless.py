@@ -73,20 +73,22 @@ def test_what_does_not_arrive_stands_in_a_simpler_form_that_does(names: list[str
 
 
 @pytest.mark.parametrize(
-    ("size_nt", "share", "is_left", "left"),
+    ("role", "size_nt", "share", "is_left", "left"),
     [
-        (900.0, 0.4, True, 1),
-        (900.0, 0.6, True, 0),
-        (900.0, 0.6, False, 1),
-        (900.0, 0.999, False, 0),
-        (9.0, 0.6, False, 0),
+        ("period", 900.0, 0.4, True, 1),
+        ("period", 900.0, 0.6, True, 0),
+        ("period", 900.0, 0.6, False, 1),
+        ("frequency", 900.0, 0.6, False, 0),
+        ("period", 900.0, 0.999, False, 0),
+        ("period", 9.0, 0.6, False, 0),
     ],
 )
-def test_a_line_that_the_attitude_half_holds_stays_where_it_clearly_holds_more_and_leaves_nothing(
-    monkeypatch: pytest.MonkeyPatch, size_nt: float, share: float, is_left: bool, left: int
+def test_a_duty_that_the_attitude_half_holds_stays_where_it_clearly_holds_more_and_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, role: str, size_nt: float, share: float, is_left: bool, left: int
 ) -> None:
-    """``share``: of what the line holds, what a family of the attitude would hold in its place."""
-    frequency = Nonlinear("frequency_hz", "Hz", np.empty(0), "frequency")
+    """``share``: of what it holds, what a family of the attitude would hold in its place.  A tone does not: it may be
+    the Sun's, which no such family follows."""
+    frequency = Nonlinear("number", "Hz", np.empty(0), role)  # type: ignore[arg-type]
     field = along(0, SLOW)
     line = replace(body_form("one", "", field), nonlinear=(frequency,))
     search, fit = searching(flown(size_nt * field), line)

@@ -109,6 +109,9 @@ ELSE = {
     "nothing": np.zeros((COUNT, 3)),
     "noise with a memory": _memory(),
     "bursts at no regular times": _bursts(),
+    "two loads, each in some of the pulses": ON[:, None]
+    * 200.0
+    * ((levels()[:, :1] > 0.0) * np.array([0.6, -0.64, 0.48]) + (levels()[:, 1:2] > 0.0) * np.array([0.1, 0.7, 0.7])),
     "a load of another current in each cycle": ON[:, None] * np.abs(levels()[:, :1]) * ONE_WAY,
     "the same field in each pulse": ON[:, None] * np.array([150.0, -90.0, 60.0]),
     "pulses that follow the orbit": ON[:, None]
@@ -130,6 +133,14 @@ ELSE = {
 @pytest.mark.parametrize("name", ELSE)
 def test_what_is_no_beat_is_none(name: str) -> None:
     assert found(ELSE[name]) is None
+
+
+def test_a_noise_that_is_louder_in_the_pulses_is_no_field() -> None:
+    """Its means vary more, in any direction and with either sign."""
+    louder = np.random.default_rng(23).normal(0.0, NOISE_NT, COUNT) * np.where(ON, 4.0, 1.0)
+    assert found(np.zeros((COUNT, 3)), noise=louder) is None
+    quiet = np.random.default_rng(24).normal(0.0, 0.5 * NOISE_NT, COUNT) * np.where(ON, 4.0, 1.0)
+    assert found(np.zeros((COUNT, 3)), noise=quiet) is None
 
 
 def test_a_recorded_torquer_and_a_laboratory_are_left_to_what_was_recorded() -> None:

@@ -53,9 +53,13 @@ A few bursts that begin at multiples of some cycle have less."""
 _LEAST_NATS: Final = 50.0
 """Evidence for pulses over their absence, beside what the search costs; and for more than one direction over one."""
 
+_LOUDER: Final = 1.3
+"""Times the noise between pulses, from sample to sample, that it may have in them: with true coils it had 1.05, where
+a transmitter made noise on a schedule 4 to 7."""
+
 _BOTH_WAYS: Final = 0.2
-"""Share of the squares that pulses in one direction have to have with either sign, to be those of a coil: what is
-switched on has one sign, a coil's dipole both.  Choice: of pulses that are noise half have either."""
+"""Share of the squares that pulses have to have with either sign, along what they have in common, to be those of coils:
+loads that are switched on have one sign each, a dipole both.  Choice: of pulses that are noise half have either."""
 
 _OF_A_GAIN: Final = 0.5
 """Of the evidence for pulses, what one gain and bias for all of them may have; choice: fields that are drawn anew for
@@ -162,14 +166,34 @@ def pulses(view: View) -> Finding | None:
     strength = (fields**2).sum(axis=1)
     active = float(strength.sum() ** 2 / max(float(strength @ strength), 1e-300))
     many = len(fields) >= _FEWEST and active > _ACTIVE * len(fields)
-    is_coil = turns or _goes_both_ways(fields)
-    clear = many and nats > _LEAST_NATS and is_coil and off_nats < 0.0 and abs(follows) < _STEADY
-    if not clear or _swells(view, beat, fields):
+    clear = many and nats > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
+    if not clear or not _goes_both_ways(fields) or _swells(view, beat, fields) or _is_louder(view, beat, fields):
         return None
     near = (other for its_nats, other, _ in found if its_nats > _OF_A_GAIN * nats)  # multiples of its cycle, and parts
     if any(_nats_of_a_gain(view, other) > _OF_A_GAIN * nats for other in near):
         return None
     return _finding(view, beat, fields, nats, turns)
+
+
+def _is_louder(view: View, beat: Beat, fields: Array) -> bool:
+    """Whether the noise itself is larger in the pulses than between them: means of louder rows vary more, and look like
+    fields in any direction.
+
+    Parameters
+    ----------
+    fields: of each pulse (k, 3), in units of the noise.
+    """
+    time_s = view.scene.time_s
+    since = (time_s - time_s[0] - beat.first_s) / beat.period_s
+    pulse = np.floor(since).astype(np.intp)
+    on = (pulse >= 0) & (pulse < len(fields)) & (since - pulse < beat.on_share)
+    left = view.residual_nt / view.noise_nt
+    left[on] -= np.einsum("ni,ni->n", view.scene.unit[on], fields[pulse[on]])
+    steps, inside = np.diff(left), on[1:] & on[:-1]
+    outside = ~on[1:] & ~on[:-1]
+    if min(int(inside.sum()), int(outside.sum())) < _FEWEST:
+        return False
+    return float(np.mean(steps[inside] ** 2)) > _LOUDER**2 * float(np.mean(steps[outside] ** 2))
 
 
 def _swells(view: View, beat: Beat, fields: Array) -> bool:
