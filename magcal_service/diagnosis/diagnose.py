@@ -30,6 +30,7 @@ from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
+from magcal_service.recordings.scene_of import is_orbit_guessed
 from magcal_service.trust.reasons import Reason
 
 COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloured_noise, nutation, spin_rate))
@@ -113,6 +114,11 @@ class Diagnosis:
         """The effects that a reason is about, by the reason."""
         found = concerned(self.explained)
         return {**found, "name_uncertain": (*found["name_uncertain"], *unsure(self.findings))}
+
+    @property
+    def is_orbit_guessed(self) -> bool:
+        """Whether nothing but how the reference's size changes says that the recording was made in orbit."""
+        return is_orbit_guessed(self.prepared.recording)
 
     @property
     def trusted(self) -> bool:

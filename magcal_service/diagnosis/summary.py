@@ -35,6 +35,11 @@ below the noise by as much, that this is no floor."""
 _MOST_LINES: Final = 8
 """Of the verdict's sentence; choice: a class of four names with their titles takes five."""
 
+_GUESSED: Final = (
+    "made in orbit: guessed by how the reference's size changes; errors of a field model count, and currents in space "
+    "are looked for, until [platform] kind says otherwise"
+)
+
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
 
@@ -75,6 +80,8 @@ def summary(
         lines.append(f"left: {remaining(diagnosis)}")
     if diagnosis.modelled is not None:
         lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)
+    if diagnosis.is_orbit_guessed:
+        lines += wrapped(_GUESSED, "")
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from magcal_service.diagnosis.advice import RECORDING
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
-from magcal_service.diagnosis.doubts import SURE
+from magcal_service.diagnosis.doubts import LITTLE_LEFT, SURE
 from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
@@ -339,7 +339,8 @@ def remaining(diagnosis: Ended) -> str:
         joined = "but little" if much == "little" else f"and {much}"
         return f"{left} of the mismatch{shaped}, more than noise {joined} beside what was named"
     if diagnosis.left_share > 0.0:
-        much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else "little"
+        much = "little" if diagnosis.left_share < LITTLE_LEFT else "no more than noise and a field model may leave"
+        much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else much
         return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"
     if "mismatch_lasts" in diagnosis.reasons:
         return f"nothing stands out of the noise, but {percent(diagnosis.may_last)} of the mismatch could last unseen"

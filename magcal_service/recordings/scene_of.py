@@ -72,8 +72,17 @@ def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
         return stated.kind is PlatformKind.ORBIT
     if ecef is not None:
         return float(np.median(np.linalg.norm(ecef, axis=1))) - geomagnetic.EARTH_KM > geomagnetic.LOWEST_ORBIT_KM
-    is_inertial = recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
-    return is_inertial or _changes_as_in_orbit(recording)
+    return _is_inertial(recording) or _changes_as_in_orbit(recording)
+
+
+def is_orbit_guessed(recording: Recording) -> bool:
+    """Whether a recording is taken for one in orbit by nothing but how its reference's size changes."""
+    is_known = recording.descriptor.platform is not None or recording.position is not None or _is_inertial(recording)
+    return not is_known and _changes_as_in_orbit(recording)
+
+
+def _is_inertial(recording: Recording) -> bool:
+    return recording.reference.vector_nt is not None and recording.reference.frame is Frame.ECI
 
 
 def _changes_as_in_orbit(recording: Recording) -> bool:

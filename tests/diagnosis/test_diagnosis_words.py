@@ -74,6 +74,7 @@ def diagnosis(
         ),
         refused=(),
         modelled=None,
+        is_orbit_guessed=False,
         prepared=SimpleNamespace(
             sun=None,
             problem=SimpleNamespace(noise_nt=100.04, field_error=None),
@@ -366,6 +367,8 @@ def test_what_lasts_without_a_shape_remains_too() -> None:
     assert verdict_sentence(much, [entry("a")], HELD_OUT).endswith("86 % of the mismatch is explained.")
     little = diagnosis(Verdict.NAMED, terms=1, lasting=0.01)
     assert remaining(little).endswith("in no shape that could be told: little")
+    excused = diagnosis(Verdict.NONE, lasting=0.83)
+    assert remaining(excused).endswith("told: no more than noise and a field model may leave")
 
 
 def test_while_the_recording_is_in_doubt_nothing_else_is_advised() -> None:
@@ -386,6 +389,16 @@ def test_what_may_last_unseen_is_not_called_noise() -> None:
     assert remaining(of) == "nothing stands out of the noise, but 26 % of the mismatch could last unseen"
     of.reasons = ("name_uncertain",)
     assert remaining(of) == "nothing that could not be noise"
+
+
+def test_a_guess_at_where_it_was_made_is_said() -> None:
+    of = diagnosis(Verdict.NONE)
+    held_out = {"simulation": 300.0, "recalibrated": 200.0, "with_effects": 100.0}
+    assert "made in orbit: guessed" not in "\n".join(summary(of, [], held_out, []))
+    of.is_orbit_guessed = True
+    told = " ".join(summary(of, [], held_out, []))
+    assert "made in orbit: guessed by how the reference's size changes" in told
+    assert "[platform] kind says otherwise" in told
 
 
 def test_the_noise_is_said_with_whose_it_is_and_what_rounding_adds() -> None:

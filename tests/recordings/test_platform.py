@@ -14,7 +14,7 @@ from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.recording import Recording
-from magcal_service.recordings.scene_of import scene_of
+from magcal_service.recordings.scene_of import is_orbit_guessed, scene_of
 from magcal_service.recordings.specs import PlatformKind, PlatformSpec
 from tests.physics.scenes import scene
 
@@ -63,6 +63,15 @@ def test_the_place_is_guessed(recording: Recording, in_orbit: bool) -> None:
     """120 km is where orbits begin; without a place an inertial reference speaks of one, or one that changes as there:
     by a fifth in less than half an hour, smoothly, and within what a low orbit passes through."""
     assert scene_of(recording).in_orbit is in_orbit
+
+
+def test_only_what_changes_alone_has_told_is_a_guess() -> None:
+    guessed = passing(1500.0, frame="")
+    assert is_orbit_guessed(guessed)
+    assert is_orbit_guessed(passing(1500.0))
+    stated = replace(guessed, descriptor=replace(guessed.descriptor, platform=PlatformSpec(PlatformKind.ORBIT)))
+    for known in (stated, made(6821.0), made(None), passing(3.0 * 3600.0)):
+        assert not is_orbit_guessed(known)
 
 
 @pytest.mark.parametrize("kind", list(PlatformKind))
