@@ -121,6 +121,14 @@ class Diagnosis:
         return is_orbit_guessed(self.prepared.recording)
 
     @property
+    def without_place(self) -> int:
+        """Rows without a place that no others are near enough to fill, where there are places: then none counts."""
+        position, of = self.prepared.recording.position, self.prepared.problem.scene
+        if position is None or of.position_ecef_km is not None:
+            return 0
+        return int((~np.isfinite(position.km).all(axis=1)).sum())
+
+    @property
     def trusted(self) -> bool:
         """Whether the result may be acted on."""
         return not self.reasons

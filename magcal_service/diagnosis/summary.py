@@ -40,6 +40,8 @@ _GUESSED: Final = (
     "are looked for, until [platform] kind says otherwise"
 )
 
+_UNPLACED: Final = "and others are too far in time; nothing that follows light, the Sun or the place was looked for"
+
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
 
@@ -80,6 +82,10 @@ def summary(
         lines.append(f"left: {remaining(diagnosis)}")
     if diagnosis.modelled is not None:
         lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)
+    if diagnosis.without_place:
+        lines += wrapped(
+            f"places: {diagnosis.without_place} rows have none, and others are too far in time; {_UNPLACED}", ""
+        )
     if diagnosis.is_orbit_guessed:
         lines += wrapped(_GUESSED, "")
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)

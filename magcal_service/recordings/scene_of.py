@@ -15,6 +15,7 @@ from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.smooth import smooth_course
 from magcal_service.physics.scene.sunlight import hold_over_nan
 from magcal_service.recordings.channels import Axes, QuaternionOrder
+from magcal_service.recordings.places import filled
 from magcal_service.recordings.recording import Channel, Recording
 from magcal_service.recordings.specs import PlatformKind
 from magcal_service.recordings.table import FloatArray
@@ -38,11 +39,16 @@ def scene_of(recording: Recording) -> Scene:
     reference = recording.reference
     position = recording.position
     ecef = None
-    if position is not None and np.isfinite(position.km).all():
+    places = (
+        None
+        if position is None
+        else filled(np.asarray((recording.time_ns - origin_ns) * 1e-9, dtype=np.float64), position.km)
+    )
+    if position is not None and places is not None:
         if position.frame is Frame.ECEF:
-            ecef = position.km
+            ecef = places
         elif recording.clock is Clock.UTC:
-            ecef = geomagnetic.ecef_from_eci(recording.time_ns, position.km)
+            ecef = geomagnetic.ecef_from_eci(recording.time_ns, places)
     return Scene(
         time_s=(recording.time_ns - origin_ns) * 1e-9,
         origin_ns=origin_ns,

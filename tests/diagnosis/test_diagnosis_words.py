@@ -75,6 +75,7 @@ def diagnosis(
         refused=(),
         modelled=None,
         is_orbit_guessed=False,
+        without_place=0,
         prepared=SimpleNamespace(
             sun=None,
             problem=SimpleNamespace(noise_nt=100.04, field_error=None),
@@ -399,6 +400,11 @@ def test_a_guess_at_where_it_was_made_is_said() -> None:
     told = " ".join(summary(of, [], held_out, []))
     assert "made in orbit: guessed by how the reference's size changes" in told
     assert "[platform] kind says otherwise" in told
+    assert "places:" not in told
+    of.without_place = 12
+    told = " ".join(summary(of, [], held_out, []))
+    assert "places: 12 rows have none" in told
+    assert "nothing that follows light, the Sun or the place was looked for" in told
 
 
 def test_the_noise_is_said_with_whose_it_is_and_what_rounding_adds() -> None:
