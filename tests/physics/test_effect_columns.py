@@ -387,6 +387,18 @@ def test_panels_that_were_not_recorded_follow_the_sun() -> None:
     assert found["sum of all panels"].constants == found["every panel its own circuit"].constants == constants
 
 
+def test_a_command_that_is_given_after_its_row_acts_from_there_on() -> None:
+    """As a row's command is of the time before it, where the log has what was commanded when the sample was taken."""
+    found = forms("torquer")
+    before, after = (found["channel:torquer", form] for form in ("", "commands after their rows"))
+    m = np.arange(float(before.size))
+    for decay_s in (0.0, 1.0):
+        held, late = (form.columns(np.array([decay_s])).field(m) for form in (before, after))
+        assert late[1:] == pytest.approx(held[:-1])
+        assert late[0] == pytest.approx(held[0])
+        assert not np.allclose(late, held)
+
+
 def test_an_array_gives_no_more_than_is_taken_of_it() -> None:
     """All panels, and those on the sides of two axes, each sum cut at a share of full sun on one panel."""
     assert scene().sun_body is not None

@@ -53,11 +53,23 @@ def remembered(scene: Scene, moment: Array, largest: float) -> Array:
     return found
 
 
-def _driven(scene: Scene, moment: Array, largest: float | None) -> Callable[[Array], Columns]:
+def _of_the_row_before(scene: Scene, moment: Array) -> Array:
+    """Commands (n, k) that act from their row on: a row's own is written down when it is given, after the sample.
+
+    Of a stream's scene the first row is the last one of the scene before it, whose channels are held since.
+    """
+    before = np.concatenate([moment[:1], moment[:-1]])
+    before[:2] = scene.begin("command", before[:2])
+    scene.keep("command", moment)
+    return before
+
+
+def _driven(scene: Scene, moment: Array, largest: float | None, is_after: bool) -> Callable[[Array], Columns]:
     def columns(theta: Array) -> Columns:
-        signals = _decayed(scene, moment, float(theta[0]))
+        acting = _of_the_row_before(scene, moment) if is_after else moment
+        signals = _decayed(scene, acting, float(theta[0]))
         if largest is not None:
-            signals = np.concatenate([signals, remembered(scene, moment, largest)], axis=1)
+            signals = np.concatenate([signals, remembered(scene, acting, largest)], axis=1)
         return along_axes(signals)
 
     return columns
@@ -77,13 +89,19 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         largest = scene.constant("largest_am2", float(np.abs(moment).max()))
         constants = {f"column_{index}": float(column) for index, column in enumerate(used)}
         driver = f"channel:{channel.name}"
-        yield Hypothesis(
-            "torquer", driver, _driven(scene, moment, None), (matrix,), nonlinear=(decay,), constants=constants
-        )
-        blocks = (matrix, Block("remanence_nt", "nT", (count, 3), labels=(coils, AXES)))
         with_largest = constants | {"largest_am2": largest}
-        driven = _driven(scene, moment, largest)
-        yield Hypothesis("torquer", driver, driven, blocks, "with remanence", (decay,), with_largest)
+        remanence = Block("remanence_nt", "nT", (count, 3), labels=(coils, AXES))
+        for is_after, when in ((False, ""), (True, "commands after their rows")):
+            act = _driven(scene, moment, None, is_after)
+            plain = Hypothesis("torquer", driver, act, (matrix,), when, (decay,), constants)
+            yield plain
+            yield replace(
+                plain,
+                columns=_driven(scene, moment, largest, is_after),
+                blocks=(matrix, remanence),
+                variant=", ".join(filter(None, (when, "with remanence"))),
+                constants=with_largest,
+            )
     yield from inferred(scene, "torquer", as_well=("current_loop",))  # a heater or a beacon on a duty
 
 
@@ -122,7 +140,7 @@ EFFECT = Effect(
         "pulse_nt": "nT",
     },
     prior=(10.0, 50000.0),
-    valid="commands held between samples; no saturation of the core",
+    valid="commands held between samples, up to their row or from it on; no saturation of the core",
     confused_with=("tone", "bias_step", "current_loop"),
     separated_by="a torquer test: one coil switched by hand while nothing else changes",
     source="0.2 A m2 at 10 cm gives 20-40 uT (dipole field); Olsen et al. 2020 (CryoSat-2 torquers)",
