@@ -64,6 +64,16 @@ def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
     assert np.mean(pulses.spoiled[~ON]) < 0.12
 
 
+@pytest.mark.parametrize("cycle_s", [90.0, 120.0])
+def test_a_cycle_without_empty_pulses_is_the_one_that_is_told(cycle_s: float) -> None:
+    """Coils on for a tenth of it: half of the cycle, with every second pulse empty, fits nearly as well."""
+    on = TIME_S % cycle_s < 0.1 * cycle_s
+    each = np.random.default_rng(29).normal(0.0, 250.0, (int(TIME_S[-1] // cycle_s) + 1, 3))
+    pulses = found(on[:, None] * each[(TIME_S // cycle_s).astype(int)])
+    assert pulses is not None
+    assert float(pulses.parameters["period_s"].value) == cycle_s
+
+
 def test_one_coil_with_either_sign_is_found_with_more_doubt() -> None:
     pulses = found(ON[:, None] * levels()[:, :1] * np.array([0.6, -0.64, 0.48]))
     assert pulses is not None

@@ -53,6 +53,10 @@ A few bursts that begin at multiples of some cycle have less."""
 _LEAST_NATS: Final = 50.0
 """Evidence for pulses over their absence, beside what the search costs; and for more than one direction over one."""
 
+_AS_MUCH: Final = 0.9
+"""Of the best evidence, what a multiple of its cycle needs to be the cycle: a multiple that leaves out every second
+pulse has half."""
+
 _LOUDER: Final = 1.3
 """Times the noise between pulses, from sample to sample, that it may have in them: with true coils it had 1.05, where
 a transmitter made noise on a schedule 4 to 7."""
@@ -157,7 +161,7 @@ def pulses(view: View) -> Finding | None:
     found = [_best(sums, period) for period in _cycles(sums, scene.period_s)]
     if not found:
         return None
-    nats, beat, size = max(found, key=_nats)
+    nats, beat, size = _without_empty(found)
     squares, products = sums.pulses(beat)
     fields = _fields(squares, products, size)
     off_nats = float(_evidence(*sums.gaps(beat), size).sum())
@@ -173,6 +177,14 @@ def pulses(view: View) -> Finding | None:
     if any(_nats_of_a_gain(view, other) > _OF_A_GAIN * nats for other in near):
         return None
     return _finding(view, beat, fields, nats, turns)
+
+
+def _without_empty(found: list[tuple[float, Beat, float]]) -> tuple[float, Beat, float]:
+    """The beat with most evidence, or a multiple of its cycle that has nearly as much: in the shorter one half of the
+    pulses, or two thirds, would be empty."""
+    best = max(found, key=_nats)
+    times = [(one, one[1].period_s / best[1].period_s) for one in found if one[0] > _AS_MUCH * best[0]]
+    return max((one for one, multiple in times if multiple == round(multiple) > 0), key=lambda one: one[1].period_s)
 
 
 def _is_louder(view: View, beat: Beat, fields: Array) -> bool:
