@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.drivers.pulses import Beat, _swells
+from magcal_service.physics.drivers.pulses import Beat, _swells, _without_empty
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.view import View
@@ -72,6 +72,14 @@ def test_a_cycle_without_empty_pulses_is_the_one_that_is_told(cycle_s: float) ->
     pulses = found(on[:, None] * each[(TIME_S // cycle_s).astype(int)])
     assert pulses is not None
     assert float(pulses.parameters["period_s"].value) == cycle_s
+
+
+def test_where_nothing_speaks_for_any_cycle_the_best_is_still_one() -> None:
+    found = [(-5.0, Beat(60.0, 0.0, 0.2), 0.1), (-5.2, Beat(120.0, 0.0, 0.1), 0.1), (-9.0, Beat(50.0, 0.0, 0.1), 0.1)]
+    assert _without_empty(found) == found[0]
+    assert _without_empty([(-one[0], *one[1:]) for one in found])[1].period_s == 50.0
+    near = [(60.0, Beat(60.0, 0.0, 0.2), 0.1), (58.0, Beat(120.0, 0.0, 0.1), 0.1), (59.0, Beat(100.0, 0.0, 0.1), 0.1)]
+    assert _without_empty(near)[1].period_s == 120.0
 
 
 def test_one_coil_with_either_sign_is_found_with_more_doubt() -> None:

@@ -183,7 +183,9 @@ def _without_empty(found: list[tuple[float, Beat, float]]) -> tuple[float, Beat,
     """The beat with most evidence, or a multiple of its cycle that has nearly as much: in the shorter one half of the
     pulses, or two thirds, would be empty."""
     best = max(found, key=_nats)
-    times = [(one, one[1].period_s / best[1].period_s) for one in found if one[0] > _AS_MUCH * best[0]]
+    times = [
+        (one, one[1].period_s / best[1].period_s) for one in found if one is best or one[0] > _AS_MUCH * best[0] > 0.0
+    ]
     return max((one for one, multiple in times if multiple == round(multiple) > 0), key=lambda one: one[1].period_s)
 
 
