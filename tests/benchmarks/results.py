@@ -18,7 +18,7 @@ def write(path: Path | None, figures: Mapping[str, Any]) -> None:
     if path is None:
         return
     module = Path(sys.argv[0]).stem
-    words = [word for word in sys.argv[1:] if word not in ("--json", str(path))]
+    words = [_of_any_machine(word) for word in sys.argv[1:] if word not in ("--json", str(path))]
     content = {
         "command": " ".join(["python -m", f"tests.benchmarks.{module}", *words]),
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
@@ -26,6 +26,11 @@ def write(path: Path | None, figures: Mapping[str, Any]) -> None:
         "figures": dict(figures),
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _of_any_machine(word: str) -> str:
+    """A word of a command, a path as seen from the project."""
+    return os.path.relpath(word, FOLDER.parents[1]) if os.path.isabs(word) else word
 
 
 def read(name: str) -> dict[str, Any]:
