@@ -39,7 +39,6 @@ _ASIDE: Final = 4
 _FINEST: Final = 1.0 / 16.0
 """Steps of a duty's edges at the last [samples]: between the same two the many edges of one duty lie anywhere."""
 
-
 _MOST: Final = 6
 """Best duties of the sums that are evaluated by columns; choice: the sums rank well, and each costs a fit."""
 
@@ -149,9 +148,8 @@ def patterns_of(numbers: list[tuple[int, int]]) -> Array:
 
 
 _DUTY_NUMBERS: Final = [(share, slot) for share in range(1, SLOTS // 2 + 1) for slot in range(SLOTS)]
-
-
 _DUTIES: Final = patterns_of(_DUTY_NUMBERS)
+
 _BETWEEN: Final = np.array(
     [
         [float(i <= at < 2 * _ASIDE + 1 + j) for at in range(4 * _ASIDE + 2)]

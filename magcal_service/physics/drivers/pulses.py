@@ -111,6 +111,14 @@ class Beat:
         since = (time_s - time_s[0] - self.first_s + margin_s) % self.period_s
         return np.asarray(since < self.on_share * self.period_s + 2.0 * margin_s)
 
+    def places(self, time_s: Array, count: int) -> tuple[NDArray[np.bool_], NDArray[np.intp], Array]:
+        """Rows (n,) within one of so many whole pulses, number of each row's pulse (n,), and how far in it a row is, in
+        shares of a pulse (n,)."""
+        since = (time_s - time_s[0] - self.first_s) / self.period_s
+        pulse = np.floor(since).astype(np.intp)
+        within = (since - pulse) / self.on_share
+        return (pulse >= 0) & (pulse < count) & (within < 1.0), pulse, within
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sums:
@@ -197,10 +205,7 @@ def _is_louder(view: View, beat: Beat, fields: Array) -> bool:
     ----------
     fields: of each pulse (k, 3), in units of the noise.
     """
-    time_s = view.scene.time_s
-    since = (time_s - time_s[0] - beat.first_s) / beat.period_s
-    pulse = np.floor(since).astype(np.intp)
-    on = (pulse >= 0) & (pulse < len(fields)) & (since - pulse < beat.on_share)
+    on, pulse, _ = beat.places(view.scene.time_s, len(fields))
     left = view.residual_nt / view.noise_nt
     left[on] -= np.einsum("ni,ni->n", view.scene.unit[on], fields[pulse[on]])
     steps, inside = np.diff(left), on[1:] & on[:-1]
@@ -217,10 +222,7 @@ def _swells(view: View, beat: Beat, fields: Array) -> bool:
     ----------
     fields: of each pulse (k, 3), in units of the noise.
     """
-    since = (view.scene.time_s - view.scene.time_s[0] - beat.first_s) / beat.period_s
-    pulse = np.floor(since).astype(np.intp)
-    within = (since - pulse) / beat.on_share
-    on = (pulse >= 0) & (pulse < len(fields)) & (within < 1.0)
+    on, pulse, within = beat.places(view.scene.time_s, len(fields))
     expected = np.einsum("ni,ni->n", view.scene.unit[on], fields[pulse[on]])
     seen, at_ends = view.residual_nt[on] / view.noise_nt, np.abs(within[on] - 0.5) > 0.5 - _ENDS
     ends, middle = (_share(expected[rows], seen[rows]) for rows in (at_ends, ~at_ends))
