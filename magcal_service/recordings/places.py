@@ -38,31 +38,32 @@ def filled(time_s: FloatArray, position_km: FloatArray) -> FloatArray | None:
     rows = np.flatnonzero(known)
     if len(rows) < 2 * _ON_A_SIDE:
         return None
-    found = np.array(position_km)
+    found, at_s = np.array(position_km), time_s[rows]
     missing = np.flatnonzero(~known)
     for gap in np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1):
-        before, after = rows[rows < gap[0]], rows[rows > gap[-1]]
-        if not _is_short(time_s, gap, before, after):
+        after = int(np.searchsorted(rows, gap[0]))  # of the known ones, the first behind the gap
+        if not _is_short(time_s[gap], at_s, after):
             return None
-        by = np.unique(np.concatenate([_support(time_s, before[::-1]), _support(time_s, after)]))
+        by = rows[_support(at_s, after)]
         found[gap] = _through(time_s[by] - time_s[gap[0]], position_km[by], time_s[gap] - time_s[gap[0]])
     return found if np.isfinite(found).all() else None  # two rows of one time
 
 
-def _is_short(time_s: FloatArray, gap: NDArray[np.intp], before: NDArray[np.intp], after: NDArray[np.intp]) -> bool:
-    if len(before) and len(after):
-        return float(time_s[after[0]] - time_s[before[-1]]) <= _LONGEST_S
-    edge = before[-1] if len(before) else after[0]
-    return float(np.abs(time_s[gap] - time_s[edge]).max()) <= _BEYOND_S
+def _is_short(gap_s: FloatArray, at_s: FloatArray, after: int) -> bool:
+    """Whether a gap at some times lies between known ones (m,) near enough, of which the ``after``-th is behind it."""
+    if 0 < after < len(at_s):
+        return float(at_s[after] - at_s[after - 1]) <= _LONGEST_S
+    edge = at_s[-1] if after else at_s[0]
+    return float(np.abs(gap_s - edge).max()) <= _BEYOND_S
 
 
-def _support(time_s: FloatArray, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Up to three of some rows, the first and others a minute further each, as near as there are."""
-    if not len(rows):
-        return rows
-    away = np.abs(time_s[rows] - time_s[rows[0]])
-    at = np.searchsorted(away, _APART_S * np.arange(_ON_A_SIDE))
-    return rows[np.minimum(at, len(rows) - 1)]
+def _support(at_s: FloatArray, after: int) -> NDArray[np.intp]:
+    """Of known times (m,) up to three on each side of a gap: the nearest and others a minute further each, as near as
+    there are."""
+    away = _APART_S * np.arange(_ON_A_SIDE)
+    later = np.searchsorted(at_s, at_s[after] + away) if after < len(at_s) else []
+    sooner = np.searchsorted(at_s, at_s[after - 1] - away, side="right") - 1 if after else []
+    return np.unique(np.clip([*sooner, *later], 0, len(at_s) - 1))
 
 
 def _through(times: FloatArray, places: FloatArray, at: FloatArray) -> FloatArray:

@@ -39,18 +39,15 @@ def scene_of(recording: Recording) -> Scene:
     reference = recording.reference
     position = recording.position
     ecef = None
-    places = (
-        None
-        if position is None
-        else filled(np.asarray((recording.time_ns - origin_ns) * 1e-9, dtype=np.float64), position.km)
-    )
+    time_s = np.asarray((recording.time_ns - origin_ns) * 1e-9, dtype=np.float64)
+    places = None if position is None else filled(time_s, position.km)
     if position is not None and places is not None:
         if position.frame is Frame.ECEF:
             ecef = places
         elif recording.clock is Clock.UTC:
             ecef = geomagnetic.ecef_from_eci(recording.time_ns, places)
     return Scene(
-        time_s=(recording.time_ns - origin_ns) * 1e-9,
+        time_s=time_s,
         origin_ns=origin_ns,
         utc=recording.clock is Clock.UTC,
         field_nt=recording.field_body_nt,
