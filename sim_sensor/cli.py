@@ -25,6 +25,7 @@ from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
 from magcal_service.links.silence import why_silent
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.model_file import PhysicsModel, read_model
 from magcal_service.wire.fields import NAME
 from magcal_service.wire.messages import Estimate, Message
@@ -165,6 +166,8 @@ def _seed(text: str) -> int:
 
 def _simulation(options: argparse.Namespace) -> Simulation:
     scenario, model = _scenario(options), _model(options)
+    for doubt in doubts_of("" if model is None else model.doubts):
+        print(f"warning: {options.physics}: {doubt}", file=sys.stderr)
     for effect, keys in ({} if model is None else doubled(scenario, model)).items():
         print(
             f"warning: {effect} of {options.physics} is added to what {scenario.name} has by itself ({keys}): "

@@ -89,4 +89,4 @@ def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> 
     if inspection.open:
         codes = ", ".join(str(one.code) for one in inspection.open)
         lines.append(f"to be answered about the recording first: {codes}; magcal inspect has what and how")
-    return [*lines, *filter(None, [applied.remark, given.doubts()])]
+    return [*lines, *filter(None, [applied.remark]), *given.doubts()]

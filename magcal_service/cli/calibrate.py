@@ -131,6 +131,7 @@ def _table(result: Calibration, path: Path) -> str:
         lines.append(f"  {name:<4}{number}   (3 sigma)")
     lines += _temperature_lines(result)
     lines += [f"scale: {result.scale_doubt}"] if result.scale_doubt else []
+    lines += [f"physics.toml: {doubt}" for doubt in result.physics_doubts]
     residuals = result.residuals
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"

@@ -51,6 +51,6 @@ def _export(options: argparse.Namespace) -> int:
     given = read_given(options.result)
     made = form.make(given, Wanted(options.index, options.lsb_nt))
     write_text(options.out, made.text)
-    for line in filter(None, (made.remark, given.doubts())):
+    for line in filter(None, (made.remark, *given.doubts())):
         print(line, file=sys.stderr)
     return NOT_TRUSTED if made.lossy or not given.trusted else DONE

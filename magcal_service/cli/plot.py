@@ -30,6 +30,7 @@ def _plot(options: argparse.Namespace) -> int:
 
     refuse_suffix(options.out)
     refuse_unwritable(options.out, options.input, options.given)
-    save(sheet_of(options.input, options.figure, options.given, options.craft, options.source), options.out)
-    print(f"written: {options.out}")
+    sheet = sheet_of(options.input, options.figure, options.given, options.craft, options.source)
+    save(sheet, options.out)
+    print("\n".join([*sheet.doubts, f"written: {options.out}"]))
     return DONE

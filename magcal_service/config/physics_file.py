@@ -8,6 +8,7 @@ from pathlib import Path
 from magcal_service.base.errors import InputRefusedError
 from magcal_service.base.typed_toml import Table
 from magcal_service.base.typed_toml.record import Reading
+from magcal_service.physics.apply.advice import doubts_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +17,13 @@ class PhysicsConfig:
 
     path: Path
     text: str
+
+    @property
+    def doubts(self) -> list[str]:
+        """What the file says against acting on it, a line each."""
+        from magcal_service.physics.apply.model_file import parse_model
+
+        return doubts_of(parse_model(self.text.encode(), self.path.name).doubts)
 
 
 def physics_of(path: Path) -> PhysicsConfig:

@@ -41,7 +41,8 @@ def check_daemon(config: Config) -> list[str]:
 def _checked(config: Config, names: list[str]) -> list[str]:
     lines = [f"craft: {', '.join(names)}", f"link: {config.link} (not opened)"]
     lines += [f"output link: {address}" for address in config.output.links]
-    lines += [f"physics of {one.name}: {one.physics.path}" for one in config.crafts if one.physics is not None]
+    physics = [(one.name, one.physics) for one in config.crafts if one.physics is not None]
+    lines += [f"physics of {name}: {said}" for name, of in physics for said in (of.path, *of.doubts)]
     named = {
         "estimates": config.output.csv,
         "recordings": None if config.record is None else config.record.directory,

@@ -26,6 +26,7 @@ from magcal_service.daemon.settling import Settling
 from magcal_service.estimators.interface import GoesOn, Phase
 from magcal_service.estimators.parts.magnitude_fit import MagnitudeFit
 from magcal_service.model import Array
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.ticks.assembler import Tick, TickAssembler
@@ -80,15 +81,11 @@ class CompensatingCraft(Craft, CompensatingMemory):
     def _compensate_by(self, physics: str) -> PhysicsModel:
         """Load the text of a ``physics.toml``; raises InputRefusedError where it is none.
 
-        A warning is logged where the file says that it should not be acted on.
+        Each reason for which the file says that it should not be acted on is logged as a warning.
         """
         model = parse_model(physics.encode())
-        if model.doubts:
-            log.warning(
-                "%s: physics.toml is subtracted, though its diagnosis was not to be trusted: %s",
-                self.config.name,
-                model.doubts,
-            )
+        for doubt in doubts_of(model.doubts):
+            log.warning("%s: physics.toml is subtracted all the same: %s", self.config.name, doubt)
         if model.craft and model.craft != self.config.name:
             log.warning("%s: physics.toml is of craft %s; it is subtracted all the same", self.config.name, model.craft)
         self.compensation = Compensation(model)

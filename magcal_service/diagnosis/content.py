@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
@@ -19,6 +18,7 @@ from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import DIAGNOSIS, head
+from magcal_service.physics.apply.advice import advice
 
 
 def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:

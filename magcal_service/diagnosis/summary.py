@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
@@ -23,6 +22,7 @@ from magcal_service.diagnosis.words import (
     verdict_sentence,
 )
 from magcal_service.model import BIAS, Array
+from magcal_service.physics.apply.advice import DO_NOT, advice, in_line, in_order
 from magcal_service.physics.drivers.held import held_in_words
 
 _MOST_EFFECTS: Final = 3
@@ -99,13 +99,11 @@ def verdict_line(verdict: Verdict, reasons: Sequence[str]) -> str:
 
 
 def reason_lines(against: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Every reason against acting on a result (``words.advice``), with what would lift it."""
+    """Every reason against acting on a result (``advice``), with what would lift it."""
     if against:
-        yield "  do not act on this:"
+        yield f"  {DO_NOT}:"
     for one in in_order(against):
-        about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
-        lift = f"; {one['remedy']}" if one["remedy"] else ""
-        yield from wrapped(f"{one['reason']}{about}: {one['means']}{lift}", "    ", most=4)
+        yield from wrapped(in_line(one), "    ", most=4)
 
 
 def _of(entry: Entry, is_said: bool) -> Iterator[str]:

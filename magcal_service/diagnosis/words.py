@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from magcal_service.diagnosis.advice import RECORDING
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.doubts import LITTLE_LEFT, SURE
 from magcal_service.diagnosis.empirical.curves import unit_of
@@ -14,6 +13,7 @@ from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.diagnosis.signals import UNLISTED
+from magcal_service.physics.apply.advice import RECORDING
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.drivers.computed import COMPUTED
 from magcal_service.physics.interface import Effect

@@ -25,6 +25,7 @@ from magcal_service.offline.remedies import BY_ATTITUDE, remedy_of
 from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.offline.scale import scale_doubt
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.drivers.held import HeldAt
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
@@ -89,6 +90,7 @@ class Calibration(NineErrors):
     whole_log: what to do about a log that was taken as one batch (``offline.short_log``); empty where it was not.
     of_one_place: whether one magnitude stands for the reference of all rows.
     has_attitude: whether the recording has an attitude, which this does not use.
+    physics_doubts: what the ``physics.toml`` that is compensated says against acting on it, a line each.
     held_at: at which temperature the nine errors hold, where ``physics.toml`` has an effect that follows one.
     over: the recorded temperature that the residual follows, over whose range they are constants.
     """
@@ -112,6 +114,7 @@ class Calibration(NineErrors):
     whole_log: str = ""
     of_one_place: bool = False
     has_attitude: bool = False
+    physics_doubts: tuple[str, ...] = ()
     held_at: tuple[HeldAt, ...] = ()
     over: Over | None = None
 
@@ -288,6 +291,7 @@ def _calibration(recording: Recording, inspection: Inspection, result: Replay, j
         whole_log=judgement.whole_log,
         of_one_place=bool(np.nanmin(magnitude_nt) == np.nanmax(magnitude_nt)),
         has_attitude=recorded_attitude(recording) is not None,
+        physics_doubts=() if pipeline.compensation is None else tuple(doubts_of(pipeline.compensation.model.doubts)),
         held_at=held_of(pipeline),
         over=None if inspection.open else over_of(recording, pipeline),
     )

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from magcal_service.daemon.compensating import CompensatingCraft
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.empirical import NAME, OUTSIDE
 from magcal_service.physics.apply.physics_model import PhysicsModel
 from magcal_service.physics.catalogue import effect_named
@@ -129,7 +130,7 @@ class Tally:
 
 
 def compensation_lines(accounts: Iterable[EffectAccount], model: PhysicsModel) -> list[str]:
-    """What ``magcal replay`` prints: an effect a line, and what a file only states."""
-    lines = [f"physics.toml: {one}" for one in accounts]
+    """What ``magcal replay`` prints: why not to act on the file, an effect a line, and what it only states."""
+    lines = [f"physics.toml: {one}" for one in (*doubts_of(model.doubts), *accounts)]
     noted = ", ".join(note.effect for note in model.notes)
     return [*lines, f"physics.toml: stated, and no field that is compensated: {noted}"] if noted else lines

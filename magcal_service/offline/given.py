@@ -13,7 +13,8 @@ import numpy as np
 from magcal_service.base.errors import MISSING, Fault, FileFault, InputRefusedError, Lacking
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
-from magcal_service.offline.result_head import SCHEMAS, head, schema_of
+from magcal_service.offline.result_head import DIAGNOSIS, SCHEMAS, head, schema_of
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.recordings.recording import Recording
 from magcal_service.wire.messages import Verdict
@@ -84,9 +85,14 @@ class Given(NineErrors):
             accepted = f"a result of craft {of_craft} is accepted; where both are one craft, give it one name"
             raise InputRefusedError([Fault(f"{self.name}: craft", self.craft, accepted)])
 
-    def doubts(self) -> str:
-        """Why it must not be trusted, in a line; empty where it may be."""
-        return "" if self.trusted else f"not to be trusted: {', '.join(self.reasons) or 'its file does not say why'}"
+    def doubts(self) -> list[str]:
+        """Why it must not be trusted, a line each; none where it may be.  Those of a diagnosis are in its own words."""
+        if self.trusted:
+            return []
+        names = ", ".join(self.reasons)
+        if names and (self.model is not None or self.schema == DIAGNOSIS):
+            return doubts_of(names)
+        return [f"not to be trusted: {names or 'its file does not say why'}"]
 
 
 def read_given(path: Path) -> Given:

@@ -51,12 +51,14 @@ class Sheet:
     Parameters
     ----------
     draw: fills an empty matplotlib figure.
+    doubts: why what it shows must not be trusted, a line each.
     width_in, height_in: of the figure [inch]; a column of a paper is 3.5 wide.
     """
 
     draw: Callable[[Any], None]
     width_in: float = 7.0
     height_in: float = 4.2
+    doubts: tuple[str, ...] = ()
 
 
 def refuse_suffix(path: Path) -> None:

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.base.errors import Fault, FileFault, InputRefusedError
-from magcal_service.offline.given import read_given
+from magcal_service.offline.given import Given, read_given
+from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
 from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet
 from magcal_service.recordings.reader import read_recording
+from magcal_service.recordings.recording import Recording
 
 _ACCEPTED: Final = "a RECORDING.toml, a session .mcap, or the JSON of calibrate, diagnose or study is accepted"
 
@@ -56,7 +58,17 @@ def sheet_of(
     recording = read_recording(path, craft, source=source)
     if nine is not None:
         nine.refuse_other_craft(recording)
-    return FIGURES[name](shown(recording, nine))
+    return replace(FIGURES[name](shown(recording, nine)), doubts=_doubts(recording, nine))
+
+
+def _doubts(recording: Recording, nine: Given | None) -> tuple[str, ...]:
+    """Why a result that is shown on a recording must not be trusted, or the physics that its session compensated."""
+    if nine is not None:
+        return tuple(f"{nine.name}: {one}" for one in nine.doubts())
+    craft = recording.craft
+    return (
+        () if craft is None or craft.physics is None else tuple(f"physics.toml: {one}" for one in craft.physics.doubts)
+    )
 
 
 def _of_json(path: Path) -> Sheet:
@@ -82,9 +94,13 @@ def _sheet_of(content: dict[str, Any], path: Path) -> Sheet:
     if "study" in content:
         return of_study(content)
     if "effects" in content and "fit" in content:
-        return of_joint_diagnosis(content) if "recordings" in content else of_diagnosis(content)
+        sheet = of_joint_diagnosis(content) if "recordings" in content else of_diagnosis(content)
+        return replace(
+            sheet, doubts=tuple(f"{path.name}: {one}" for one in doubts_of(", ".join(content.get("reasons", ()))))
+        )
     if "residual_rms_nt" in content:
-        return of_calibration(content, read_given(path))
+        given = read_given(path)
+        return replace(of_calibration(content, given), doubts=tuple(f"{path.name}: {one}" for one in given.doubts()))
     found = next((words for keys, words in _OTHERS.items() if keys <= content.keys()), "another JSON")
     raise InputRefusedError([Fault(str(path), found, _ACCEPTED)])
 

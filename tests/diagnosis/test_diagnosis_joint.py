@@ -14,7 +14,6 @@ import pytest
 from scipy.stats import chi2
 
 import magcal_service as magcal
-from magcal_service.diagnosis.advice import REASONS
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.field_error import FieldError
@@ -28,6 +27,7 @@ from magcal_service.diagnosis.joint.words import ONE_ALONE, name_in_words, noise
 from magcal_service.diagnosis.prepare import prepare
 from magcal_service.diagnosis.report.frame import Origin
 from magcal_service.diagnosis.words import chance
+from magcal_service.physics.apply.advice import REASONS
 from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Effect

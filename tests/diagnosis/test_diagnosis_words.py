@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.advice import REASONS, advice, in_order, reason_in_words, remedy
 from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.empirical.modelled import Modelled
@@ -34,6 +33,7 @@ from magcal_service.diagnosis.words import (
     titles,
     verdict_sentence,
 )
+from magcal_service.physics.apply.advice import REASONS, advice, in_order, reason_in_words, remedy
 from magcal_service.physics.apply.empirical import Empirical, Kind
 from magcal_service.physics.drivers.held import HeldAt, held_at
 from magcal_service.recordings.inspect.account import Account

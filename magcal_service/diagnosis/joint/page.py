@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
@@ -28,6 +27,7 @@ from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import driver_in_words, percent
 from magcal_service.model import BIAS
+from magcal_service.physics.apply.advice import advice, in_order
 from magcal_service.physics.drivers.held import held_in_words
 from magcal_service.physics.saying import measured
 

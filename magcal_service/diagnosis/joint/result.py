@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.entry import listed_rivals, plain
 from magcal_service.diagnosis.handover import model_term, noise_of, spin_of
@@ -22,6 +21,7 @@ from magcal_service.diagnosis.problem import Term, amplitude_columns
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import JOINT, head
+from magcal_service.physics.apply.advice import advice
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.interface import Value
 from magcal_service.wire.messages import Clock

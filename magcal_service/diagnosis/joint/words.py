@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict, added_noise_nt
 from magcal_service.diagnosis.doubts import SURE
@@ -34,6 +33,7 @@ from magcal_service.diagnosis.words import (
     remaining,
     titles,
 )
+from magcal_service.physics.apply.advice import advice
 from magcal_service.physics.interface import START, Effect, Values
 
 ONE_ALONE: Final = (

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from magcal_service.diagnosis.advice import advice, in_order
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
@@ -37,6 +36,7 @@ from magcal_service.diagnosis.words import (
 )
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.acting import ActsOn
+from magcal_service.physics.apply.advice import advice, in_order
 from magcal_service.physics.drivers.held import held_in_words
 from magcal_service.physics.interface import Value
 from magcal_service.physics.saying import AXES, labels_of, measured

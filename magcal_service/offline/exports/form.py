@@ -10,6 +10,7 @@ from magcal_service.base.version import __version__
 from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.offline.given import Given
 from magcal_service.offline.result_head import EQUATION
+from magcal_service.physics.apply.advice import DO_NOT
 from magcal_service.physics.drivers.held import held_at, held_in_words
 
 _REMEDY = "degauss or move the sensor, or calibrate it elsewhere"
@@ -63,14 +64,12 @@ class Form:
 
 def about(given: Given) -> list[str]:
     """Equation, units, frame, sign convention, where the numbers are from and how far to trust them, a line each."""
-    doubts = given.doubts()
     lines = [
         f"magcal {__version__}: nine errors of a magnetometer, from {given.name}",
         f"sha256 of that file: {given.sha256}",
         f"{EQUATION}: B measured, w calibrated, both in nT in the sensor's own axes; b is subtracted after the matrix",
     ]
-    if doubts:
-        lines.append(f"DO NOT FLY THIS: {doubts}")
+    lines += [f"DO NOT FLY THIS: {doubt.removeprefix(f'{DO_NOT}: ')}" for doubt in given.doubts()]
     if given.model is not None and given.model.terms:
         lines.append(
             "the effects of physics.toml are not in these numbers: they hold where its disturbances are subtracted"

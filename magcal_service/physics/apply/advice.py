@@ -1,9 +1,12 @@
-"""What each reason against acting on a diagnosis means, and what would lift it."""
+"""What each reason against acting on a diagnosis means, and what would lift it: as it is made, and as it is read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
+
+DO_NOT: Final = "do not act on this"
+"""What stands before the reasons, wherever they are said."""
 
 RECORDING: Final = "recording_doubtful"
 """The reason that comes before all others: what else is wrong may be no more than its consequence."""
@@ -100,3 +103,16 @@ def in_order(against: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
         return others
     names = ", ".join(one["reason"] for one in against if one["reason"] != RECORDING)
     return [*doubtful, {"reason": names, "means": "may follow from that", "remedy": "", "effects": []}]
+
+
+def in_line(one: Mapping[str, Any]) -> str:
+    """An entry of ``advice`` in a line: the reason, the effects it is about, what it means, and what would lift it."""
+    about = f" ({', '.join(one['effects'])})" if one["effects"] else ""
+    lift = f"; {one['remedy']}" if one["remedy"] else ""
+    return f"{one['reason']}{about}: {one['means']}{lift}"
+
+
+def doubts_of(doubts: str) -> list[str]:
+    """``doubts`` of a ``physics.toml`` as its diagnosis said them, a line each; none where it has none."""
+    names = [name.strip() for name in doubts.split(",") if name.strip()]
+    return [f"{DO_NOT}: {in_line(one)}" for one in in_order(advice(names, {}))]
