@@ -24,7 +24,7 @@ from magcal_service.physics.apply.advice import advice
 def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     """The contract's ``diagnosis.json``."""
     found = entries(diagnosis) if found is None else found
-    fit, problem = diagnosis.fit, diagnosis.prepared.problem
+    fit = diagnosis.fit
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
     mounting, (moved_nt, moved_sigma_nt) = mounting_of(fit), moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
@@ -34,7 +34,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "sentence": verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
         "effects": [entry.as_json() for entry in found],
         "fit": {
-            "noise_floor_nt": problem.noise_nt,
+            "noise_floor_nt": diagnosis.noise_nt,
             "noise_is_stated": diagnosis.prepared.view.stated_noise_nt is not None,
             "added_noise_nt": diagnosis.added_noise_nt,
             "held_out_rms_nt": held_out_rms(diagnosis),

@@ -15,6 +15,7 @@ from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.misled import Misled
+from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
@@ -127,6 +128,21 @@ class Diagnosis:
         if position is None or of.position_ecef_km is not None:
             return 0
         return int((~np.isfinite(position.km).all(axis=1)).sum())
+
+    @property
+    def usable(self) -> Modelled | None:
+        """Curves without a name that may be used elsewhere."""
+        return self.modelled if self.modelled is not None and self.modelled.is_usable else None
+
+    @property
+    def handed_over(self) -> Fit:
+        """The fit whose numbers are in ``physics.toml``: with what has no name, where that is in it."""
+        return self.fit if self.usable is None else self.usable.fit
+
+    @property
+    def noise_nt(self) -> float:
+        """The sensor's noise beside all that was found, 1 sigma per axis [nT]."""
+        return sensor_noise_nt(self.handed_over, self.prepared.view.stated_noise_nt)
 
     @property
     def trusted(self) -> bool:

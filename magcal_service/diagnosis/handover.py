@@ -16,7 +16,6 @@ from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
 from magcal_service.physics.interface import Hypothesis, by_name
 from magcal_service.physics.scene.steady_spin import SpinSolution
-from magcal_service.residuals import white_noise_level
 from magcal_service.wire.messages import Clock
 
 
@@ -34,8 +33,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
     recording: name of the recording.
     craft: whose it is; empty where the recording does not say.
     """
-    usable = diagnosis.modelled if diagnosis.modelled is not None and diagnosis.modelled.is_usable else None
-    fit = diagnosis.fit if usable is None else usable.fit
+    usable, fit = diagnosis.usable, diagnosis.handed_over
     scene, fitted = fit.problem.scene, {term.hypothesis.effect for term in fit.terms}
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     others = [entry for entry in entries if entry.effect not in fitted and entry.effect != UNLISTED]
@@ -46,7 +44,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
         clock=Clock.UTC if scene.utc else Clock.ELAPSED,
         x=fit.x[:STATE_SIZE],
         sigma=sigma[:STATE_SIZE],
-        noise_nt=noise_of(fit, diagnosis.prepared.view.stated_noise_nt),
+        noise_nt=diagnosis.noise_nt,
         terms=tuple(term for term in terms_of(fit) if term.effect != NAME),
         notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),
         spin=spin_of(spin),
@@ -54,18 +52,6 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
         empirical=() if usable is None else usable.curves,
         craft=craft,
     )
-
-
-def noise_of(fit: Fit, stated_nt: float | None) -> float:
-    """White noise of the sensor per axis [nT] as whoever compensates has it: as stated, else what the effects leave.
-
-    Taken with the nine errors alone it would hold what is fast of the effects.
-    """
-    if stated_nt is not None:
-        return stated_nt
-    time_ns, each = fit.problem.scene.time_ns, fit.problem.rows_per_sample
-    floors = [white_noise_level(time_ns, column) for column in fit.residual.reshape(len(time_ns), each).T]
-    return float(np.sqrt(np.mean(np.square(floors)))) / fit.noise_gain
 
 
 def terms_of(fit: Fit) -> tuple[ModelTerm, ...]:

@@ -29,8 +29,7 @@ _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""
 
 _WORSE: Final = 1.02
-"""Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse;
-below the noise by as much, that this is no floor."""
+"""Times the simulation's held-out rms, from which on it is said that nine errors fitted anew do worse."""
 
 _MOST_LINES: Final = 8
 """Of the verdict's sentence; choice: a class of four names with their titles takes five."""
@@ -58,14 +57,11 @@ def summary(
         lines += _of(entry, entry.says[1:].removesuffix(".") in sentence)
     if len(found) > _MOST_EFFECTS:
         lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
-    floor_nt, is_stated = diagnosis.prepared.problem.noise_nt, diagnosis.prepared.view.stated_noise_nt is not None
     lines += wrapped(
         f"rms on held-out rows: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} "
         f"nT recalibrated, {held_out['with_effects']:.1f} nT with effects; noise {noise_of(diagnosis)}",
         "",
     )
-    if diagnosis.fit.terms and _WORSE * held_out["with_effects"] < floor_nt and not is_stated:
-        lines.append("  this noise was taken with nine errors alone: it holds what was found, as far as that is fast")
     if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
         lines.append("  recalibrated is worse than the simulation on these rows: what is missing moves it")
     lines += _vectors(diagnosis)

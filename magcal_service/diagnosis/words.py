@@ -119,8 +119,7 @@ def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> s
     Parameters
     ----------
     noise_nt: 1 sigma per axis [nT].
-    is_stated: whether the descriptor states it; else it is estimated by what changes from one sample to the next, of
-        which rounding is a part.
+    is_stated: whether the descriptor states it; else it is the white part of what is left, of which rounding is one.
     added_nt: what rounding that was found adds [nT per axis].
     """
     if not is_stated:
@@ -132,9 +131,7 @@ def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> s
 def noise_of(diagnosis: Diagnosis) -> str:
     """The same of a diagnosis of one recording."""
     prepared = diagnosis.prepared
-    return noise_in_words(
-        prepared.problem.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt
-    )
+    return noise_in_words(diagnosis.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt)
 
 
 def explained_share(unexplained: float) -> str:
@@ -150,7 +147,7 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
         problem = diagnosis.fit.problem
         error = problem.field_error
         model_nt = None if error is None else error.rms_nt
-        return agreed(held_out["with_effects"], problem.noise_nt, model_nt, diagnosis.reasons)
+        return agreed(held_out["with_effects"], diagnosis.noise_nt, model_nt, diagnosis.reasons)
     known = titles(diagnosis.effects)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:

@@ -263,6 +263,7 @@ def made() -> Any:
         trusted=True,
         reasons=(),
         concerned={},
+        noise_nt=31.4,
         added_noise_nt=28.9,
         misled=Misled.of(fit, explained.fit),
         held_at=(HeldAt("channel:board", 21.5, "degC"),),
@@ -486,7 +487,7 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     content = json.loads(as_json(made()))
     fit = made().fit
     assert content["verdict"] == "named"
-    assert content["fit"]["noise_floor_nt"] == NOISE_NT
+    assert content["fit"]["noise_floor_nt"] == 31.4
     assert (content["fit"]["noise_is_stated"], content["fit"]["added_noise_nt"]) == (False, 28.9)
     assert content["fit"]["bias_nt"] == fit.x[:3].tolist()
     assert content["fit"]["D"] == d_matrix(fit.x[:9]).tolist()

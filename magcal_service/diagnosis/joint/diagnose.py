@@ -28,6 +28,7 @@ from magcal_service.diagnosis.joint.light import LightSeen, light_seen
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
 from magcal_service.diagnosis.leftover import Structure, significant, structures, with_wandering
+from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
@@ -65,6 +66,11 @@ class Alone:
     covariance: Array
     left: tuple[Structure, ...]
     light: tuple[LightSeen, ...] = ()
+
+    @property
+    def noise_nt(self) -> float:
+        """Its sensor's noise beside the effects, 1 sigma per axis [nT]."""
+        return sensor_noise_nt(self.fit, self.prepared.view.stated_noise_nt)
 
     @property
     def has_coverage(self) -> bool:

@@ -45,7 +45,7 @@ def levels_of_each(diagnosis: JointDiagnosis) -> list[Levels]:
     for one, rows in zip(diagnosis.recordings, problem.slices, strict=True):
         held_out = (one.baseline.held_out_residual, diagnosis.fit.held_out_residual[rows])
         in_sample = (one.baseline.residual, one.fit.residual)
-        found.append(Levels(one.prepared.problem.noise_nt, _pair(*held_out), _pair(*in_sample)))
+        found.append(Levels(one.noise_nt, _pair(*held_out), _pair(*in_sample)))
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.entry import listed_rivals, plain
-from magcal_service.diagnosis.handover import model_term, noise_of, spin_of
+from magcal_service.diagnosis.handover import model_term, spin_of
 from magcal_service.diagnosis.joint.catalogue import started
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
@@ -202,7 +202,7 @@ def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
         clock=Clock.UTC if scene.utc else Clock.ELAPSED,
         x=latest.fit.x[:STATE_SIZE],
         sigma=sigma[:STATE_SIZE],
-        noise_nt=noise_of(latest.fit, latest.prepared.view.stated_noise_nt),
+        noise_nt=latest.noise_nt,
         terms=tuple(_model_term(diagnosis, k, term, latest) for k, term in terms),
         notes=(),
         spin=spin_of(latest.prepared.spin),

@@ -157,7 +157,7 @@ def noise_of_one(one: Alone) -> str:
     """The noise of a recording, and whose it is."""
     prepared = one.prepared
     added_nt = added_noise_nt(prepared.findings)
-    return noise_in_words(prepared.problem.noise_nt, prepared.view.stated_noise_nt is not None, added_nt)
+    return noise_in_words(one.noise_nt, prepared.view.stated_noise_nt is not None, added_nt)
 
 
 def name_in_words(diagnosis: JointDiagnosis, index: int) -> str:

@@ -40,7 +40,7 @@ _COASTLINES: Final = "coastlines.json"
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """Before and after, on data that took no part: over time, spectrum, against the driver, distribution."""
     before, after = diagnosis.prepared.baseline.held_out_residual, diagnosis.fit.held_out_residual
-    noise = diagnosis.prepared.problem.noise_nt
+    noise = diagnosis.noise_nt
     changed = bool(diagnosis.fit.terms)
     return [
         _over_time(diagnosis, before, after, noise, changed),

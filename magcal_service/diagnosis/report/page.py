@@ -83,7 +83,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
 
 def _levels(diagnosis: Diagnosis, given: bool) -> dict[str, Any]:
     """The three held-out numbers as bars, and the sensor noise as a mark on the same scale."""
-    rms, floor = held_out_rms(diagnosis), diagnosis.prepared.problem.noise_nt
+    rms, floor = held_out_rms(diagnosis), diagnosis.noise_nt
     words = {
         "simulation": "simulation as given" if given else "simulation (calibrated on the first half)",
         "recalibrated": "nine errors fitted anew",
