@@ -66,7 +66,7 @@ def whole_parser() -> Parser:
     add_replay(commands.add_parser("replay", help="send a recording through the daemon's own path"))
     add_calibrate(commands.add_parser("calibrate", help="estimate the nine errors of a whole recording"))
     add_diagnose(commands.add_parser("diagnose", help="name the physics that a simulation left out, and show the gain"))
-    add_describe(commands.add_parser("describe", help="a description of a raw log: what is sure, and what is asked"))
+    add_describe(commands.add_parser("describe", help="a descriptor of a raw log: what is sure, and what is asked"))
     add_inspect(commands.add_parser("inspect", help="what is wrong with a recording itself, before any physics"))
     add_apply(commands.add_parser("apply", help="the calibrated vectors of a recording, by a result that is given"))
     add_export(commands.add_parser("export", help="the nine numbers of a result for flight software"))

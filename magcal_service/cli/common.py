@@ -25,7 +25,7 @@ DONE: Final = 0  # of the contract, as the other two
 REFUSED: Final = 2  # what argparse ends with for a wrong argument
 NOT_TRUSTED: Final = 3  # done, but the reason not to use the result is in the output
 CRAFT_HELP: Final = "which craft of a session that holds several"
-RECORDING_HELP: Final = "the recording, by its description or as a recorded session"
+RECORDING_HELP: Final = "the recording, by its descriptor or as a recorded session"
 STDOUT: Final = Path("-")
 """What stands for standard output in ``--json -``."""
 SOURCE_HELP: Final = "which magnetometer of a craft that has several, by the source of its samples"
@@ -182,7 +182,7 @@ def refuse_executor(options: argparse.Namespace, accepted: str) -> None:
 def refuse_unwritable(path: Path | None, *inputs: Path | None) -> None:
     """Refuse before the work is done an output file that plainly cannot be written after it.
 
-    Nor may it be one of the ``inputs``, nor a file that one of them names, such as the log of a description.
+    Nor may it be one of the ``inputs``, nor a file that one of them names, such as the log of a descriptor.
     """
     from magcal_service.base.errors import InputRefusedError, unwritable
 
@@ -200,7 +200,7 @@ def refuse_unwritable(path: Path | None, *inputs: Path | None) -> None:
 
 
 def _read_with(path: Path) -> Iterator[Path]:
-    """An input, and the files beside it that a description or a configuration names in any of its texts."""
+    """An input, and the files beside it that a descriptor or a configuration names in any of its texts."""
     yield path
     if path.suffix.lower() != ".toml":
         return

@@ -83,7 +83,7 @@ def is_session(path: Path) -> bool:
 
 
 def _refuse_undescribed(path: Path) -> None:
-    """Refuse a log, or a folder, that is given in place of the description of a log."""
+    """Refuse a log, or a folder, that is given in place of the descriptor of a log."""
     if path.is_dir():
         accepted = "a described log is accepted; give the file that describes it"
         if (path / DESCRIPTOR_NAME).is_file():
@@ -91,11 +91,11 @@ def _refuse_undescribed(path: Path) -> None:
         raise RecordingError([FileFault.of_folder(str(path), accepted)])
     if path.name.lower().endswith((*LOG_SUFFIXES, *RAW_SUFFIXES)) or _is_rows(path):
         accepted = (
-            f"a log is read by its description; magcal describe {quote(str(path))} --out "
+            f"a log is read by its descriptor; magcal describe {quote(str(path))} --out "
             f"{quote(str(path.parent / DESCRIPTOR_NAME))} makes one "
             "(docs/describe.md), and give that"
         )
-        raise RecordingError([Fault(str(path), "a log without its description", accepted)])
+        raise RecordingError([Fault(str(path), "a log without its descriptor", accepted)])
 
 
 def _is_rows(path: Path) -> bool:
@@ -158,14 +158,14 @@ def read_rows(descriptor: Descriptor, table: TextTable) -> Recording:
 
 
 def _of_units(descriptor: Descriptor, table: TextTable) -> list[str]:
-    """That a line of units stands below the header, and where it contradicts the description."""
+    """That a line of units stands below the header, and where it contradicts the descriptor."""
     if not table.units:
         return []
     said = dict(zip(table.header, map(unit_of, table.units), strict=True))
     named = [(spec.columns, str(spec.unit)) for spec in (descriptor.magnetometer, *descriptor.beside)]
     named += [(spec.columns, spec.unit) for spec in descriptor.channels]
     other = {
-        column: f"{said[column]} of {column!r}, which the description takes in {unit}"
+        column: f"{said[column]} of {column!r}, which the descriptor takes in {unit}"
         for columns, unit in named
         for column in columns
         if unit and said.get(column) and said[column] != unit

@@ -94,7 +94,7 @@ class Recording:
 
     @property
     def of_craft(self) -> str | None:
-        """The name of the craft, where the log or its description says it."""
+        """The name of the craft, where the log or its descriptor says it."""
         return self.craft.name if self.craft is not None else self.descriptor.craft
 
     @classmethod

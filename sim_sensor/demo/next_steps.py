@@ -21,7 +21,7 @@ def next_steps(plan: Plan, recording: Path) -> dict[str, str]:
 
     Parameters
     ----------
-    recording: the description of the session just flown, in ``plan.out``.
+    recording: the descriptor of the session just flown, in ``plan.out``.
     """
     magcal, python, log = _program(), shown(Path(sys.executable)), shown(recording)
 

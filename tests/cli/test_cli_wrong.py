@@ -23,11 +23,11 @@ def described(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_log_without_its_description_is_told_what_it_needs(described: Path, command: str) -> None:
+def test_a_log_without_its_descriptor_is_told_what_it_needs(described: Path, command: str) -> None:
     more = ("--out", described / "out") if command == "diagnose" else ()
     done = run(command, described / "log.csv", *more)
     assert (done.code, done.out) == (2, "")
-    assert done.err.startswith(f"{described / 'log.csv'}: 'a log without its description' is refused; ")
+    assert done.err.startswith(f"{described / 'log.csv'}: 'a log without its descriptor' is refused; ")
     assert f"magcal describe {described / 'log.csv'} --out {described / 'RECORDING.toml'} makes one" in done.err
     done = run(command, described, *more)
     assert done.code == 2
@@ -74,7 +74,7 @@ def test_rows_are_replayed_as_the_craft_that_is_chosen_of_a_configuration(descri
 
 
 WORDS = {
-    "RECORDING.toml": "the description of a log",
+    "RECORDING.toml": "the descriptor of a log",
     "physics.toml": "a model of physics",
     "magcal.toml": "a configuration",
     "scenario.toml": "a scenario of sim-sensor",

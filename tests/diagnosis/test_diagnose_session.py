@@ -28,7 +28,7 @@ def diagnosed(recording: Path, out: Path) -> dict[str, Any]:
 
 
 def as_csv(session: Path, folder: Path) -> Path:
-    """The session's samples as ``magcal record export`` writes them, and their description."""
+    """The session's samples as ``magcal record export`` writes them, and their descriptor."""
     assert main(["record", "export", str(session), "--out", str(folder / "export.csv")]) == 0
     with (folder / "export.csv").open(newline="") as file:
         header, *rows = csv.reader(file)

@@ -252,7 +252,7 @@ def test_a_result_that_contradicts_itself_is_not_trusted(
 
 
 def test_what_is_read_is_not_written_over(flight: Path, result: Path) -> None:
-    """The result, the description, and the log that it names."""
+    """The result, the descriptor, and the log that it names."""
     log = flight.with_name("samples.csv")
     before = [path.read_bytes() for path in (flight, result, log)]
     for out in (log, flight.with_name("samples.csv").resolve()):

@@ -230,7 +230,7 @@ def test_a_message_longer_than_any_of_the_wire_is_spoilt() -> None:
     assert reader.bad_records == 1
 
 
-def test_more_messages_than_are_held_are_refused_and_a_description_raises_that(tmp_path: Path) -> None:
+def test_more_messages_than_are_held_are_refused_and_a_descriptor_raises_that(tmp_path: Path) -> None:
     (path,) = record(tmp_path, stream(20))
     count = len(read_session(path).messages)
     assert len(read_session(path, limits=RowLimits(count)).messages) == count

@@ -1,4 +1,4 @@
-"""The descriptions in docs/recording-format.md are loaded as they stand there."""
+"""The descriptors in docs/recording-format.md are loaded as they stand there."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,8 @@ from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.descriptor import load_descriptor
 from magcal_service.recordings.report import RowFault
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text()
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "recording-format.md").read_text()
 EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
@@ -32,3 +33,24 @@ def test_the_page_names_every_unit_of_a_channel() -> None:
 
 def test_the_page_names_every_kind_of_fault() -> None:
     assert [fault.value for fault in RowFault if f"`{fault.value}`" not in PAGE] == []
+
+
+OTHER = re.compile(
+    r"^description = |`description`|telemetry's description|description=|\.description\b|\"description\""
+)
+"""What is called so and is no descriptor: a scenario's own words, a parser's, and fields of JSON schemas and XTCE."""
+
+
+def test_pages_helps_and_messages_have_one_word_for_what_describes_a_log() -> None:
+    """They had two, descriptor and description."""
+    pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md"), ROOT / "README.md"]
+    sources = [path for path in ROOT.glob("magcal_service/**/*.py") if path.name != "xtce.py"]
+    said = [
+        (path.name, line)
+        for path in [*pages, *sources]
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if re.search(r"\b(description|manifest)s?\b", line, re.I) and not OTHER.search(line)
+    ]
+    assert len(pages) > 40
+    assert len(sources) > 300
+    assert said == []

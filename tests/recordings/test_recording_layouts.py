@@ -137,13 +137,13 @@ def test_a_layout_that_cannot_be_is_refused(tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["MAG00017", "flight.bin", "a b.TXT"])
-def test_a_log_in_place_of_its_description_is_sent_to_what_makes_one(tmp_path: Path, name: str) -> None:
+def test_a_log_in_place_of_its_descriptor_is_sent_to_what_makes_one(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("t,x,y,z\n0,1,2,3\n")
-    with pytest.raises(RecordingError, match=r"log without its description.*magcal describe .* --out .*RECORDING.toml"):
+    with pytest.raises(RecordingError, match=r"log without its descriptor.*magcal describe .* --out .*RECORDING.toml"):
         read_recording(tmp_path / name)
 
 
-def test_a_description_under_any_name_is_read(tmp_path: Path) -> None:
+def test_a_descriptor_under_any_name_is_read(tmp_path: Path) -> None:
     read(tmp_path, "t,x,y,z\n0,1,2,3\n", "", BY_NAME)
     (tmp_path / "described").write_text("# a log\n\n" + (tmp_path / "r.toml").read_text())
     assert len(read_recording(tmp_path / "described")) == 1
@@ -216,6 +216,6 @@ def test_a_line_of_units_is_no_row_and_is_held_against_the_description(units: st
     assert report.remarks == ("a line of units stands below the header and is no row",)
     (tmp_path / "log.csv").write_text(text.replace("nT", "mG"))
     (remark,) = read_recording(tmp_path / "RECORDING.toml").report.remarks
-    assert "mG of 'x', which the description takes in nT" in remark
+    assert "mG of 'x', which the descriptor takes in nT" in remark
     (tmp_path / "log.csv").write_text(text.replace(units.replace(";", ","), "s,nT,nT,broken,0.5"))
     assert read_recording(tmp_path / "RECORDING.toml").report.refused == 1

@@ -37,7 +37,7 @@ class Case:
     changed, twin: the same without noise, with and without what is wrong; their difference is what can be found.
     reference_form: ``eci``, ``ecef``, ``igrf`` (left to the reader), ``magnitude`` or ``room``.
     channels: as recorded.
-    states_noise: whether the description states the noise.
+    states_noise: whether the descriptor states the noise.
     answer: what is true.
     """
 

@@ -81,7 +81,7 @@ class World:
     field_body: (n, 3) true field there [nT].
     light: (n,) share of the Sun's light; ``sun_body`` (n, 3) its direction.
     motion, motion_name: the turn, and which of the regime's it is.
-    spin: axis (3,) and rate [rpm] that the description states, or None.
+    spin: axis (3,) and rate [rpm] that the descriptor states, or None.
     model_parts_nt: rms of what the model leaves, by cause; empty where it is right.
     bias_nt, scale: b (3,) and D (3, 3); B = (I + D)^-1 (A H + b + d + eps).
     """
@@ -150,7 +150,7 @@ def _with_gaps(rng: np.random.Generator, t: Floats) -> NDArray[np.bool_]:
 def _motion(
     name: str, rng: np.random.Generator, seconds: float, orbit: Orbit | None
 ) -> tuple[Motion, tuple[Floats, float] | None]:
-    """The motion of that name, and the spin that the description states."""
+    """The motion of that name, and the spin that the descriptor states."""
     if name in ("fast", "slow", "turning"):
         limits = {"fast": (9.0, 24.0), "slow": (0.6, 3.0), "turning": (0.06, 0.35)}[name]
         rate = float(np.exp(rng.uniform(*np.log(limits)))) * float(rng.choice([-1.0, 1.0]))

@@ -17,7 +17,7 @@ ANSWERS = "answers.json"
 
 
 def write_case(case: Case, folder: Path) -> Path:
-    """Write ``recording.csv`` and ``recording.toml`` into a folder, which is made; the description's path."""
+    """Write ``recording.csv`` and ``recording.toml`` into a folder, which is made; the descriptor's path."""
     folder.mkdir(parents=True, exist_ok=True)
     columns: list[tuple[str, Floats, int]] = [("t", case.world.t, 3)]
     lines = ["version = 1", "[samples]", 'file = "recording.csv"', "[time]", 'column = "t"', 'format = "elapsed_s"']

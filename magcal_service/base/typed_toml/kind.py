@@ -13,7 +13,7 @@ from magcal_service.base.typed_toml.table import Table
 class TomlKind(StrEnum):
     """What a file is, in words."""
 
-    RECORDING = "the description of a log"
+    RECORDING = "the descriptor of a log"
     MODEL = "a model of physics"
     CONFIG = "a configuration"
     SCENARIO = "a scenario of sim-sensor"

@@ -67,7 +67,7 @@ def read_sample(path: Path) -> Sample:
         raise _refused(
             path,
             path.suffix,
-            "a raw log is described; magcal calibrate takes a session, or the description of a log, as it is",
+            "a raw log is described; magcal calibrate takes a session, or the descriptor of a log, as it is",
         )
     try:
         size = path.stat().st_size

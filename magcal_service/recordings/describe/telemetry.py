@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 _NAMES: Final = {Kind.GYRO: "gyro", Kind.ACCELEROMETER: "accelerometer", Kind.SUN: "sun", Kind.TORQUER: "torquer"}
 _QUANTITY: Final = {Kind.GYRO: "angular rate", Kind.ACCELEROMETER: "acceleration", Kind.TORQUER: "magnetic moment"}
 _COUNTS: Final = ": counts"
-"""How the reason ends where a gyro is in none of the units that a description knows."""
+"""How the reason ends where a gyro is in none of the units that a descriptor knows."""
 
 _LIKE_COUNTS: Final = "mrad/s"
 """Whole numbers of this size may be counts as well: 16.4 of a deg/s are usual, and one is then 1.06 mrad/s."""

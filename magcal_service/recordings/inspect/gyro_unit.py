@@ -1,4 +1,4 @@
-"""The unit of a gyro, by how the measured field turns: where a log is described, and as a check of a description."""
+"""The unit of a gyro, by how the measured field turns: where a log is described, and as a check of a descriptor."""
 
 from __future__ import annotations
 
