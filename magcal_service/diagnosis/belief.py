@@ -13,10 +13,10 @@ from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
-from magcal_service.diagnosis.signals import UNLISTED, said
+from magcal_service.diagnosis.signals import said
 from magcal_service.diagnosis.sized import may_as_well_be, numbers_of
 from magcal_service.model import Array
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.interface import UNLISTED, Hypothesis
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 
 _MOST_UNLISTED: Final = 0.999

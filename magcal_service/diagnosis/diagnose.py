@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.doubts import concerned, reasons, unsure, with_unsure
+from magcal_service.diagnosis.doubts import added_noise_nt, concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
@@ -113,8 +113,7 @@ class Diagnosis:
     @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
         """The effects that a reason is about, by the reason."""
-        found = concerned(self.explained)
-        return {**found, "name_uncertain": (*found["name_uncertain"], *unsure(self.findings))}
+        return concerned(self.explained, self.findings)
 
     @property
     def is_orbit_guessed(self) -> bool:
@@ -194,16 +193,13 @@ def diagnose(
     for one in comes_and_goes.values():
         if one.spoiled is not None:
             between &= ~np.isin(rows.time_ns, first.prepared.recording.time_ns[one.spoiled])
-    again = _on_rows(rows.select(between), inspection, effects, simulation_x, progress)
+    again = _on_rows(rows.select(between), inspection, effects, simulation_x, progress, comes_and_goes)
     if again.verdict is Verdict.UNKNOWN:
         return replace(first, seconds=time.monotonic() - began)
     left_out = {**again.prepared.left_out, "in_pulses": len(rows) - int(between.sum())}
     return replace(
         again,
         prepared=replace(again.prepared, left_out=left_out),
-        findings={**again.findings, **comes_and_goes},
-        verdict=Verdict.NAMED,
-        reasons=with_unsure(again.reasons, comes_and_goes),
         seconds=time.monotonic() - began,
     )
 
@@ -228,8 +224,9 @@ def _on_rows(
     effects: tuple[Effect, ...],
     simulation_x: Array | None,
     progress: Progress,
+    beside: Mapping[str, Finding] | None = None,
 ) -> Diagnosis:
-    """The diagnosis of some rows of an inspected recording."""
+    """The diagnosis of some rows of an inspected recording; ``beside``: what was found on the others."""
     began = time.monotonic()
     prepared, search, explained, refused = in_form(rows, effects, progress)
     progress(LEFT)
@@ -237,20 +234,13 @@ def _on_rows(
     end = without_names(without_unlikely(end, prepared), prepared)
     progress(TURNING)
     findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
+    findings |= beside or {}
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
-    against = reasons(
-        end.explained,
-        unexplained,
-        verdict is Verdict.UNKNOWN,
-        stated,
-        end.rest,
-        has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
-        added_noise_nt=added_noise_nt(findings),
-    )
+    against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest, findings)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
         inspection=inspection,
@@ -272,12 +262,6 @@ def _on_rows(
         rest=end.rest,
         modelled=_modelled(end, against, inspection, spin, progress),
     )
-
-
-def added_noise_nt(findings: Mapping[str, Finding]) -> float:
-    """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where none says so."""
-    added = [one.parameters["added_noise_nt"].value for one in findings.values() if "added_noise_nt" in one.parameters]
-    return max((float(np.max(one)) for one in added), default=0.0)
 
 
 def _modelled(

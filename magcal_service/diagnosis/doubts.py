@@ -59,9 +59,7 @@ def reasons(
     unknown: bool,
     stated: bool = True,
     rest: Rest | None = None,
-    *,
-    has_own_noise: bool = False,
-    added_noise_nt: float = 0.0,
+    findings: Mapping[str, Finding] | None = None,
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``advice.REASONS``.
 
@@ -71,17 +69,21 @@ def reasons(
     unexplained: share of the mismatch without a name; ``unknown``: whether that is the verdict.
     stated: whether the sensor's noise was stated, not estimated from the residual.
     rest: what lasts beside the names; None where the noise has a memory.
-    has_own_noise: whether a level of noise beside the stated one was found and said.
-    added_noise_nt: noise that was found on top of the stated one, as by a lattice of values [nT per axis].
+    findings: effects seen in samples, attitude or noise, by name.
     """
-    fit, named = explained.fit, bool(explained.fit.terms)
+    fit, named, findings = explained.fit, bool(explained.fit.terms), findings or {}
     return listed(
         explained,
         rest,
+        findings,
         poor_coverage=not has_coverage(fit.covariance[:STATE_SIZE, :STATE_SIZE]),
         unexplained_structure=unknown or (named and is_too_much(explained, unexplained)),
         **of_noise_and_reference(
-            fit, named=named, stated=stated, has_own_noise=has_own_noise, added_noise_nt=added_noise_nt
+            fit,
+            named=named,
+            stated=stated,
+            has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
+            added_noise_nt=added_noise_nt(findings),
         ),
     )
 
@@ -94,7 +96,9 @@ def of_noise_and_reference(
     Parameters
     ----------
     fit: of the recording, with its effects.
-    named: whether there are any; the others as of ``reasons``.
+    named: whether there are any; ``stated`` as of ``reasons``.
+    has_own_noise: whether a level of noise beside the stated one was found and said.
+    added_noise_nt: noise that was found on top of the stated one, as by a lattice of values [nT per axis].
     """
     return {
         "rough_residual": named and not stated and is_rough(fit),
@@ -111,6 +115,7 @@ def is_too_much(explained: Explained, unexplained: float) -> bool:
 def listed(
     explained: Explained,
     rest: Rest | None,
+    findings: Mapping[str, Finding],
     *,
     poor_coverage: bool,
     unexplained_structure: bool,
@@ -122,6 +127,7 @@ def listed(
     ----------
     explained: with effects.
     rest: what lasts beside the names; None where the noise has a memory.
+    findings: as of ``reasons``.
     poor_coverage, unexplained_structure: whether these hold.
     beside: further ones, by name.
     """
@@ -133,29 +139,26 @@ def listed(
         "unexplained_structure": unexplained_structure,
         "mismatch_lasts": bool(fit.terms) and rest is not None and rest.is_much,
         "not_enough_data": len(fit.problem.scene) < FEWEST_SAMPLES,
-        **{reason: bool(names) for reason, names in concerned(explained).items()},
+        **{reason: bool(names) for reason, names in concerned(explained, findings).items()},
         **beside,
     }
     return tuple(name for name, holds in found.items() if holds)
 
 
-def concerned(explained: Explained) -> dict[str, tuple[str, ...]]:
+def concerned(explained: Explained, findings: Mapping[str, Finding]) -> dict[str, tuple[str, ...]]:
     """The effects that each reason is about, by the reason, for those that are about single ones."""
     names = [term.hypothesis.effect for term in explained.fit.terms]
     unsure = [name for index, name in enumerate(names) if posterior(explained, index).own < SURE]
+    unsure += [name for name, one in findings.items() if 1.0 - one.doubt < SURE]
     sized = [has_size(explained.fit, i) and not any(explained.courses[i : i + 1]) for i in range(len(names))]
     unsized = [name for name, is_sized in zip(names, sized, strict=True) if not is_sized]
     return {"name_uncertain": tuple(unsure), "size_uncertain": tuple(unsized)}
 
 
-def unsure(findings: Mapping[str, Finding]) -> tuple[str, ...]:
-    """Names of findings that leave too much to something else."""
-    return tuple(name for name, one in findings.items() if 1.0 - one.doubt < SURE)
-
-
-def with_unsure(against: tuple[str, ...], findings: Mapping[str, Finding]) -> tuple[str, ...]:
-    """Reasons, and that a name is uncertain where one of some findings is."""
-    return tuple(dict.fromkeys((*against, *(["name_uncertain"] if unsure(findings) else []))))
+def added_noise_nt(findings: Mapping[str, Finding]) -> float:
+    """Noise that a finding says comes on top of the sensor's own [nT per axis], 0 where none says so."""
+    added = [one.parameters["added_noise_nt"].value for one in findings.values() if "added_noise_nt" in one.parameters]
+    return max((float(np.max(one)) for one in added), default=0.0)
 
 
 def has_coverage(covariance: Array) -> bool:

@@ -10,9 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.diagnosis.separation import Separation
-from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.model import Array
-from magcal_service.physics.interface import Value, Values
+from magcal_service.physics.interface import UNLISTED, Value, Values
 from magcal_service.physics.saying import labels_of
 
 _LEAST_PROBABILITY: Final = 1e-4

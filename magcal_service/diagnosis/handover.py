@@ -10,11 +10,10 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.problem import Fit
-from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
-from magcal_service.physics.interface import Hypothesis, by_name
+from magcal_service.physics.interface import UNLISTED, Hypothesis, by_name
 from magcal_service.physics.scene.steady_spin import SpinSolution
 from magcal_service.wire.messages import Clock
 

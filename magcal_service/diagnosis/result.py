@@ -15,13 +15,13 @@ from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import of_each_axis, parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.searching import FLOOR
-from magcal_service.diagnosis.separation import separations
-from magcal_service.diagnosis.signals import UNLISTED, said, strongest
+from magcal_service.diagnosis.separation import separations, switched_off
+from magcal_service.diagnosis.signals import said, strongest
 from magcal_service.diagnosis.where import lines, span, where_of_term
 from magcal_service.diagnosis.words import percent
 from magcal_service.model import BIAS
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.interface import UNLISTED, Effect, Finding
 
 
 def entries(diagnosis: Diagnosis) -> tuple[Entry, ...]:
@@ -91,7 +91,7 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         driver=finding.driver,
         variant="",
         probability=1.0 - max(odds, finding.doubt),
-        rivals=(),
+        rivals=finding.rivals,
         members=(name,),
         separated_by=effect.separated_by,
         parameters=finding.parameters,
@@ -103,6 +103,7 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         },
         nats=finding.nats,
         constants={},
+        measure=switched_off(effect, finding),
         extent=_extent(effect, finding),
     )
 

@@ -22,7 +22,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, e
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.model import Array, measure
 from magcal_service.physics.effects.coloured_noise import Whitener
-from magcal_service.physics.interface import Effect, Hypothesis
+from magcal_service.physics.interface import Effect, Finding, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_RIVALS: Final = 2  # of a class that measurements are worked out against, the most probable first
@@ -85,6 +85,13 @@ def separations(diagnosis: Diagnosis, index: int, members: Sequence[str]) -> tup
     return tuple(sorted(found, key=lambda one: -one.nats))
 
 
+def switched_off(effect: Effect, finding: Finding) -> tuple[Separation, ...]:
+    """What switching off an effect that is no term of a fit would tell of it and each of its rivals."""
+    if not effect.switched or finding.off_nats <= CLASS_NATS:
+        return ()
+    return tuple(Separation(_without(effect), rival, finding.off_nats) for rival, _ in finding.rivals)
+
+
 def _against(diagnosis: Diagnosis, pair: _Pair, is_exact: bool) -> list[Separation]:
     """The best manoeuvre of each kind, and the records of drivers, against one rival.
 
@@ -130,8 +137,11 @@ def _manoeuvres(diagnosis: Diagnosis, pair: _Pair) -> Iterator[list[_Manoeuvre]]
             ]  # fmt: skip
     for effect in pair.effects:
         if effect.switched:
-            do = f"switch off {effect.switched} and record as long again"
-            yield [_Manoeuvre(do, steady(scene), effect.name)]
+            yield [_Manoeuvre(_without(effect), steady(scene), effect.name)]
+
+
+def _without(effect: Effect) -> str:
+    return f"switch off {effect.switched} and record as long again"
 
 
 class _Pair:

@@ -23,13 +23,10 @@ from magcal_service.diagnosis.rivals import RECORDED_NATS
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes, common_gain, gains
-from magcal_service.physics.interface import Block, Hypothesis
+from magcal_service.physics.interface import UNLISTED, Block, Hypothesis
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
 from magcal_service.physics.scene.smooth import smooth_course
 from magcal_service.physics.scene.sunlight import first_order
-
-UNLISTED: Final = "unknown"
-"""What stands among the rivals of a name for causes that are in no catalogue."""
 
 _SLOWLY: Final = (60.0, 300.0, 1500.0)
 """Time constants [s] of what follows a channel slowly: a part, a board, a structure."""

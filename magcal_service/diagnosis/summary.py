@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
+from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.rows import account_of
@@ -107,8 +108,9 @@ def _of(entry: Entry, is_said: bool) -> Iterator[str]:
     yield from wrapped(f"{entry.effect}: {entry.extent}; {belief(entry)}")
     yield from wrapped("" if is_said else entry.says, "    ", most=4)
     yield from wrapped(_alike(entry), "    ")
-    if len(entry.members) > 1:
-        yield from wrapped(f"{not_told_from(entry)}; what would tell: {next_step(entry)}", "    ", most=3)
+    if len(entry.members) > 1 or entry.probability < SURE:
+        parts = filter(None, (not_told_from(entry), f"what would tell: {next_step(entry)}"))
+        yield from wrapped("; ".join(parts), "    ", most=3)
 
 
 def _vectors(diagnosis: Diagnosis) -> Iterator[str]:

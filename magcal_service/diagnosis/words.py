@@ -12,11 +12,10 @@ from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.separation import Separation
-from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.physics.apply.advice import RECORDING
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.drivers.computed import COMPUTED
-from magcal_service.physics.interface import Effect
+from magcal_service.physics.interface import UNLISTED, Effect
 
 _NATS_PER_DECADE: Final = math.log(10.0)
 _MOST_DECADES: Final = 12

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from magcal_service.physics.scene.view import View
 
 
+UNLISTED: Final = "unknown"
+"""What stands among the rivals of a name for causes that are in no catalogue."""
+
 START: Final = "start_"
 """Begins the name of a block that is the state a recording begins in."""
 
@@ -241,7 +244,9 @@ class Finding:
     spoiled: (n,) rows that no fit should use, or None.
     time_s: from and to, where it acts for a part of the recording only.
     driver: as of a hypothesis.
-    doubt: least probability that is left to something else.
+    rivals: what it may be instead, each with the least probability that is left to it, most probable first.
+    off_nats: evidence expected of as long a recording with it switched off, for it or for a rival, whichever is true
+        [nats]; 0 where that is not worked out.
     """
 
     parameters: Values
@@ -250,7 +255,13 @@ class Finding:
     spoiled: NDArray[np.bool_] | None = None
     time_s: tuple[float, float] | None = None
     driver: str = "none"
-    doubt: float = 0.0
+    rivals: tuple[tuple[str, float], ...] = ()
+    off_nats: float = 0.0
+
+    @property
+    def doubt(self) -> float:
+        """Least probability that is left to something else."""
+        return sum(probability for _, probability in self.rivals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

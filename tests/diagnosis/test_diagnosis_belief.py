@@ -23,7 +23,7 @@ from magcal_service.diagnosis.sized import has_size, may_as_well_be
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Finding, Hypothesis, Nonlinear, value_of
 from tests.diagnosis.made_up import QUICK, SLOW, along, body_form, searching
 from tests.diagnosis.made_up import flown as made_of
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
@@ -465,7 +465,10 @@ def noisier(
     noise[out] += 5.0 * NOISE_NT * scene().unit[out]
     x = X + wide * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     fit = solve(Problem(spoiled(measure(x, scene().calibrated_nt) + noise, scene()), NOISE_NT), x)
-    return reasons(Explained(fit), 0.0, False, stated=alone, has_own_noise=memory, added_noise_nt=added_nt)
+    said = {"level_nt": value_of(times * NOISE_NT, 1.0, "nT")} if memory else {}
+    added = {"added_noise_nt": value_of(added_nt, 0.0, "nT")} if added_nt else {}
+    findings = {"found": Finding({**said, **added}, 20.0, 0.0)}
+    return reasons(Explained(fit), 0.0, False, stated=alone, findings=findings)
 
 
 def test_more_than_the_stated_noise_is_not_trusted() -> None:

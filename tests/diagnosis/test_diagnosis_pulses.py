@@ -8,8 +8,9 @@ import numpy as np
 
 from magcal_service import Recording
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from magcal_service.diagnosis.result import entries
+from magcal_service.diagnosis.result import entries, held_out_rms
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.summary import summary
 from magcal_service.earth import geomagnetic
 from magcal_service.model import measure
 from magcal_service.physics.catalogue import effect_named
@@ -71,6 +72,25 @@ def test_pulses_that_may_all_lie_in_one_direction_are_named_and_not_acted_on() -
     assert (entries(found)[0].effect, entries(found)[0].probability) == ("torquer", 0.94)
     assert found.reasons == ("name_uncertain",)
     assert found.concerned["name_uncertain"] == ("torquer",)
+
+
+def test_what_pulses_may_be_instead_and_what_would_tell_are_said() -> None:
+    """As of every other name: in the JSON, in the headline where the name is open, and on the terminal."""
+    sure, open_one = (entries(diagnosed(coils=coils))[0] for coils in (3, 1))
+    assert sure.rivals == (("unknown", 0.03),)
+    assert open_one.rivals == (("current_loop", 0.03), ("unknown", 0.03))
+    for entry in (sure, open_one):
+        assert [one.against for one in entry.measure] == [name for name, _ in entry.rivals]
+        assert all(one.do == "switch off the torquers and record as long again" for one in entry.measure)
+        assert all(one.nats > 12.0 for one in entry.measure)
+    content = open_one.as_json()
+    assert content["rivals"] == [{"effect": name, "probability": 0.03} for name in ("current_loop", "unknown")]
+    held_out = held_out_rms(diagnosed(coils=1))
+    told = " ".join(" ".join(summary(diagnosed(coils=1), [open_one], held_out, [])).split())
+    assert "The name is open: 94 % torquer (magnetic torquers); 3 % current_loop; or 3 % something that is in" in told
+    assert "what would tell: switch off the torquers and record as long again (" in told
+    told = " ".join(" ".join(summary(diagnosed(), [sure], held_out, [])).split())
+    assert "97 % that it is this rather than a rival" in told
 
 
 def test_the_rows_of_the_pulses_are_accounted_for() -> None:

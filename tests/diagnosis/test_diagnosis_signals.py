@@ -10,10 +10,10 @@ import pytest
 from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.problem import Term
-from magcal_service.diagnosis.signals import UNLISTED, against_signals, strongest
+from magcal_service.diagnosis.signals import against_signals, strongest
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
-from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.interface import UNLISTED, Hypothesis
 from magcal_service.physics.scene.scene import Telemetry
 from tests.diagnosis.made_up import FLOOR_NT, OTHER, QUICK, SLOW, TIME_S, along, body_form, flown, searching
 from tests.physics.scenes import scene

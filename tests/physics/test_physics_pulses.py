@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.drivers.pulses import Beat, _swells, _without_empty
+from magcal_service.physics.drivers.pulses import Beat, _evidence, _nats_of_absence, _swells, _without_empty
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.view import View
@@ -52,7 +52,8 @@ def test_a_beat_is_found_with_its_cycle_share_and_size() -> None:
     assert value["on_share"] == pytest.approx(SHARE, abs=0.05)
     assert value["pulse_nt"] == pytest.approx(150.0 * np.sqrt(3.0), rel=0.15)
     assert pulses.driver == "inferred:pulses"
-    assert pulses.doubt == 0.03
+    assert pulses.rivals == (("unknown", 0.03),)
+    assert 0.0 < pulses.off_nats <= pulses.nats
     assert pulses.nats > 1000.0
 
 
@@ -86,7 +87,20 @@ def test_one_coil_with_either_sign_is_found_with_more_doubt() -> None:
     pulses = found(ON[:, None] * levels()[:, :1] * np.array([0.6, -0.64, 0.48]))
     assert pulses is not None
     assert float(pulses.parameters["period_s"].value) == CYCLE_S
-    assert pulses.doubt == 0.06
+    assert pulses.rivals == (("current_loop", 0.03), ("unknown", 0.03))
+
+
+def test_what_pulses_that_are_gone_tell_is_what_noise_gives_against_them() -> None:
+    """Over many draws of noise alone, to three of its own sigmas."""
+    rng = np.random.default_rng(20261131)
+    unit = rng.normal(size=(30, 9, 3))
+    unit /= np.linalg.norm(unit, axis=2, keepdims=True)
+    squares = np.einsum("kni,knj->kij", unit, unit)
+    products = np.einsum("kni,dkn->dki", unit, rng.normal(size=(2000, 30, 9)))
+    against = -np.array([_evidence(squares, one, 0.5).sum() for one in products])
+    sigma = float(against.std()) / len(against) ** 0.5
+    assert _nats_of_absence(squares, 0.5) == pytest.approx(float(against.mean()), abs=3.0 * sigma)
+    assert sigma < 0.01 * against.mean()
 
 
 @pytest.mark.parametrize(("wave", "seen"), [(False, True), (True, False)])

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_service.diagnosis.belief import with_left
-from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict, added_noise_nt
+from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
 from magcal_service.diagnosis.doubts import (
+    added_noise_nt,
     concerned,
     has_coverage,
     is_too_much,
@@ -131,7 +132,7 @@ class JointDiagnosis:
     @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
         """The effects that a reason is about, by the reason."""
-        return concerned(self.explained)
+        return concerned(self.explained, {})
 
     @property
     def trusted(self) -> bool:
@@ -346,6 +347,7 @@ def _reasons(found: JointDiagnosis, verdict: Verdict) -> tuple[str, ...]:
     return listed(
         found.explained,
         found.rest,
+        {},
         poor_coverage=not any(one.has_coverage for one in found.recordings),
         unexplained_structure=verdict is Verdict.UNKNOWN or (named and is_too_much(found.explained, found.unexplained)),
         **{reason: any(one[reason] for one in each) for reason in each[0]},

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.belief import posterior
-from magcal_service.diagnosis.diagnose import Verdict, added_noise_nt
-from magcal_service.diagnosis.doubts import SURE
+from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.doubts import SURE, added_noise_nt
 from magcal_service.diagnosis.joint.compare import Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import OF_CHANGES, JointHypothesis, joint

@@ -17,7 +17,6 @@ from magcal_service.diagnosis.report.figures import curve_picture, pictures, tra
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.signals import UNLISTED
 from magcal_service.diagnosis.words import (
     belief,
     chance,
@@ -38,7 +37,7 @@ from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.advice import advice, in_order
 from magcal_service.physics.drivers.held import held_in_words
-from magcal_service.physics.interface import Value
+from magcal_service.physics.interface import UNLISTED, Value
 from magcal_service.physics.saying import AXES, labels_of, measured
 
 _MOST_PLACES: Final = 8

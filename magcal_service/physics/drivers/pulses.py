@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.model import Array
-from magcal_service.physics.interface import Finding, value_of
+from magcal_service.physics.interface import UNLISTED, Finding, value_of
 from magcal_service.physics.scene.view import View
 
 _CYCLES_S: Final = np.arange(20.0, 601.0)
@@ -91,11 +91,12 @@ _CLIPPED: Final = 99.0
 UNRECORDED: Final = "inferred:pulses"
 """Driver of a finding."""
 
-_DOUBT: Final = 0.03
-"""Share that is left to something else on a beat of its own: as to an effect whose driver was not recorded."""
+_DOUBT: Final = (UNLISTED, 0.03)
+"""What is left to something else on a beat of its own: as to an effect whose driver was not recorded."""
 
-_OF_ONE_WAY: Final = 0.06
-"""The same where the pulses may all have one direction: a wheel's motor and a battery have currents of both signs."""
+_OF_ONE_WAY: Final = ("current_loop", 0.03)
+"""What is left beside that to a load's current where the pulses may all have one direction, for a wheel's motor and a
+battery have currents of both signs; choice: as much again, so that the name is not acted on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,7 @@ def pulses(view: View) -> Finding | None:
     near = (other for its_nats, other, _ in found if its_nats > _OF_A_GAIN * nats)  # multiples of its cycle, and parts
     if any(_nats_of_a_gain(view, other) > _OF_A_GAIN * nats for other in near):
         return None
-    return _finding(view, beat, fields, nats, turns)
+    return _finding(view, beat, fields, turns, nats, _nats_of_absence(squares, size))
 
 
 def _without_empty(found: list[tuple[float, Beat, float]]) -> tuple[float, Beat, float]:
@@ -260,8 +261,15 @@ def _nats(found: tuple[float, Beat, float]) -> float:
     return found[0]
 
 
-def _finding(view: View, beat: Beat, fields: Array, nats: float, turns: bool) -> Finding:
-    """``turns``: whether the pulses have more than one direction for certain."""
+def _finding(view: View, beat: Beat, fields: Array, turns: bool, nats: float, absent_nats: float) -> Finding:
+    """What was found.
+
+    Parameters
+    ----------
+    fields: of each pulse (k, 3), in units of the noise.
+    turns: whether the pulses have more than one direction for certain.
+    nats, absent_nats: evidence for the pulses, and what is expected against them of as many places without any.
+    """
     scene = view.scene
     rows = beat.rows(scene.time_s, _MARGIN * scene.period_s)
     size_nt = view.noise_nt * np.sqrt((fields**2).sum(axis=1))
@@ -277,7 +285,8 @@ def _finding(view: View, beat: Beat, fields: Array, nats: float, turns: bool) ->
         1.0,
         spoiled=rows,
         driver=UNRECORDED,
-        doubt=_DOUBT if turns else _OF_ONE_WAY,
+        rivals=(_DOUBT,) if turns else (_OF_ONE_WAY, _DOUBT),
+        off_nats=min(nats, absent_nats),
     )
 
 
@@ -334,6 +343,13 @@ def _evidence(squares: Array, products: Array, size: float) -> Array:
     """(k,) ln of the odds for a field of a variance over none in each stretch [nats]."""
     explained = np.einsum("ki,ki->k", products, _fields(squares, products, size))
     return np.asarray(0.5 * (explained - np.linalg.slogdet(np.eye(3) + size * squares)[1]))
+
+
+def _nats_of_absence(squares: Array, size: float) -> float:
+    """Evidence [nats] that as many stretches without a field are expected to give against fields of a variance."""
+    inverse = np.linalg.solve(squares + np.eye(3) / size, squares)
+    determinants = np.linalg.slogdet(np.eye(3) + size * squares)[1]
+    return 0.5 * float((determinants - np.trace(inverse, axis1=1, axis2=2)).sum())
 
 
 def _goes_both_ways(fields: Array) -> bool:

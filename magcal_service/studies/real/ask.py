@@ -93,7 +93,7 @@ def _without(recording: Recording, hidden: Sequence[str]) -> Recording:
 def _alone(recording: Recording) -> Answer:
     from magcal_service.diagnosis.diagnose import diagnose
     from magcal_service.diagnosis.result import entries, held_out_rms
-    from magcal_service.diagnosis.signals import UNLISTED
+    from magcal_service.physics.interface import UNLISTED
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.usable import refuse_hopeless
 
