@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
-from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.shapes import Shape, body_shape, plain_shape, products_of_two, shapes
 from magcal_service.diagnosis.sweeps import tracks
+from magcal_service.diagnosis.wander import TWO_LEVELS, Blocks, Course, first_samples, shown_in, two_levels, wandering
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes, oscillation
 
@@ -163,19 +165,58 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
     return replace(found, nats=sum(gain for gain, _, _ in chosen) - cost)
 
 
-def with_wandering(search: Search, fit: Fit, found: list[Structure], floor_nt: float) -> list[Structure]:
-    """The structures of a residual, and in their order the tones whose frequency wanders: those are sought once only,
-    beside what stands."""
-    if search.problem.is_vector:
-        return found
+def with_courses(search: Search, fit: Fit, found: list[Structure], floor_nt: float) -> list[Structure]:
+    """The structures of a residual, and in their order tones whose frequency wanders and courses at no regular times:
+    those are sought once only, beside what stands."""
     beside, sigma = _beside(search, fit, floor_nt)
-    clipped, cost = beside.space.clipped(_TAIL * sigma).residual, math.log(len(found) + 1.0)
-    for one in tracks(search.problem.scene, clipped, fit.unit, search.spin_hz):
+    cost = math.log(len(found) + 2.0)
+    return sorted(
+        [*found, *_sweeping(beside, sigma, cost), *_wandering(beside, sigma, cost)],
+        key=lambda structure: -structure.nats,
+    )
+
+
+def _sweeping(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure]:
+    """Tones whose frequency wanders."""
+    search, fit = beside.search, beside.fit
+    if search.problem.is_vector:
+        return
+    for one in tracks(search.problem.scene, beside.space.clipped(_TAIL * sigma).residual, fit.unit, search.spin_hz):
         between = f"{one.from_hz:.3g} and {one.to_hz:.3g} Hz"
         says = f"a body-fixed oscillation whose frequency wanders between {between}"
         shape = plain_shape("wandering", says, one.rows)
-        found = [*found, _structure(shape, beside.products(shape), beside, sigma, cost + one.cost)]
-    return sorted(found, key=lambda structure: -structure.nats)
+        yield _structure(shape, beside.products(shape), beside, sigma, cost + one.cost)
+
+
+def _wandering(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure]:
+    """A course at no regular times along one direction: between two levels, where it rather is, or any."""
+    search, problem = beside.search, beside.search.problem
+    first = first_samples(problem.scene)
+    if not len(first):
+        return
+    rows = search.seen(along_axes(np.ones(len(problem.scene))), beside.fit)
+    sums = beside.space.clipped(_TAIL * sigma).segments(rows, problem.rows_per_sample * first)
+    blocks = Blocks.of(problem.scene, first, rows, sums, sigma)
+    course = wandering(blocks)
+    if course.nats < SIGNIFICANT_NATS:
+        return
+    levels = two_levels(blocks, course.direction)
+    if levels.nats > course.nats:
+        says = f"a body-fixed field that goes between two levels, {levels.switches} times"
+        course, shape = levels, body_shape(problem, TWO_LEVELS, says, levels.share[:, None], ("the rarer level",))
+    else:
+        says = f"a body-fixed field along one direction that wanders, within about {course.each_s:.0f} s"
+        shape = Shape("course", says, partial(_course_columns, problem, shown_in(problem.scene, course), course))
+    found = _structure(shape, beside.products(shape), beside, sigma, cost)
+    yield replace(found, nats=course.nats - cost)
+
+
+def _course_columns(problem: Problem, number: NDArray[np.intp], course: Course, unit: Array) -> Array:
+    """(m, k) a field along a course's direction in each of its stretches."""
+    rows = problem.rows(along_axes(np.ones(len(number))), unit)
+    assert rows is not None, "a field fixed in the body is seen in every form"
+    inside = number[:, None] == np.arange(number.max() + 1)
+    return np.asarray((rows @ course.direction)[:, None] * np.repeat(inside, problem.rows_per_sample, axis=0))
 
 
 def largest_product(search: Search, fit: Fit, floor_nt: float, axes: int = 1) -> float:

@@ -55,6 +55,8 @@ _KINDS: Final = {
     "slow": "time",
     "time": "time",
     "transients": "time",
+    "course": "time",
+    "two": "time",
     "field": "field",
     "spin": "phase",
     "sunlight": "light",

@@ -17,6 +17,7 @@ from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations, switched_off
 from magcal_service.diagnosis.signals import said, strongest
+from magcal_service.diagnosis.wander import TWO_LEVELS
 from magcal_service.diagnosis.where import lines, span, where_of_term
 from magcal_service.diagnosis.words import percent
 from magcal_service.model import BIAS
@@ -127,6 +128,10 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
     separated_by = "record more telemetry beside the magnetometer, and switch one suspect at a time"
     says = f"Something without a name is left, most like {structure.shape.says}."
+    alike = _of_two_levels(diagnosis)
+    if alike:
+        separated_by = "record what every load draws and every coil is commanded, and switch one suspect at a time"
+        says += f" It may be {' or '.join(alike)}, driven by what is not recorded."
     if diagnosis.inspection.open:
         asked = ", ".join(one.code for one in diagnosis.inspection.open)
         separated_by = "correct the descriptor, or accept what was found under [inspect]"
@@ -157,7 +162,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         variant=structure.shape.name,
         probability=1.0 - math.exp(-min(structure.nats, 50.0)),
         rivals=(),
-        members=(UNLISTED,),
+        members=(UNLISTED, *alike),
         separated_by=separated_by,
         parameters={},
         where=where,
@@ -165,6 +170,14 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         constants={},
         extent=f"{percent(diagnosis.unexplained)} of the mismatch",
     )
+
+
+def _of_two_levels(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """The effects that what is left may be without its driver, where it goes between two levels; else none."""
+    if diagnosis.inspection.open or diagnosis.left[0].shape.name != TWO_LEVELS:
+        return ()
+    named = {term.hypothesis.effect for term in diagnosis.fit.terms}
+    return tuple(effect.name for effect in diagnosis.effects if effect.two_levels and effect.name not in named)
 
 
 def _nearest(diagnosis: Diagnosis) -> tuple[str, float] | None:

@@ -18,7 +18,7 @@ from magcal_service.diagnosis.doubts import is_beyond_model
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
-from magcal_service.diagnosis.leftover import Structure, significant, structures, with_wandering
+from magcal_service.diagnosis.leftover import Structure, significant, structures, with_courses
 from magcal_service.diagnosis.lines import is_red
 from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
@@ -238,4 +238,4 @@ def _standing(
         if stands.fit is not explained.fit:
             left = structures(search, stands.fit, phase, floor)
         explained = stands
-    return explained, with_wandering(search, explained.fit, left, floor)
+    return explained, with_courses(search, explained.fit, left, floor)

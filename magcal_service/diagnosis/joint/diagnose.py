@@ -28,7 +28,7 @@ from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, joint, transferre
 from magcal_service.diagnosis.joint.light import LightSeen, light_seen
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
-from magcal_service.diagnosis.leftover import Structure, significant, structures, with_wandering
+from magcal_service.diagnosis.leftover import Structure, significant, structures, with_courses
 from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
@@ -314,7 +314,7 @@ class _Run:
             search = Search(part.problem, [], self.effects, spin_hz=spin_hz)
             floor = FLOOR * part.problem.noise_nt
             left = structures(search, part, None if spin is None else spin.phase_rad, floor)
-            left = with_wandering(search, part, left, floor)
+            left = with_courses(search, part, left, floor)
             baseline = solve(self.singles[number], prepared.baseline.x)
             found.append(
                 Alone(

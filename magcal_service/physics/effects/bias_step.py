@@ -28,6 +28,7 @@ EFFECT = Effect(
     acts_on=ActsOn.FIELD,
     watched=((Watched.BIAS_STEP, ""),),
     title="the bias changes at an instant, or at several",
+    two_levels=True,
     equation="d = step (t >= at); sum_j step_j (t >= at_j); switched: on from at_1 to at_2, at_3 to ...",
     units={"step_nt": "nT", "switched_nt": "nT", "steps_nt": "nT", "at_s": "s"},
     prior=(10.0, 5000.0),

@@ -237,6 +237,7 @@ EFFECT = Effect(
     watched=((Watched.BIAS_BY, "current"), (Watched.BIAS_BY, LIGHT)),
     title="currents in the harness or the solar arrays",
     switched="the suspected load or array string",
+    two_levels=True,
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s), at most what is taken of it",
     units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT", "lag_s": "s", "limit": "1"},
     prior=(1.0, _MOST_NT),

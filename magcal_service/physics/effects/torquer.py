@@ -121,6 +121,7 @@ EFFECT = Effect(
     watched=((Watched.BIAS_BY, "magnetic moment"),),
     title="magnetic torquers",
     switched="the torquers",
+    two_levels=True,
     equation="d = M m(t), m with the coil's decay L/R, and a remanence that keeps the sign of the last command",
     units={
         "nt_per_am2": "nT/(A m2)",
