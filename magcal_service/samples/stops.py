@@ -68,6 +68,10 @@ _MORE: Final = 0.1
 """Steps of the lattice by which more is missing at the end; choice: a bend that takes two fifths of the field's growth
 is foretold to that."""
 
+_ZONES: Final = 6
+"""Stretches beside an end, each as wide as the noise reaches, that foretell what is missing there; choice: as for
+``_COURSE``, and no further than a bend's course is straight."""
+
 _ROUNDED: Final = 0.5
 """Steps that a reading is off by at the most by its rounding, and the mean of many where no noise spreads them."""
 
@@ -124,7 +128,9 @@ def stops(field_nt: Array, magnitude_nt: Array, range_nt: float | None = None) -
     an axis that lies across the field, and little of one that is clipped by less than two steps of its lattice.  An end
     that comes eight times at the value of another's stop, or at its negative, is one, too: the axes of a sensor have
     one range.  So two ends at one value are stops by a count of three times the values beside them; both where the
-    field's size changes.
+    field's size changes.  What stops before the noise comes to it ends in all values that the noise reaches: there an
+    end that comes twice as often as those beside it is a stop, if readings that far from it are short by more than
+    those further inside foretell.
     """
     ends = [_end(field_nt, axis, side, range_nt) for axis in range(3) for side in (1.0, -1.0)]
     stated = [one for one in ends if abs(one.at_nt) == range_nt]
@@ -141,6 +147,7 @@ def stops(field_nt: Array, magnitude_nt: Array, range_nt: float | None = None) -
     told = bool(often or found) and np.count_nonzero(samples.inner) >= _FEWEST_FITTED
     if told:
         found += _short(samples, found, {one: times[one] for one in doubtful})
+        found += _stopped_before_noise(samples, found, [one for one in doubtful if times[one] > _OFTEN])
     found += [one for one in doubtful if flown and one not in found and _is_shared(one, found)]
     if not told or not found:
         return tuple(one for one in ends if one in found)
@@ -183,6 +190,24 @@ def _short(samples: _Samples, stopped: list[Stop], ends: dict[Stop, float]) -> l
             ((samples.excess(one, sound, times), one) for one, times in ends.items() if one not in found),
             key=lambda pair: pair[0],
         )
+        if excess < 1.0:
+            break
+        found.append(surest)
+    return found
+
+
+def _stopped_before_noise(samples: _Samples, stopped: list[Stop], ends: list[Stop]) -> list[Stop]:
+    """Of ends that come often, those about which readings are short as far as the noise reaches, the surest first."""
+    found: list[Stop] = []
+    while len(found) < len(ends):
+        beside = [one for one in ends if one not in found and one not in stopped]
+        reached = [samples.reached(one) for one in (*beside, *stopped, *found)]
+        if not beside or np.count_nonzero(samples.inner & ~np.any(reached, axis=0)) < _FEWEST_FITTED:
+            break
+        sound = replace(samples, no_end=samples.no_end & ~np.any(reached, axis=0))
+        gone = np.any([samples.reached(one) for one in (*stopped, *found)], axis=0) if stopped or found else None
+        usable = sound.known if gone is None else sound.known & ~gone
+        excess, surest = max(((sound.excess_in_reach(one, usable), one) for one in beside), key=lambda pair: pair[0])
         if excess < 1.0:
             break
         found.append(surest)
@@ -301,6 +326,22 @@ class _Samples:
         step_nt = float(np.diff(levels[1:]).min())  # the end itself may lie between two steps
         sure = _SURE_IF_OFTEN if times > _OFTEN and self._undithered(step_nt) < _MORE else _SURE
         return (here - foretold) / max(self._rounded(step_nt), sure * rough * math.hypot(sigma, uncertain))
+
+    def reached(self, end: Stop) -> NDArray[np.bool_]:
+        """(n,) readings that may be at an end, but for noise that comes after it."""
+        return np.asarray(np.abs(self.field_nt[:, end.axis] - end.at_nt) <= _REACH * self.noise_nt)
+
+    def excess_in_reach(self, end: Stop, sound: NDArray[np.bool_]) -> float:
+        """As ``excess``, of all readings that noise takes away from an end, beside stretches as wide further inside."""
+        inside = np.abs(self.field_nt[:, end.axis] - end.at_nt)
+        zone = np.floor(inside / (_REACH * self.noise_nt))
+        at_end, *others = (self._missing(end, np.flatnonzero(sound & (zone == number))) for number in range(_ZONES + 1))
+        beside = [(number + 1.0, *one) for number, one in enumerate(others) if one is not None]
+        if at_end is None or not beside:
+            return 0.0
+        here, sigma = at_end
+        foretold, uncertain, rough = _foretold(np.array(beside))
+        return (here - foretold) / max(self.noise_nt, _SURE * rough * math.hypot(sigma, uncertain))
 
     def _rounded(self, step_nt: float) -> float:
         """What may be missing in the mean of many readings on a lattice that stop nowhere [nT]."""

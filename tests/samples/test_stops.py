@@ -93,6 +93,25 @@ def test_each_of_several_stops_is_found_and_no_axis_beside_them() -> None:
     assert where(both, size) == [(0, -36_000.0), (1, 40_500.0)]
 
 
+@pytest.mark.parametrize(
+    ("step_nt", "axis", "at_nt"), [(300.0, 0, 42_600.0), (40.0, 1, -44_000.0), (100.0, 2, 32_000.0)]
+)
+def test_what_stops_before_its_noise_is_found_with_all_that_the_noise_moves(
+    step_nt: float, axis: int, at_nt: float
+) -> None:
+    """Half of what is stopped lies inside of the end then, as short as what lies at it: of the two none tells."""
+    field, size = turning(52, sigma_nt=0.0)
+    noise = np.random.default_rng(53).normal(0.0, SIGMA_NT, field.shape)
+    side = np.sign(at_nt)
+    beyond = side * field[:, axis] > side * at_nt
+    spoiled = stopped(rounded(stopped(field, axis, at_nt) + noise, step_nt), axis, at_nt)
+    assert where(rounded(field + noise, step_nt), size) == []
+    (found,) = stops(spoiled, size)
+    assert (found.axis, found.at_nt) == (axis, at_nt)
+    assert np.mean(found.spoiled[beyond]) > 0.98
+    assert np.count_nonzero(found.spoiled & ~beyond) < 0.5 * np.count_nonzero(beyond)
+
+
 def test_the_axes_of_a_sensor_have_one_range() -> None:
     """An end that shows nothing of itself is a stop at the value at which another axis stops, and at no other."""
     field, size = turning(53)
