@@ -16,7 +16,7 @@ from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.noise import sensor_noise_nt
-from magcal_service.diagnosis.prepare import Form, Prepared
+from magcal_service.diagnosis.prepare import FEWEST_ROWS, Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.searching import End, in_form, with_memory, without_names, without_unlikely
@@ -193,6 +193,8 @@ def diagnose(
     for one in comes_and_goes.values():
         if one.spoiled is not None:
             between &= ~np.isin(rows.time_ns, first.prepared.recording.time_ns[one.spoiled])
+    if np.count_nonzero(between) < FEWEST_ROWS:
+        return replace(first, seconds=time.monotonic() - began)
     again = _on_rows(rows.select(between), inspection, effects, simulation_x, progress, comes_and_goes)
     if again.verdict is Verdict.UNKNOWN:
         return replace(first, seconds=time.monotonic() - began)

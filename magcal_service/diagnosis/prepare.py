@@ -45,6 +45,9 @@ _SPIKE: Final = 8.0
 Choice: lower, and steep but real courses of a disturbance lose samples; a spike below it is diluted by the fit.
 """
 
+FEWEST_ROWS: Final = 10 * STATE_SIZE
+"""Rows from which on nine errors are known well enough to leave others out; choice: ten for each."""
+
 _LEAST_FIELD: Final = 10.0
 """Times the noise, the field from which on a row is used: below it the noise turns the calibrated vector by more than
 6 deg, and |w| is no more its length along the field with noise / |H| on top (``model.scalar_residual``).  In orbit: a
@@ -161,7 +164,7 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     x = baseline_start(scene, noise_nt)
     level_nt = noise_nt or _white(scene, x)
     findings, spoiled = _sample_findings(scene, x, level_nt, stated, effects)
-    if spoiled.any() and np.count_nonzero(~spoiled) >= 10 * STATE_SIZE:
+    if spoiled.any() and np.count_nonzero(~spoiled) >= FEWEST_ROWS:
         sound = scene_of(usable.select(~spoiled))  # once more, by errors that they have no part in
         x = baseline_start(sound, noise_nt)
         level_nt = noise_nt or _white(sound, x)
@@ -169,9 +172,9 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
     spikes = _spikes(scene, x) & ~spoiled
     weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
     keep = ~(spikes | spoiled | weak)
-    if np.count_nonzero(keep) < 10 * STATE_SIZE:
+    if np.count_nonzero(keep) < FEWEST_ROWS:
         keep = ~(spikes | spoiled)
-    if np.count_nonzero(keep) < 10 * STATE_SIZE:
+    if np.count_nonzero(keep) < FEWEST_ROWS:
         keep[:] = True
     why = {"spikes": spikes, "spoiled": spoiled, "weak_field": weak}
     left_out = {"thinned": thinned, **{name: int((rows & ~keep).sum()) for name, rows in why.items()}}

@@ -65,6 +65,19 @@ def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
     assert np.mean(pulses.spoiled[~ON]) < 0.12
 
 
+def test_pauses_of_few_rows_are_not_left_out_with_the_pulses() -> None:
+    """Coils on for four rows of five: one to either side of the fifth would leave none that is sound."""
+    time_s = 6.0 * np.arange(COUNT)
+    on = np.arange(COUNT) % 5 != 1
+    each = np.random.default_rng(31).normal(0.0, 400.0, (COUNT // 5 + 1, 3))[(np.arange(COUNT) - 2) // 5 + 1]
+    pulses = found(on[:, None] * each, replace(scene(), time_s=time_s))
+    assert pulses is not None
+    assert float(pulses.parameters["period_s"].value) == 30.0
+    assert pulses.spoiled is not None
+    assert pulses.spoiled[on].all()
+    assert not pulses.spoiled[~on].any()
+
+
 @pytest.mark.parametrize("cycle_s", [90.0, 120.0])
 def test_a_cycle_without_empty_pulses_is_the_one_that_is_told(cycle_s: float) -> None:
     """Coils on for a tenth of it: half of the cycle, with every second pulse empty, fits nearly as well."""

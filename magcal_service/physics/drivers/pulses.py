@@ -85,6 +85,9 @@ _SWELLS_SIGMA: Final = 3.0
 _MARGIN: Final = 2
 """Samples around a pulse that are left out with it: a coil decays, and edges are known to a fortieth of a cycle."""
 
+_MOST_OF_PAUSES: Final = 0.5
+"""Share of the rows between pulses that are left out with them at the most: the rest has to hold the nine errors."""
+
 _CLIPPED: Final = 99.0
 """Percentile at which the strength of a stretch is cut, so that one outlier makes no cycle."""
 
@@ -271,7 +274,9 @@ def _finding(view: View, beat: Beat, fields: Array, turns: bool, nats: float, ab
     nats, absent_nats: evidence for the pulses, and what is expected against them of as many places without any.
     """
     scene = view.scene
-    rows = beat.rows(scene.time_s, _MARGIN * scene.period_s)
+    tried = [beat.rows(scene.time_s, margin * scene.period_s) for margin in range(_MARGIN, -1, -1)]
+    most = 1.0 - (1.0 - float(tried[-1].mean())) * (1.0 - _MOST_OF_PAUSES)
+    rows = next((rows for rows in tried if rows.mean() <= most), tried[-1])
     size_nt = view.noise_nt * np.sqrt((fields**2).sum(axis=1))
     rms_nt = float(np.sqrt(np.mean(size_nt**2)))
     sigma_nt = float(np.std(size_nt**2) / (2.0 * rms_nt * np.sqrt(len(fields))))
