@@ -19,6 +19,7 @@ from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import FEWEST_ROWS, Form, Prepared
 from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.searching import End, in_form, with_memory, without_names, without_unlikely
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
@@ -31,7 +32,6 @@ from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
-from magcal_service.recordings.scene_of import is_orbit_guessed
 from magcal_service.trust.reasons import Reason
 
 COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloured_noise, nutation, spin_rate))
@@ -116,17 +116,9 @@ class Diagnosis:
         return concerned(self.explained, self.findings)
 
     @property
-    def is_orbit_guessed(self) -> bool:
-        """Whether nothing but how the reference's size changes says that the recording was made in orbit."""
-        return is_orbit_guessed(self.prepared.recording)
-
-    @property
-    def without_place(self) -> int:
-        """Rows without a place that no others are near enough to fill, where there are places: then none counts."""
-        position, of = self.prepared.recording.position, self.prepared.problem.scene
-        if position is None or of.position_ecef_km is not None:
-            return 0
-        return int((~np.isfinite(position.km).all(axis=1)).sum())
+    def made_where(self) -> list[str]:
+        """What is only guessed, or was not used, of where the recording was made."""
+        return made_where(self.prepared)
 
     @property
     def usable(self) -> Modelled | None:

@@ -35,13 +35,6 @@ _WORSE: Final = 1.02
 _MOST_LINES: Final = 8
 """Of the verdict's sentence; choice: a class of four names with their titles takes five."""
 
-_GUESSED: Final = (
-    "made in orbit: guessed by how the reference's size changes; errors of a field model count, and currents in space "
-    "are looked for, until [platform] kind says otherwise"
-)
-
-_UNPLACED: Final = "and others are too far in time; nothing that follows light, the Sun or the place was looked for"
-
 _WIDTH: Final = 118
 """Columns of the terminal's lines; choice: narrower than the usual 120, so that nothing wraps again."""
 
@@ -79,12 +72,8 @@ def summary(
         lines.append(f"left: {remaining(diagnosis)}")
     if diagnosis.modelled is not None:
         lines += wrapped(modelled_sentence(diagnosis.modelled), "", most=4)
-    if diagnosis.without_place:
-        lines += wrapped(
-            f"places: {diagnosis.without_place} rows have none, and others are too far in time; {_UNPLACED}", ""
-        )
-    if diagnosis.is_orbit_guessed:
-        lines += wrapped(_GUESSED, "")
+    for line in diagnosis.made_where:
+        lines += wrapped(line, "")
     lines += wrapped(f"rows: {account_of(diagnosis.inspection, diagnosis.prepared)}", "", most=3)
     lines.append("files: " + ", ".join(str(path) for path in files))
     return lines

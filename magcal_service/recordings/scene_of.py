@@ -78,9 +78,14 @@ def is_in_orbit(recording: Recording, ecef: FloatArray | None) -> bool:
     return _is_inertial(recording) or _changes_as_in_orbit(recording)
 
 
-def is_orbit_guessed(recording: Recording) -> bool:
-    """Whether a recording is taken for one in orbit by nothing but how its reference's size changes."""
-    is_known = recording.descriptor.platform is not None or recording.position is not None or _is_inertial(recording)
+def is_orbit_guessed(recording: Recording, ecef: FloatArray | None) -> bool:
+    """Whether a recording is taken for one in orbit by nothing but how its reference's size changes.
+
+    Parameters
+    ----------
+    ecef: its places as its scene has them (n, 3) [km]; None where there are none, or where gaps could not be filled.
+    """
+    is_known = recording.descriptor.platform is not None or ecef is not None or _is_inertial(recording)
     return not is_known and _changes_as_in_orbit(recording)
 
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from magcal_service.base.errors import RecordingError
+from magcal_service.diagnosis.prepare import prepare
 from magcal_service.diagnosis.problem import Problem
+from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.recordings.descriptor import load_descriptor
@@ -41,6 +43,10 @@ def made(radius_km: float | None, frame: str = "eci", magnitude: bool = False) -
     return Recording.from_arrays(TIMES, FIELD, reference, frame=frame, position_ecef_km=place)
 
 
+def is_guessed(recording: Recording) -> bool:
+    return is_orbit_guessed(recording, scene_of(recording).position_ecef_km)
+
+
 @pytest.mark.parametrize(
     ("recording", "in_orbit"),
     [
@@ -67,11 +73,26 @@ def test_the_place_is_guessed(recording: Recording, in_orbit: bool) -> None:
 
 def test_only_what_changes_alone_has_told_is_a_guess() -> None:
     guessed = passing(1500.0, frame="")
-    assert is_orbit_guessed(guessed)
-    assert is_orbit_guessed(passing(1500.0))
+    assert is_guessed(guessed)
+    assert is_guessed(passing(1500.0))
     stated = replace(guessed, descriptor=replace(guessed.descriptor, platform=PlatformSpec(PlatformKind.ORBIT)))
     for known in (stated, made(6821.0), made(None), passing(3.0 * 3600.0)):
-        assert not is_orbit_guessed(known)
+        assert not is_guessed(known)
+
+
+def test_places_that_could_not_be_filled_say_nothing_of_where_it_was() -> None:
+    """A row of the middle without a place is filled, as its neighbours are near; seven minutes are too long."""
+    over_s = 400 * 4.0
+    size = np.linalg.norm(np.nan_to_num(passing(over_s).reference.vector_nt), axis=1)
+    at = np.datetime64("2025-03-01T00:00:00", "ns") + np.arange(400) * np.timedelta64(4, "s")
+    for missing, guessed in ((slice(200, 201), False), (slice(150, 260), True)):
+        place = np.tile([6821.0, 0.0, 0.0], (400, 1))
+        place[missing] = np.nan
+        recording = Recording.from_arrays(at, FIELD, size, position_ecef_km=place)
+        assert is_guessed(recording) is guessed
+        lines = made_where(prepare(recording, ()))
+        expected = ["places: 110 rows have none", "made in orbit: guessed by how"] if guessed else []
+        assert [line[: len(begin)] for line, begin in zip(lines, expected, strict=True)] == expected
 
 
 @pytest.mark.parametrize("kind", list(PlatformKind))

@@ -33,6 +33,7 @@ from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
+from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
@@ -72,6 +73,11 @@ class Alone:
     def noise_nt(self) -> float:
         """Its sensor's noise beside the effects, 1 sigma per axis [nT]."""
         return sensor_noise_nt(self.fit, self.prepared.view.stated_noise_nt)
+
+    @property
+    def made_where(self) -> list[str]:
+        """What is only guessed, or was not used, of where it was made."""
+        return made_where(self.prepared)
 
     @property
     def has_coverage(self) -> bool:

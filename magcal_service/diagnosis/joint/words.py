@@ -129,6 +129,7 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
         lines.append(f"    {says(diagnosis, index)}")
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
+    lines += [f"  {one.name}: {line}" for one in diagnosis.recordings for line in one.made_where]
     lines += [f"  {line}" for line in light_lines(diagnosis.recordings, diagnosis.explained)]
     lines += _level_lines(diagnosis)
     if diagnosis.verdict is not Verdict.UNKNOWN or sentence(diagnosis) == IN_DOUBT:  # else the sentence has said it

@@ -234,7 +234,7 @@ def _rows(diagnosis: Diagnosis) -> list[str]:
     """The account of the rows, by kind."""
     defects = [f"{one.code}: {one.rows}" for one in diagnosis.inspection.findings if one.certain]
     account = account_of(diagnosis.inspection, diagnosis.prepared)
-    return [*diagnosis.prepared.recording.report.lines(), *defects, str(account)]
+    return [*diagnosis.prepared.recording.report.lines(), *defects, str(account), *diagnosis.made_where]
 
 
 def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
