@@ -44,6 +44,7 @@ class Entry:
         empty where nothing does.
     as_well: of ``members``, those that act exactly so: the field alone never tells them apart.
     extent: how much of what it has a part in, in words.
+    why_first: why it stands although a rival of its class is likelier; empty where none is.
     """
 
     effect: str
@@ -64,6 +65,7 @@ class Entry:
     unlisted: str = ""
     as_well: tuple[str, ...] = ()
     extent: str = ""
+    why_first: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -74,6 +76,7 @@ class Entry:
             "rivals": [{"effect": name, "probability": round(p, 6)} for name, p in self.rivals],
             "class": list(self.members),
             "as_well": list(self.as_well),
+            "why_first": self.why_first,
             "separated_by": self.separated_by,
             "driver": self.driver,
             "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in self.drivers],

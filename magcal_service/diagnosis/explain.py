@@ -37,10 +37,10 @@ MOST_EFFECTS: Final = len(SEARCHING)
 CLASS_NATS: Final = 3.0
 """Rivals within odds of 20 to 1 are one class: this recording cannot distinguish them."""
 
-_LIKELIER: Final = 1.0
+LIKELIER: Final = 1.0
 """Nats by which a rival in the same class comes first at the end: odds of 3 to 1; closer, the first one found stays."""
 
-_OF_BLOCKS: Final = 5.0
+OF_BLOCKS: Final = 5.0
 """Nats that held-out blocks may speak against a likelier rival at the end: between names of one class they scatter so;
 a choice."""
 
@@ -337,7 +337,7 @@ class Search(Screen):
         ]
         for index, ranked in enumerate(rivals if len(given_up) < _MOST_EXCHANGES else ()):
             open_ = [c for c in ranked if c.hypothesis.label not in given_up]
-            other = self._with_better(fit, index, open_, _LIKELIER, _OF_BLOCKS)
+            other = self._with_better(fit, index, open_, LIKELIER, OF_BLOCKS)
             if other is not None:
                 left, before = given_up | {fit.terms[index].hypothesis.label}, (self.problem, self.hypotheses)
                 found = self.compared(self.refreshed(other), floor_nt, left)

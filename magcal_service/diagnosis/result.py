@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
+from magcal_service.diagnosis.first import why_first
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
 from magcal_service.diagnosis.parameters import of_each_axis, parameters_of
@@ -74,6 +75,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
         unlisted=unlisted(diagnosis.explained, index),
         as_well=term.hypothesis.as_well,
+        why_first=why_first(diagnosis, index),
         # of several in one residual; these need not add up to what all of them explain
         extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch would be back without it",
     )

@@ -165,9 +165,12 @@ def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Map
 
 
 def _beside(entry: Entry, known: Mapping[str, str]) -> str:
-    """What an effect is, where another is the first; how sure its name is, where it is not."""
-    is_open = entry.probability < SURE
-    return f"{known[entry.effect]}{f' (name open: {chance(entry.probability)})' if is_open else ''}"
+    """What an effect is, where another is the first; where its name is not sure, how sure and what is likelier."""
+    if entry.probability >= SURE:
+        return known[entry.effect]
+    rival, probability = _likeliest(entry)
+    likelier = f"; {chance(probability)} {rival}" if probability > entry.probability else ""
+    return f"{known[entry.effect]} (name open: {chance(entry.probability)}{likelier})"
 
 
 def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
@@ -177,7 +180,8 @@ def cause_sentence(entry: Entry, known: Mapping[str, str]) -> str:
     if entry.probability >= SURE or len(may_be) == 1:
         return entry.says
     says = f"{entry.says[:1].lower()}{entry.says[1:]}"
-    return f"The name is open: {open_between(may_be, known)}. If {entry.effect}: {says}"
+    why = f"The numbers are those of {entry.effect}: {entry.why_first}. " if entry.why_first else ""
+    return f"The name is open: {open_between(may_be, known)}. {why}If {entry.effect}: {says}"
 
 
 def alternatives(

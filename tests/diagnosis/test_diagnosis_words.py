@@ -103,6 +103,7 @@ def entry(
         extent=f"{percent(share)} of the mismatch",
         unlisted="",
         as_well=(),
+        why_first="",
     )
 
 
@@ -248,6 +249,10 @@ def test_the_likeliest_is_said_first_whichever_was_fitted() -> None:
     found.rivals = (("c", 0.5), ("d", 0.17), ("b", 0.03), ("z", 0.0001))
     said = cause_sentence(found, titles(diagnosis(Verdict.NAMED).effects))
     assert said.startswith("The name is open: 50 % c (a step); 30 % a (heat); 17 % d (a tone); or 3 % b (currents).")
+    assert " If a: it is hot." in said
+    found.why_first = "c is likelier by less than 3 to 1, and a was found first"
+    told = cause_sentence(found, titles(diagnosis(Verdict.NAMED).effects))
+    assert told == said.replace(" If a:", f" The numbers are those of a: {found.why_first}. If a:")
     sure = entry("a", "b", probability=0.96)
     assert cause_sentence(sure, titles(diagnosis(Verdict.NAMED).effects)) == "It is hot."
 
@@ -256,6 +261,9 @@ def test_a_name_beside_another_says_where_it_is_open() -> None:
     found = [entry("a"), entry("b", "c", probability=0.7)]
     said = verdict_sentence(diagnosis(Verdict.NAMED), found, HELD_OUT)
     assert said == "It is hot; beside it currents (name open: 70 %)."
+    found[1].probability, found[1].rivals = 0.3, (("c", 0.6),)
+    said = verdict_sentence(diagnosis(Verdict.NAMED), found, HELD_OUT)
+    assert said == "It is hot; beside it currents (name open: 30 %; 60 % c)."
 
 
 def test_a_size_that_is_not_fixed_is_not_said_as_one() -> None:
