@@ -4,12 +4,12 @@ A model of the main field leaves out the crust, the field's change since it was 
 smooth along the orbit, repeated where the craft comes by again.  Without them in the noise, what remains of the model
 on a quiet craft is taken for physics.  The error of each Cartesian component is a Gaussian field over the sphere,
 
-    cov(delta_i . h_i, delta_j . h_j) = (h_i . h_j) sum_n s_n^2 P_n(cos gamma_ij),
+    cov(delta_i . h_i, delta_j . h_j) = (h_i . h_j) sum_n s_n^2 (r0^2 / (r_i r_j))^(n + 2) P_n(cos gamma_ij),
 
-with gamma the angle between two places on the turning Earth, h the direction of the field there and s_n^2 the variance
-of one component by spherical-harmonic degree.  Currents in the polar ionosphere come on top: poleward of 60 degrees of
-geomagnetic latitude, over some hundred kilometres, and others in each pass.  Rows are whitened by both in a basis of
-the few directions that matter.
+with gamma the angle between two places on the turning Earth, r their radii, h the direction of the field there and
+s_n^2 the variance of one component by spherical-harmonic degree at r0.  Currents in the polar ionosphere come on top:
+poleward of 60 degrees of geomagnetic latitude, over some hundred kilometres, and others in each pass.  Rows are
+whitened by both in a basis of the few directions that matter.
 
 Source of the variances (1 sigma of a component, in orbit): 19 nT for the core field, which is IGRF-13 against IGRF-14
 in 2023, 33 nT of the vector (Alken et al. 2021 give the candidates' spread); 12 nT for what quiet currents in the
@@ -28,7 +28,6 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from magcal_service.earth import geomagnetic
@@ -52,6 +51,9 @@ _DEGREE: Final = 45
 
 _COMMON_KM: Final = 500.0
 """Altitude of a craft whose places are not known [km]: most small ones fly at 400 to 600."""
+
+_HIGHEST_KM: Final = 600.0
+"""Altitude up to which the core's errors have the size above [km]: models are held against craft at 400 to 500."""
 
 _POLAR_NT: Final = 4.0  # currents in the polar ionosphere on a quiet night, in |H|
 _POLAR_DEG: Final = (60.0, 4.0)
@@ -202,16 +204,13 @@ class FieldError:
         """
         if not scene.in_orbit or len(scene) < 2:
             return None
-        place, at = scene.position_ecef_km, _knots(scene)
-        if place is None:
-            direction, altitude_km = _common_orbit(scene.time_s[at]), _COMMON_KM
-        else:
-            radius = np.linalg.norm(place, axis=1)
-            direction, altitude_km = place[at] / radius[at, None], float(np.median(radius)) - IGRF_RADIUS_KM
+        given, at = scene.position_ecef_km, _knots(scene)
+        place = _common_orbit(scene.time_s[at]) if given is None else given[at]
+        altitude_km = _COMMON_KM if given is None else float(np.median(np.linalg.norm(given, axis=1))) - IGRF_RADIUS_KM
         if not altitude_km > LOWEST_ORBIT_KM:  # the crust is no small error there
             return None
-        coarse, fine = (part * _alignment(scene, at) for part in _by_angle(direction, altitude_km))
-        fine += 0.0 if place is None else _of_currents(direction, scene.time_s[at])
+        coarse, fine = (part * _alignment(scene, at) for part in _by_place(place, altitude_km))
+        fine += 0.0 if given is None else _of_currents(place, scene.time_s[at])
         return cls._made(Lines(at, len(scene)), noise_nt, Scale(), coarse, fine)
 
     @classmethod
@@ -292,28 +291,47 @@ def _knots(scene: Scene) -> NDArray[np.intp]:
 
 
 def _common_orbit(time_s: Array) -> NDArray[np.float64]:
-    """Places (k, 3) on the unit sphere, Earth-fixed, of a craft on a circle of 500 km at 60 degrees."""
+    """Places (k, 3), Earth-fixed, of a craft on a circle of 500 km at 60 degrees [km]."""
     along = kepler_rad_s(IGRF_RADIUS_KM + _COMMON_KM) * time_s
     east = EARTH_RAD_S * time_s
     x, y, z = np.cos(along), 0.5 * np.sin(along), math.sqrt(0.75) * np.sin(along)
-    return np.stack([x * np.cos(east) + y * np.sin(east), y * np.cos(east) - x * np.sin(east), z], axis=1)
+    direction = np.stack([x * np.cos(east) + y * np.sin(east), y * np.cos(east) - x * np.sin(east), z], axis=1)
+    return np.asarray((IGRF_RADIUS_KM + _COMMON_KM) * direction)
 
 
-def _by_angle(direction: NDArray[np.float64], altitude_km: float) -> tuple[Array, Array]:
-    """sum_n s_n^2 P_n(cos gamma) between places (k, 3) on the unit sphere, to degree 13 and beyond (k, k) [nT^2]."""
-    cosine, variance = np.clip(direction @ direction.T, -1.0, 1.0), degree_variances(altitude_km)
-    low = variance[: _CORE_DEGREE + 1]
-    high = np.where(np.arange(len(variance)) > _CORE_DEGREE, variance, 0.0)
-    return np.asarray(legendre.legval(cosine, low)), np.asarray(legendre.legval(cosine, high))
+def _by_place(place_km: NDArray[np.float64], altitude_km: float) -> tuple[Array, Array]:
+    """sum_n s_n^2 (r0^2 / (r_i r_j))^(n + 2) P_n(cos gamma_ij) between places (k, 3), to degree 13 and beyond (k, k)
+    [nT^2]: what comes from inside fades with the height of each place, what comes from far outside does not.
+
+    Parameters
+    ----------
+    altitude_km: usual one of the craft; r0 is its radius, or that of the highest orbit that the variances are of.
+    """
+    reference_km = min(altitude_km, _HIGHEST_KM)
+    radius = np.linalg.norm(place_km, axis=1)
+    nearer = (IGRF_RADIUS_KM + reference_km) / radius
+    nearer2 = np.outer(nearer, nearer)
+    cosine = np.clip((place_km / radius[:, None]) @ (place_km / radius[:, None]).T, -1.0, 1.0)
+    variance = degree_variances(reference_km)
+    variance[1] -= _EXTERNAL_NT**2
+    step, square = nearer2 * cosine, nearer2**2
+    low, high = np.zeros_like(cosine), np.zeros_like(cosine)
+    before, here = np.ones_like(cosine), step  # q^n P_n(cosine), by Bonnet's recursion
+    for degree in range(1, len(variance)):
+        total = low if degree <= _CORE_DEGREE else high
+        total += variance[degree] * here
+        before, here = here, ((2 * degree + 1) * step * here - degree * square * before) / (degree + 1)
+    return square * low + _EXTERNAL_NT**2 * cosine, square * high
 
 
-def _of_currents(direction: NDArray[np.float64], time_s: Array) -> Array:
-    """Covariance (k, k) [nT^2] of what flows in the polar ionosphere, at places on the unit sphere and their times.
+def _of_currents(place_km: NDArray[np.float64], time_s: Array) -> Array:
+    """Covariance (k, k) [nT^2] of what flows in the polar ionosphere, at places (k, 3) and their times.
 
     It is rough: of the kernel (1 + t) exp(-t), t the time between two places over ``_POLAR_S``.
     """
     sets_in, over = _POLAR_DEG
-    latitude = np.degrees(np.arcsin(np.clip(np.abs(direction @ DIPOLE_ECEF), 0.0, 1.0)))
+    upwards = place_km / np.linalg.norm(place_km, axis=1)[:, None]
+    latitude = np.degrees(np.arcsin(np.clip(np.abs(upwards @ DIPOLE_ECEF), 0.0, 1.0)))
     share = np.clip((latitude - sets_in) / over + 0.5, 0.0, 1.0)
     apart = np.abs(time_s[:, None] - time_s) / _POLAR_S
     return np.asarray(_POLAR_NT**2 * np.outer(share, share) * (1.0 + apart) * np.exp(-apart))

@@ -9,7 +9,15 @@ import pytest
 from numpy.polynomial import legendre
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.field_error import FieldError, Lines, Scale, _common_orbit, _of_currents, degree_variances
+from magcal_service.diagnosis.field_error import (
+    FieldError,
+    Lines,
+    Scale,
+    _by_place,
+    _common_orbit,
+    _of_currents,
+    degree_variances,
+)
 from magcal_service.diagnosis.leftover import _beside
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Problem
@@ -46,6 +54,27 @@ def test_variances_add_up_to_their_sources() -> None:
         upward = ((6371.2 + 300.0) / (6371.2 + 600.0)) ** (2 * degree + 4)
         assert high[degree] / low[degree] == pytest.approx(upward)
         assert low[degree] == pytest.approx(20.0 / 3.0 * (6371.2 / 6671.2) ** (2 * degree + 4))
+
+
+def test_errors_fade_with_the_height_of_each_place() -> None:
+    """On an eccentric orbit against the sum over degrees of every pair; on a circle each place has the same."""
+    altitude_km = np.array([310.0, 420.0, 1500.0, 4500.0, 35_800.0])
+    angle = np.array([0.0, 0.08, 0.5, 2.1, 3.0])
+    place = (6371.2 + altitude_km)[:, None] * np.stack([np.cos(angle), np.sin(angle), np.zeros(5)], axis=1)
+    low, high = _by_place(place, 1500.0)
+    ground = degree_variances(600.0)
+    ground[1] -= 12.0**2
+    for i, j in np.ndindex(5, 5):
+        cosine, nearer = np.cos(angle[i] - angle[j]), 6971.2 / np.sqrt(np.prod(6371.2 + altitude_km[[i, j]]))
+        terms = ground * nearer ** (2 * np.arange(46) + 4)
+        assert low[i, j] == pytest.approx(legendre.legval(cosine, terms[:14]) + 12.0**2 * cosine, rel=1e-9)
+        assert high[i, j] == pytest.approx(
+            legendre.legval(cosine, [0.0] * 14 + terms[14:].tolist()), rel=1e-9, abs=1e-9
+        )
+    assert high[0, 0] == pytest.approx(degree_variances(310.0)[14:].sum())
+    circle = 6871.2 * place / np.linalg.norm(place, axis=1)[:, None]
+    low, high = _by_place(circle, 500.0)
+    assert np.diagonal(low + high) == pytest.approx(degree_variances(500.0).sum())
 
 
 @pytest.mark.parametrize("degree", [14, 30, 45])
@@ -144,8 +173,9 @@ def test_without_places_errors_fade_with_the_way_of_a_common_orbit(error: FieldE
     there = FieldError.of(replace(scene(), position_ecef_km=None), NOISE_NT)
     assert there is not None
     assert there.rms_nt == pytest.approx(error.rms_nt, rel=0.03)
-    direction = _common_orbit(np.array([0.0, 48.0, 5677.0]))
-    assert np.linalg.norm(direction, axis=1) == pytest.approx(1.0)
+    place = _common_orbit(np.array([0.0, 48.0, 5677.0]))
+    direction = place / np.linalg.norm(place, axis=1)[:, None]
+    assert np.linalg.norm(place, axis=1) == pytest.approx(6871.2)
     assert np.degrees(np.arccos(direction[0] @ direction[1])) == pytest.approx(3.0, abs=0.15)
     assert np.degrees(np.arccos(direction[0] @ direction[2])) == pytest.approx(5677.0 * 360.0 / 86164.1, abs=0.5)
 
