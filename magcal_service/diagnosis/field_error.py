@@ -59,6 +59,9 @@ _POLAR_NT: Final = 4.0  # currents in the polar ionosphere on a quiet night, in 
 _POLAR_DEG: Final = (60.0, 4.0)
 """Geomagnetic latitude from which on they flow, and over which they set in [deg]."""
 
+_COMMON_SHARE: Final = 0.58
+"""Of them, what places that are not known have by rms: most orbits pass over the poles, a third of each beyond 60."""
+
 _POLAR_S: Final = 60.0
 """Time over which they change along the orbit [s]: 450 km, electrojets and arcs are 100 to 1000 km wide."""
 
@@ -210,7 +213,8 @@ class FieldError:
         if not altitude_km > LOWEST_ORBIT_KM:  # the crust is no small error there
             return None
         coarse, fine = (part * _alignment(scene, at) for part in _by_place(place, altitude_km))
-        fine += 0.0 if given is None else _of_currents(place, scene.time_s[at])
+        polar = np.full(len(at), _COMMON_SHARE) if given is None else _polar(place)
+        fine += _of_currents(polar, scene.time_s[at])
         return cls._made(Lines(at, len(scene)), noise_nt, Scale(), coarse, fine)
 
     @classmethod
@@ -324,15 +328,19 @@ def _by_place(place_km: NDArray[np.float64], altitude_km: float) -> tuple[Array,
     return square * low + _EXTERNAL_NT**2 * cosine, square * high
 
 
-def _of_currents(place_km: NDArray[np.float64], time_s: Array) -> Array:
-    """Covariance (k, k) [nT^2] of what flows in the polar ionosphere, at places (k, 3) and their times.
-
-    It is rough: of the kernel (1 + t) exp(-t), t the time between two places over ``_POLAR_S``.
-    """
+def _polar(place_km: NDArray[np.float64]) -> Array:
+    """(k,) share of the currents in the polar ionosphere that places (k, 3) have: 1 poleward of where they flow."""
     sets_in, over = _POLAR_DEG
     upwards = place_km / np.linalg.norm(place_km, axis=1)[:, None]
     latitude = np.degrees(np.arcsin(np.clip(np.abs(upwards @ DIPOLE_ECEF), 0.0, 1.0)))
-    share = np.clip((latitude - sets_in) / over + 0.5, 0.0, 1.0)
+    return np.asarray(np.clip((latitude - sets_in) / over + 0.5, 0.0, 1.0))
+
+
+def _of_currents(share: Array, time_s: Array) -> Array:
+    """Covariance (k, k) [nT^2] of what flows in the polar ionosphere, at places of a share (k,) and their times.
+
+    It is rough: of the kernel (1 + t) exp(-t), t the time between two places over ``_POLAR_S``.
+    """
     apart = np.abs(time_s[:, None] - time_s) / _POLAR_S
     return np.asarray(_POLAR_NT**2 * np.outer(share, share) * (1.0 + apart) * np.exp(-apart))
 

@@ -16,6 +16,7 @@ from magcal_service.diagnosis.field_error import (
     _by_place,
     _common_orbit,
     _of_currents,
+    _polar,
     degree_variances,
 )
 from magcal_service.diagnosis.leftover import _beside
@@ -154,7 +155,7 @@ def test_polar_currents_are_where_the_oval_is_and_others_in_each_pass() -> None:
     across = np.cross(DIPOLE_ECEF, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     direction = np.outer(np.sin(latitude), DIPOLE_ECEF) + np.outer(np.cos(latitude), across)
-    found = _of_currents(direction, np.array([0.0, 1.0, 2.0, 3.0, 63.0, 5700.0]))
+    found = _of_currents(_polar(6900.0 * direction), np.array([0.0, 1.0, 2.0, 3.0, 63.0, 5700.0]))
     assert np.sqrt(np.diagonal(found)) == pytest.approx([0.0, 0.0, 4.0, 4.0, 4.0, 4.0], abs=1e-6)
     assert found[3, 4] == pytest.approx(16.0 * 2.0 * np.exp(-1.0))
     assert found[3, 5] < 1e-9
@@ -169,10 +170,14 @@ def test_what_the_noise_hides_at_a_small_scale_is_kept_as_nothing(error: FieldEr
 
 
 def test_without_places_errors_fade_with_the_way_of_a_common_orbit(error: FieldError) -> None:
-    """As many nT, but for the poles', over as much of the orbit: 0.97 of them are shared by places 3 degrees apart."""
+    """As many nT, those of the poles spread over all of it: 0.97 of them are shared by places 3 degrees apart."""
     there = FieldError.of(replace(scene(), position_ecef_km=None), NOISE_NT)
     assert there is not None
     assert there.rms_nt == pytest.approx(error.rms_nt, rel=0.03)
+    sized = FieldError.of(replace(scene(), position_ecef_km=None, reference_eci_nt=None), NOISE_NT)
+    assert sized is not None
+    crust = _by_place(_common_orbit(scene().time_s[sized.lines.at]), 500.0)[1]
+    assert np.diagonal(sized.fine - crust) == pytest.approx(0.58**2 * 4.0**2)
     place = _common_orbit(np.array([0.0, 48.0, 5677.0]))
     direction = place / np.linalg.norm(place, axis=1)[:, None]
     assert np.linalg.norm(place, axis=1) == pytest.approx(6871.2)
