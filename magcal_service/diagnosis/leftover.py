@@ -18,7 +18,16 @@ from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.shapes import Shape, body_shape, plain_shape, products_of_two, shapes
 from magcal_service.diagnosis.sweeps import tracks
-from magcal_service.diagnosis.wander import TWO_LEVELS, Blocks, Course, first_samples, shown_in, two_levels, wandering
+from magcal_service.diagnosis.wander import (
+    TWO_LEVELS,
+    Blocks,
+    Course,
+    first_samples,
+    of_every_axis,
+    shown_in,
+    two_levels,
+    wandering,
+)
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes, oscillation
 
@@ -201,6 +210,8 @@ def _wandering(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure
     if course.nats < SIGNIFICANT_NATS:
         return
     levels = two_levels(blocks, course.direction)
+    if len(search.whitening) and of_every_axis(blocks) > max(course.nats, levels.nats):
+        return  # what the whitening leaves of noise with a memory
     if levels.nats > course.nats:
         says = f"a body-fixed field that goes between two levels, {levels.switches} times"
         course, shape = levels, body_shape(problem, TWO_LEVELS, says, levels.share[:, None], ("the rarer level",))

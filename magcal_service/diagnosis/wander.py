@@ -144,6 +144,27 @@ def wandering(blocks: Blocks) -> Course:
     return Course(_averaged(nats), directions[way], float(memory_s[time]))
 
 
+def of_every_axis(blocks: Blocks) -> float:
+    """Evidence [nats] for a course of its own along each axis, all of one size and memory: noise that has a memory."""
+    memory_s, variance = blocks.usual_s * np.array(_TIMES), (_SIZES * blocks.sigma_nt) ** 2
+    shape = (len(memory_s), len(variance))
+    whole = variance[None, :, None, None] * np.eye(3)
+    mean, spread, nats = np.zeros((*shape, 3)), np.broadcast_to(whole, (*shape, 3, 3)), np.zeros(shape)
+    for n, r, apart_s in zip(blocks.normal, blocks.right, blocks.apart_s, strict=True):
+        kept = np.exp(-apart_s / memory_s)[:, None, None]
+        mean = kept * mean
+        spread = whole + kept[..., None] ** 2 * (spread - whole)
+        # r = n mean + noise of covariance n: the odds of its density with the course over that without
+        seen = np.eye(3) + spread @ n
+        left = r - mean @ n
+        gain = np.linalg.solve(seen, spread)
+        moved = (gain @ left[..., None])[..., 0]
+        nats += 0.5 * ((left * moved).sum(-1) - np.linalg.slogdet(seen)[1]) + (mean * r).sum(-1)
+        nats -= 0.5 * ((mean @ n) * mean).sum(-1)
+        mean, spread = mean + moved, gain
+    return _averaged(nats)
+
+
 def two_levels(blocks: Blocks, near: Array) -> Levels:
     """The likeliest course between two levels, and the evidence that there is one.
 

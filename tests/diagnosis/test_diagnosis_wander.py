@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis import wander
 from magcal_service.diagnosis.linear import Workspace
-from magcal_service.diagnosis.wander import Blocks, first_samples, two_levels, wandering
+from magcal_service.diagnosis.wander import Blocks, first_samples, of_every_axis, two_levels, wandering
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 
@@ -77,6 +77,38 @@ def test_the_evidence_for_wandering_is_that_of_one_normal_distribution(monkeypat
             - shown @ np.linalg.solve(alone, shown)
         )
         assert wandering(blocks).nats == pytest.approx(log_ratio, abs=1e-9)
+
+
+def test_the_evidence_for_every_axis_is_that_of_one_normal_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wander, "_TIMES", (3.0,))
+    monkeypatch.setattr(wander, "_SIZES", np.array([0.7]))
+    for seed in range(5):
+        blocks = few(seed, 9)
+        at_s = np.cumsum(blocks.apart_s)
+        before = np.kron(0.49 * np.exp(-np.abs(at_s[:, None] - at_s) / 15.0), np.eye(3))
+        shown = np.concatenate([np.linalg.solve(*one) for one in zip(blocks.normal, blocks.right, strict=True)])
+        alone = np.zeros((27, 27))
+        for number, normal in enumerate(blocks.normal):
+            alone[3 * number : 3 * number + 3, 3 * number : 3 * number + 3] = np.linalg.inv(normal)
+        log_ratio = -0.5 * (
+            np.linalg.slogdet(before + alone)[1]
+            - np.linalg.slogdet(alone)[1]
+            + shown @ np.linalg.solve(before + alone, shown)
+            - shown @ np.linalg.solve(alone, shown)
+        )
+        assert of_every_axis(blocks) == pytest.approx(log_ratio, abs=1e-6)
+
+
+def test_noise_with_a_memory_on_every_axis_is_likelier_than_along_one_direction() -> None:
+    """And the other way round, for a field along one direction."""
+    rng = np.random.default_rng(9135)
+    each = np.zeros((COUNT, 3))
+    kept = math.exp(-PERIOD_S / 100.0)
+    for number, kicks in enumerate(rng.normal(size=(COUNT - 1, 3)), start=1):
+        each[number] = kept * each[number - 1] + math.sqrt(1.0 - kept**2) * kicks
+    for field, all_axes in ((0.6 * each, True), (each[:, :1] * ALONG, False)):
+        blocks = blocks_of(noise(50) + np.einsum("ni,ni->n", field, UNIT))
+        assert (of_every_axis(blocks) > wandering(blocks).nats) == all_axes
 
 
 def test_the_evidence_for_two_levels_and_their_course_are_sums_over_all_paths(monkeypatch: pytest.MonkeyPatch) -> None:
