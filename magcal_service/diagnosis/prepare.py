@@ -16,6 +16,7 @@ from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError, Scale
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.spikes import spikes
 from magcal_service.diagnosis.sun_seen import SunSeen, sun_seen
 from magcal_service.estimators.parts.start import prior_sigma
 from magcal_service.estimators.parts.start_problem import BatchProblem, WindowMeans, linear_states
@@ -30,7 +31,7 @@ from magcal_service.recordings.channels import Axes
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import cleaned, recorded_attitude, scene_of
 from magcal_service.recordings.specs import MagnetometerSpec
-from magcal_service.residuals import MEDIAN_TO_SIGMA, white_noise_level
+from magcal_service.residuals import white_noise_level
 
 MOST_ROWS: Final = 60_000
 """Longer recordings are thinned evenly: a diagnosis is about structure, and this keeps it in memory."""
@@ -38,12 +39,6 @@ MOST_ROWS: Final = 60_000
 _SHRUNK: Final = 0.35
 """Determinant of I + D, 0.7 cubed: half-collapsed minima of short arcs have 0.2, sensors told in the wrong scale too,
 but those have no second solution."""
-
-_SPIKE: Final = 8.0
-"""Robust sigmas by which a single sample stands out of its neighbourhood and of the whole: noise does once in 10^15.
-
-Choice: lower, and steep but real courses of a disturbance lose samples; a spike below it is diluted by the fit.
-"""
 
 FEWEST_ROWS: Final = 10 * STATE_SIZE
 """Rows from which on nine errors are known well enough to leave others out; choice: ten for each."""
@@ -79,7 +74,7 @@ class Prepared:
     baseline: the nine errors alone.
     spin: the turn of the craft, or None.
     view: the input of effects that are no field.
-    left_out: rows that were left out for being too many, spikes or spoiled, as in ``Account``.
+    left_out: rows that were left out for being too many, spikes, edges or spoiled, as in ``Account``.
     findings: effects seen in the samples themselves, by name.
     form: of the residual.
     sun: where telemetry shows the Sun, if not where the stated time has it.
@@ -156,7 +151,7 @@ class _Used:
 
 
 def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None) -> _Used:
-    """The rows without those too many, spikes, spoiled or in a weak field; all where hardly any would be left."""
+    """The rows without those too many, spikes, edges, spoiled or in a weak field; all where few would be left."""
     usable, thinned = _usable(recording, stride)
     stated = recording.descriptor.magnetometer
     noise_nt = stated.noise_nt
@@ -169,14 +164,15 @@ def _used(recording: Recording, effects: tuple[Effect, ...], stride: int | None)
         x = baseline_start(sound, noise_nt)
         level_nt = noise_nt or _white(sound, x)
         findings, spoiled = _sample_findings(scene, x, level_nt, stated, effects)
-    spikes = _spikes(scene, x) & ~spoiled
-    weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~spoiled & ~spikes & scene.in_orbit
-    keep = ~(spikes | spoiled | weak)
+    single, edges = (rows & ~spoiled for rows in spikes(scene, x))
+    out = single | edges | spoiled
+    weak = (scene.magnitude_nt < _LEAST_FIELD * level_nt) & ~out & scene.in_orbit
+    keep = ~(out | weak)
     if np.count_nonzero(keep) < FEWEST_ROWS:
-        keep = ~(spikes | spoiled)
+        keep = ~out
     if np.count_nonzero(keep) < FEWEST_ROWS:
         keep[:] = True
-    why = {"spikes": spikes, "spoiled": spoiled, "weak_field": weak}
+    why = {"spikes": single, "edges": edges, "spoiled": spoiled, "weak_field": weak}
     left_out = {"thinned": thinned, **{name: int((rows & ~keep).sum()) for name, rows in why.items()}}
     if not keep.all():
         usable = usable.select(keep)
@@ -284,17 +280,6 @@ def _sphere(scene: Scene) -> Array:
 def _white(scene: Scene, x: Array) -> float:
     residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
     return max(white_noise_level(scene.time_ns, residual), 1e-3)
-
-
-def _spikes(scene: Scene, x: Array) -> NDArray[np.bool_]:
-    """Single samples far outside their neighbourhood."""
-    residual = np.linalg.norm(calibrate(x, scene.field_nt), axis=1) - scene.magnitude_nt
-    padded = np.pad(residual, 4, mode="reflect")
-    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
-    off = np.abs(residual - around)
-    limit = _SPIKE * MEDIAN_TO_SIGMA * float(np.median(off))
-    spread = np.abs(residual - np.median(residual))
-    return np.asarray((off > limit) & (spread > _SPIKE * MEDIAN_TO_SIGMA * float(np.median(spread))))
 
 
 def _sample_findings(

@@ -23,7 +23,7 @@ from magcal_service.diagnosis.diagnose import (
 )
 from magcal_service.diagnosis.doubts import reasons as reasons_of
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
-from magcal_service.diagnosis.prepare import _room, _room_field, _spikes, _usable, _white, baseline_start, prepare
+from magcal_service.diagnosis.prepare import _room, _room_field, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
 from magcal_service.diagnosis.searching import _memory
 from magcal_service.diagnosis.shapes import Shape
@@ -225,19 +225,6 @@ def test_without_one_the_first_half_of_the_recording_is_what_it_is_compared_with
 
 
 # Preparing
-
-
-def test_a_sample_far_out_of_its_neighbourhood_is_a_spike() -> None:
-    """Eight of the residual's robust sigmas, of its neighbours and of all; a step is none."""
-    of = scene(NOISE_NT)
-    field = np.array(of.field_nt)
-    field[700] += 12.0 * NOISE_NT * scene().unit[700]
-    field[900] += 6.0 * NOISE_NT * scene().unit[900]
-    field[0] -= 12.0 * NOISE_NT * scene().unit[0]
-    found = _spikes(spoiled(field, of), X)
-    assert np.flatnonzero(found).tolist() == [0, 700]
-    stepped = of.field_nt + 20.0 * NOISE_NT * scene().unit * (np.arange(COUNT) > 1000)[:, None]
-    assert not _spikes(spoiled(stepped, of), X).any()
 
 
 def test_a_row_in_a_field_of_less_than_ten_times_the_noise_is_left_out() -> None:

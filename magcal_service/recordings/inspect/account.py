@@ -13,6 +13,7 @@ WHY: Final[Mapping[str, str]] = {
     "no_reference": "without a reference",
     "thinned": "thinned out evenly",
     "spikes": "that are single spikes",
+    "edges": "within an edge of a recorded command",
     "weak_field": "in a field of less than ten times the noise",
     "spoiled": "stuck, saturated or within their noise of the stop",
     "in_pulses": "within pulses that nobody recorded, as named",

@@ -53,7 +53,13 @@ def test_a_diagnosis_counts_what_it_leaves_out_besides_and_fits_the_rest(tmp_pat
     inspection = inspect(read_recording(_written(tmp_path)))
     prepared = prepare(inspection.to_diagnose, ())
     account = account_of(inspection, prepared)
-    assert account.left_out == LEFT_OUT | {"thinned": 0, "spikes": len(SPIKES), "spoiled": 0, "weak_field": 0}
+    assert account.left_out == LEFT_OUT | {
+        "thinned": 0,
+        "spikes": len(SPIKES),
+        "edges": 0,
+        "spoiled": 0,
+        "weak_field": 0,
+    }
     assert account.used == len(prepared.problem.scene)
     thinned = prepare(inspection.to_diagnose, (), stride=3)
     account = account_of(inspection, thinned)
@@ -66,7 +72,7 @@ def test_spikes_that_have_to_stay_are_not_counted_as_left_out(tmp_path: Path) ->
     inspection = inspect(read_recording(_written(tmp_path)))
     few = inspection.to_diagnose.sorted_unique()
     prepared = prepare(few.select(np.arange(350, 430)), ())
-    assert prepared.left_out == {"thinned": 0, "spikes": 0, "spoiled": 0, "weak_field": 0}
+    assert prepared.left_out == {"thinned": 0, "spikes": 0, "edges": 0, "spoiled": 0, "weak_field": 0}
     assert len(prepared.problem.scene) == 80
 
 
