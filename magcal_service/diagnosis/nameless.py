@@ -212,7 +212,9 @@ def _first_outdone(
             return outdone
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
             return outdone
-        if term.hypothesis.is_free and explained.nats[index] * explained.gains[index].dispersion < best.nats:
+        # to first order beside the nine errors, or by how much more the nine errors alone leave
+        likely = max(explained.nats[index], held[index]) * explained.gains[index].dispersion
+        if term.hypothesis.is_free and likely < best.nats:
             return outdone
     return None
 

@@ -7,13 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from magcal_service.diagnosis.linear import Workspace
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.between import is_coarse, smooth_field, smoothing, with_turning_points
 from magcal_service.physics.effects.hysteresis import gradual
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.segments import Segments, Sums
 from tests.blind.hysteresis import play as one_rod
 from tests.physics.scenes import scene
 
@@ -145,14 +149,53 @@ def test_what_was_fitted_between_samples_needs_the_rate() -> None:
     """A model says so by its constant; without a rate only what goes by the samples is there."""
     given = {"scale_nt": 4e4, "turns_between": 1.0}
     assert "gradual" in forms(replace(flight(1.0, 50), given=given))
-    assert set(forms(replace(flight(1.0, 50, knows_rate=False), given=given))) == {"", "rods along the axes"}
+    sharp = {"", "rods along the axes", "one strip"}
+    assert set(forms(replace(flight(1.0, 50, knows_rate=False), given=given))) == sharp
+
+
+def nine_of(on: Scene) -> Array:
+    """(n, 9) what the magnitude shows of the nine errors."""
+    unit, field = on.unit, on.calibrated_nt
+    mixed = [unit[:, a] * field[:, b] + unit[:, b] * field[:, a] for a, b in ((0, 1), (0, 2), (1, 2))]
+    return np.concatenate([unit, unit * field / LEVEL_NT, np.stack(mixed, axis=1) / LEVEL_NT], axis=1)
+
+
+def sums_of(residual: Array, on: Scene) -> Sums:
+    """Sums over a residual (n,) beside the nine errors, columns of unit rms."""
+
+    def sums(columns: Columns, first_rows: NDArray[np.intp]) -> Segments:
+        return Workspace(residual, nine_of(on)).segments(columns.along(on.unit), first_rows)
+
+    return sums
+
+
+@pytest.mark.parametrize("variant", ["one strip", "gradual, one strip"])
+def test_a_strip_is_proposed_near_its_direction(variant: str) -> None:
+    """Of any direction, from what rods along the axes would have to be: its own number of degrees and width."""
+    on = flight(0.1, 1500)
+    form = forms(on)[variant]
+    amplitudes = np.array([0.02, -0.01, 0.03])
+    theta = np.array([0.15 if "gradual" in variant else 0.3, 65.0, -40.0])
+    answer = form.columns(theta).field(amplitudes)
+    course = on.calibrated_nt @ direction(65.0, -40.0)
+    scale = float(np.percentile(np.abs(on.calibrated_nt), 99))
+    held = -stepped(course, 0.15 * scale) if "gradual" in variant else one_rod(course, [0.3 * scale], [1.0]) - course
+    settled = slice(200, None)
+    assert answer[settled] == pytest.approx(np.outer(held, amplitudes)[settled], abs=8.0)
+    assert form.proposals is not None
+    proposed = form.proposals(sums_of(np.einsum("ni,ni->n", answer, on.unit), on), [form.nonlinear[0].grid])
+    nearest = max(abs(direction(*each[1:]) @ direction(65.0, -40.0)) for each in proposed)
+    assert nearest > np.cos(np.radians(25.0))
+
+
+def direction(tilt_deg: float, turn_deg: float) -> Array:
+    tilt, turn = np.radians([tilt_deg, turn_deg])
+    return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
 
 
 def left_by(form: Hypothesis, disturbance: Array, on: Scene) -> float:
     """Share of what the magnitude shows of a disturbance (n, 3) that a form leaves at its best."""
-    unit, field = on.unit, on.calibrated_nt
-    mixed = [unit[:, a] * field[:, b] + unit[:, b] * field[:, a] for a, b in ((0, 1), (0, 2), (1, 2))]
-    nine = np.concatenate([unit, unit * field / LEVEL_NT, np.stack(mixed, axis=1) / LEVEL_NT], axis=1)
+    unit, nine = on.unit, nine_of(on)
     course = np.einsum("ni,ni->n", unit, disturbance)
     before = course - nine @ np.linalg.lstsq(nine, course, rcond=None)[0]
     shares = []
@@ -178,5 +221,6 @@ def test_other_models_of_hysteresis_leave_little() -> None:
 
 
 def test_the_scene_of_the_catalogue_has_every_form() -> None:
-    expected = {"", "rods along the axes", "gradual", "gradual, rods along the axes"}
+    sharp = {"", "rods along the axes", "one strip"}
+    expected = sharp | {"gradual", "gradual, rods along the axes", "gradual, one strip"}
     assert set(forms(scene())) == expected

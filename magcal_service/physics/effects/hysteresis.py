@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -18,13 +19,26 @@ from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.sunlight import carried
+from magcal_service.physics.segments import Segments, Sums
 
 _WIDTHS: Final = np.array([0.05, 0.15, 0.3, 0.5, 0.8])
 _FORGETS: Final = np.array([0.02, 0.06, 0.15, 0.4, 1.0])
 """Shares of the largest field: of 50 uT 0.8 to 40 A/m, about the coercive fields of mu-metal and of annealed iron
 (Bozorth 1951)."""
 
-_RODS, _GRADUAL = "rods along the axes", "gradual"
+_RODS, _STRIP, _GRADUAL = "rods along the axes", "one strip", "gradual"
+
+_TILTS: Final = np.linspace(-90.0, 270.0, 13)
+_TURNS: Final = np.linspace(-360.0, 360.0, 25)
+"""Directions of a strip [deg]: steps of 30 to begin with, further than once around so that none is at an end."""
+
+_DIRECTIONS: Final = [
+    (math.degrees(math.acos(1.0 - (number + 0.5) / 20.0)), (137.508 * number) % 360.0) for number in range(20)
+]
+"""Tilts and turns [deg] of 20 directions on half of the sphere, by the golden angle: about 30 degrees apart."""
+
+_WIDTHS_TRIED: Final = 2  # at which rods along the axes fit best; choice: a strip's is near to theirs
+_STRIPS_TRIED: Final = 4  # best of the directions at those widths, from which the optimum is sought
 
 _BETWEEN: Final = "turns_between"  # constant: 1 where turning points between the samples are followed
 _SMOOTHED: Final = "smoothed_over"  # constant: samples before and after that the field is smoothed over
@@ -115,11 +129,15 @@ class _Rods:
         return self._known.once(share, lambda: self._lagging(share))
 
     def _lagging(self, share: float) -> Array:
+        return self._answer(self.course, share)
+
+    def _answer(self, course: Array, share: float) -> Array:
+        """What rods add (n, k) at a share of 1 that meet each column of a course."""
         every = 2 if self.is_between and len(self.scene) > 1 else 1
         begin, width = self.scene.begin("answer", 0.0), share * self.scale_nt
-        state = (gradual if self.is_gradual else play)(self.course, width, begin)[::every]
+        state = (gradual if self.is_gradual else play)(course, width, begin)[::every]
         self.scene.keep("answer", state)
-        return -state if self.is_gradual else np.asarray(state - self.course[::every])
+        return -state if self.is_gradual else np.asarray(state - course[::every])
 
     def own(self, theta: Array) -> Columns:
         """Each along its own axis."""
@@ -128,6 +146,37 @@ class _Rods:
     def everywhere(self, theta: Array) -> Columns:
         """Each along every axis."""
         return along_axes(self.lagging(float(theta[0])))
+
+    def strip(self, theta: Array) -> Columns:
+        """One of any direction, along every axis."""
+        share, tilt_deg, turn_deg = (float(number) for number in theta)
+        return along_axes(self._answer(self.course @ _direction(tilt_deg, turn_deg)[:, None], share)[:, 0])
+
+    def strips(self, sums: Sums, shares: Array) -> Array:
+        """Numbers (q, 3) of the best strips of the widths (w,) at which rods fit best: of a grid of directions, and of
+        the one that such rods have in common."""
+        whole = np.zeros(1, dtype=np.intp)
+        rods = [sums(self.everywhere(np.array([share])), whole) for share in shares.tolist()]
+        wide = np.argsort([float(held.drops[0]) for held in rods])[: -_WIDTHS_TRIED - 1 : -1]
+        tried = [
+            np.array([shares[at], *each]) for at in wide for each in (*_DIRECTIONS, self._common(rods[at], shares[at]))
+        ]
+        drops = [float(sums(self.strip(theta), whole).drops[0]) for theta in tried]
+        return np.array(tried)[np.argsort(drops)[: -_STRIPS_TRIED - 1 : -1]]
+
+    def _common(self, held: Segments, share: float) -> tuple[float, float]:
+        """Tilt and turn [deg] of the strip that is most like the rods that fit best at a half width."""
+        normal = held.normal[0] - held.inside[0].T @ held.inside[0]
+        rms = np.sqrt(np.mean((self.lagging(share)[:, :, None] * self.scene.unit[:, None, :]) ** 2, axis=0))
+        matrix = np.linalg.lstsq(normal, held.right[0], rcond=1e-9)[0].reshape(3, 3) / np.maximum(rms, 1e-9)
+        x, y, z = np.linalg.svd(matrix)[0][:, 0].tolist()
+        return math.degrees(math.acos(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))
+
+
+def _direction(tilt_deg: float, turn_deg: float) -> Array:
+    """(3,) unit vector so far off z, and turned so far about it from x."""
+    tilt, turn = math.radians(tilt_deg), math.radians(turn_deg)
+    return np.array([math.sin(tilt) * math.cos(turn), math.sin(tilt) * math.sin(turn), math.cos(tilt)])
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
@@ -141,12 +190,14 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     sharp = _Rods(scene, scale)
     yield _form("", sharp.own, each, width, {"scale_nt": scale})
     yield _form(_RODS, sharp.everywhere, matrix, width, {"scale_nt": scale})
+    yield _strip(_STRIP, _RODS, sharp, width, {"scale_nt": scale})
     if between and scene.rate_body is None:
         return
     constants = {"scale_nt": scale, **added}
     soft = _Rods(scene, scale, int(smoothed), bool(between), is_gradual=True)
     yield _form(_GRADUAL, soft.own, each, forgets, constants)
     yield _form(f"{_GRADUAL}, {_RODS}", soft.everywhere, matrix, forgets, constants)
+    yield _strip(f"{_GRADUAL}, {_STRIP}", f"{_GRADUAL}, {_RODS}", soft, forgets, constants)
 
 
 def _form(
@@ -159,15 +210,35 @@ def _form(
     return Hypothesis("hysteresis", "none", columns, (block,), variant, (width,), constants, is_free=True)
 
 
+def _strip(variant: str, rods: str, parts: _Rods, width: Nonlinear, constants: Mapping[str, float]) -> Hypothesis:
+    """One strip of any direction, tried where rods along the axes come near the best."""
+    form = _form(variant, parts.strip, Block("strip", "1"), width, constants)
+    tilt, turn = Nonlinear("tilt_deg", "deg", _TILTS), Nonlinear("turn_deg", "deg", _TURNS)
+    return replace(
+        form,
+        nonlinear=(width, tilt, turn),
+        proposals=lambda sums, grids: parts.strips(sums, grids[0]),
+        refines=replace(form, variant=rods).label,
+    )
+
+
 EFFECT = Effect(
     name="hysteresis",
     acts_on=ActsOn.FIELD,
     title="permeable parts remember the field",
     equation=(
         "d_i = share_i (P_r[B_i] - B_i), P_r the play operator of half width r; gradual: d_i = -share_i z_i, "
-        "dz_i = dB_i - |dB_i| z_i / r"
+        "dz_i = dB_i - |dB_i| z_i / r; rods and strips along every axis"
     ),
-    units={"share": "1", "share_matrix": "1", "half_width": "1", "scale_nt": "nT"},
+    units={
+        "share": "1",
+        "share_matrix": "1",
+        "strip": "1",
+        "half_width": "1",
+        "tilt_deg": "deg",
+        "turn_deg": "deg",
+        "scale_nt": "nT",
+    },
     prior=(10.0, 2000.0),
     valid=(
         "one width stands for a part's spread of them: of four play operators the gradual form leaves a twentieth of "
@@ -184,6 +255,9 @@ EFFECT = Effect(
         "{half_width.percent} of the largest field.",
         "Permeable rods hold back {share_matrix.percent} of the field's turns ({share_matrix.place}), within "
         "{half_width.percent} of the largest field.",
+        "A permeable strip, {tilt_deg.size} off axis z and turned {turn_deg.signed} about it from x, holds back "
+        "{strip.percent} of the field's turns along it ({strip.place}), within {half_width.percent} of the largest "
+        "field.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
