@@ -97,8 +97,8 @@ UNRECORDED: Final = "inferred:pulses"
 _DOUBT: Final = (UNLISTED, 0.03)
 """What is left to something else on a beat of its own: as to an effect whose driver was not recorded."""
 
-_OF_ONE_WAY: Final = ("current_loop", 0.03)
-"""What is left beside that to a load's current where the pulses may all have one direction, for a wheel's motor and a
+_OF_ONE_WAY: Final = 0.03
+"""What is left beside that to a load where the pulses may all have one direction, for a wheel's motor and a
 battery have currents of both signs; choice: as much again, so that the name is not acted on."""
 
 
@@ -159,8 +159,12 @@ class _Sums:
         return beat.first_s + beat.period_s * np.arange(max(count, 0))
 
 
-def pulses(view: View) -> Finding | None:
+def pulses(view: View, as_well: tuple[str, ...]) -> Finding | None:
     """Torquers on a beat in a residual, with the rows that they spoil; None where there are none, or a record of them.
+
+    Parameters
+    ----------
+    as_well: effects that pulses of one direction may be.
 
     Source: the evidence is the marginal likelihood of random fields of one variance against none (a random-effects
     model; MacKay 2003, Information Theory, chapter 28), its parts summed over pulses.
@@ -188,7 +192,7 @@ def pulses(view: View) -> Finding | None:
     near = (other for its_nats, other, _ in found if its_nats > _OF_A_GAIN * nats)  # multiples of its cycle, and parts
     if any(_nats_of_a_gain(view, other) > _OF_A_GAIN * nats for other in near):
         return None
-    return _finding(view, beat, fields, turns, nats, _nats_of_absence(squares, size))
+    return _finding(view, beat, fields, () if turns else as_well, nats, _nats_of_absence(squares, size))
 
 
 def _without_empty(found: list[tuple[float, Beat, float]]) -> tuple[float, Beat, float]:
@@ -264,13 +268,15 @@ def _nats(found: tuple[float, Beat, float]) -> float:
     return found[0]
 
 
-def _finding(view: View, beat: Beat, fields: Array, turns: bool, nats: float, absent_nats: float) -> Finding:
+def _finding(
+    view: View, beat: Beat, fields: Array, as_well: tuple[str, ...], nats: float, absent_nats: float
+) -> Finding:
     """What was found.
 
     Parameters
     ----------
     fields: of each pulse (k, 3), in units of the noise.
-    turns: whether the pulses have more than one direction for certain.
+    as_well: effects that these pulses may be, too.
     nats, absent_nats: evidence for the pulses, and what is expected against them of as many places without any.
     """
     scene = view.scene
@@ -290,7 +296,7 @@ def _finding(view: View, beat: Beat, fields: Array, turns: bool, nats: float, ab
         1.0,
         spoiled=rows,
         driver=UNRECORDED,
-        rivals=(_DOUBT,) if turns else (_OF_ONE_WAY, _DOUBT),
+        rivals=(*((name, _OF_ONE_WAY) for name in as_well), _DOUBT),
         off_nats=min(nats, absent_nats),
     )
 

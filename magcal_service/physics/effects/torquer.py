@@ -153,7 +153,7 @@ EFFECT = Effect(
         "Torquers that are not recorded fire every {period_s.size}, for {on_share.percent} of it, each time with "
         "another field, of {pulse_nt.size} by rms; the rows within these pulses are left out.",
     ),
-    find=pulses,
+    find=lambda view: pulses(view, as_well=("current_loop",)),  # a wheel's motor, a battery: of both signs
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
