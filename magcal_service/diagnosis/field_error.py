@@ -30,6 +30,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.diagnosis.groups import Groups
 from magcal_service.earth import geomagnetic
 from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM
 from magcal_service.earth.igrf14 import RADIUS_KM as IGRF_RADIUS_KM
@@ -153,6 +154,20 @@ class Lines:
             found[some, 1:] += at_ends
         return found.T
 
+    def gathered_groups(self, rows: Array, groups: Groups) -> Array:
+        """What ``gathered`` makes of each group's part of rows (n, a): (q, g a), of the first group first.
+
+        A row counts for its own group only, so each is added once, not once for every group.
+        """
+        lines = len(self.at) - 1
+        among = np.repeat(np.arange(lines), self._lengths)
+        found = np.zeros((groups.count, rows.shape[1], lines + 1))
+        for number, column in enumerate(rows.T):
+            at_ends = column * self._share
+            found[:, number, :-1] += groups.sums(column - at_ends, among, lines)
+            found[:, number, 1:] += groups.sums(at_ends, among, lines)
+        return found.reshape(-1, lines + 1).T
+
     def weighed(self, values: Array) -> Array:
         """What ``gathered`` makes of values (q, k) carried on (q, k): a line overlaps with its neighbours only."""
         own, beside = self._overlaps
@@ -258,11 +273,19 @@ class FieldError:
         inside = self.courses.T @ self.lines.gathered(table)
         return self.lines.less(table, self.courses @ (shrink[:, None] * inside)).reshape(rows.shape)
 
-    def products(self, rows: Array) -> Array:
-        """(k, k) products with one another of what ``whitened`` makes of rows (n, k), without making it."""
-        inside = self.courses.T @ self.lines.gathered(rows)
+    def products(self, rows: Array, groups: Groups | None = None) -> Array:
+        """(k, k) products with one another of what ``whitened`` makes of rows (n, k), without making it.
+
+        With ``groups`` of each group's part of rows (n, a), one group's after another's: (g a, g a).
+        """
+        if groups is None:
+            plain: Array = rows.T @ rows
+            gathered = self.lines.gathered(rows)
+        else:
+            plain, gathered = groups.products(rows), self.lines.gathered_groups(rows, groups)
+        inside = self.courses.T @ gathered
         share = self.variance / (self.variance + self.noise_nt**2)
-        found: Array = rows.T @ rows - inside.T @ (share[:, None] * inside)
+        found: Array = plain - inside.T @ (share[:, None] * inside)
         return found
 
     @property

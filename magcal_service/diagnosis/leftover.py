@@ -94,7 +94,9 @@ class _Beside:
         """Of a family's columns, which are not kept, with the residual without its tails, and with all of it."""
         rows = shape.columns(self.fit.unit)
         if self.white_whole is not None:
-            held = self.search.products(self.space, rows)
+            problem = self.search.problem
+            whole = None if shape.groups is None else problem.white_products(self.fit.unit, shape.groups)
+            held = self.space.products_before(rows, problem, whole)
             return held, replace(held, right=rows.T @ self.white_whole / held.scale)
         columns = self.search.white(rows)
         held = self.space.products(columns)

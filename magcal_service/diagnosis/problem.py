@@ -24,6 +24,7 @@ from magcal_service.diagnosis.aimed import Aimed
 from magcal_service.diagnosis.blocks import numbered, pass_numbers
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
+from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.linear import fold_solutions, folds, held_out
 from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes, unknown_slopes
 from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
@@ -107,11 +108,11 @@ class Problem:
             return self.aimed.weighed(rows)
         return rows if self.field_error is None else self.field_error.whitened(rows)
 
-    def white_products(self, rows: Array) -> Array:
-        """(k, k) products of rows (m, k) with one another once they are white."""
+    def white_products(self, rows: Array, groups: Groups | None = None) -> Array:
+        """(k, k) products of rows (m, k) with one another once they are white; ``groups``: as of field errors."""
         if self.field_error is not None and self.aimed is None:
-            return self.field_error.products(rows)
-        white = self.white(rows)
+            return self.field_error.products(rows, groups)
+        white = self.white(rows if groups is None else groups.columns(rows))
         return np.asarray(white.T @ white)
 
     def target(self, x: Array) -> Array:

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes
@@ -42,6 +42,7 @@ class Shape:
     columns: its columns (m, k) as a function of the field's direction (n, 3).
     terms: names of its signals, where they have any.
     of_attitude: whether it is a function of where the craft points.
+    groups: of rows, where its signals are ones in each group's rows and zeros, each along each axis of the body.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Shape:
     columns: Callable[[Array], Array]
     terms: tuple[str, ...] = ()
     of_attitude: bool = False
+    groups: Groups | None = None
 
 
 def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) -> Iterator[Shape]:
@@ -89,10 +91,11 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             yield _plain("place", "the field's magnitude, by place on the Earth", places)
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
-            bins = scene.once(f"ranges of {channel.name} {index}", partial(_quantiles, values))
-            if bins is not None:
+            ranges = scene.once(f"ranges of {channel.name} {index}", partial(_quantiles, values))
+            if ranges is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
-                yield _body(problem, name, f"a body-fixed field that follows {channel.name}", bins)
+                says = f"a body-fixed field that follows {channel.name}"
+                yield replace(_body(problem, name, says, ranges.indicators), groups=ranges)
 
 
 def products_of_two(problem: Problem) -> Columns:
@@ -124,11 +127,6 @@ def plain_shape(name: str, says: str, rows: Array) -> Shape:
 
 def _plain(name: str, says: str, make: Callable[[], Array]) -> Shape:
     return Shape(name, says, lambda _: make())
-
-
-def _indicators(number: NDArray[np.int16], used: NDArray[np.int16]) -> Callable[[], Array]:
-    """Zeros and ones (n, s) that say whether a sample's number (n,) is each of those used (s,)."""
-    return lambda: (number == used[:, None]).astype(np.float64).T
 
 
 def _cosines(share: Array, count: int) -> Array:
@@ -167,12 +165,11 @@ def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:
     return signals - signals.mean(axis=0), tuple(names)
 
 
-def _quantiles(values: Array) -> Callable[[], Array] | None:
-    """(n, used) indicators of ten ranges that hold equally many samples; None for a constant channel."""
+def _quantiles(values: Array) -> Groups | None:
+    """Nine of ten ranges that hold equally many samples, as far as they are used; None for a constant channel."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    number = np.searchsorted(edges, values, side="right").astype(np.int16)
-    used = np.unique(number)
-    return None if len(used) < 2 else _indicators(number, used[:-1])
+    used, number = np.unique(np.searchsorted(edges, values, side="right"), return_inverse=True)
+    return None if len(used) < 2 else Groups(number.astype(np.int16), len(used) - 1)
 
 
 def _places(position_ecef_km: Array) -> Callable[[], Array] | None:
@@ -183,4 +180,4 @@ def _places(position_ecef_km: Array) -> Callable[[], Array] | None:
     number = (np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)).astype(np.int16)
     used, counts = np.unique(number, return_counts=True)
     kept = used[counts >= 20][:200]
-    return _indicators(number, kept) if len(kept) > 1 else None
+    return (lambda: (number == kept[:, None]).astype(np.float64).T) if len(kept) > 1 else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,53 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns
 
+_OFTEN: Final = 2.5
+"""Cuts for each row of a table from which on a product with all of it is faster than taking rows; twice at 5."""
 
-@dataclass(frozen=True, eq=False)
+_FEW: Final = 100_000
+"""Numbers up to which all rows are taken at once: 0.8 MB, which a core's cache holds; the calls are what costs then."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Running sums over stretches of time, from which those of any cycle's parts are had.
+
+    Parameters
+    ----------
+    table: (g + 1, w) over the first 0, 1 ... g stretches; in each row the upper half of ``Segments.normal`` (k, k), its
+        ``inside`` (p, k) and its ``right`` (k,).
+    size, beside: k and p.
+    squares, count: as of ``Segments``.
+    """
+
+    table: Array
+    size: int
+    beside: int
+    squares: float
+    count: int
+
+    def folded(self, cuts: NDArray[np.intp]) -> Segments:
+        """Sums over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
+
+        ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
+        """
+        rows, size = len(self.table), self.size
+        if cuts.size > _OFTEN * rows:
+            places = cuts + rows * np.arange(cuts.shape[1])
+            times = np.bincount(places.reshape(-1), minlength=rows * cuts.shape[1]).reshape(-1, rows)
+            found = np.diff(times, axis=0).astype(np.float64) @ self.table
+        elif cuts.size * self.table.shape[1] < _FEW:
+            found = np.diff(self.table.take(cuts.T, axis=0).sum(axis=1), axis=0)
+        else:
+            found = np.diff(np.stack([self.table.take(each, axis=0).sum(axis=0) for each in cuts.T]), axis=0)
+        upper, lower = np.triu_indices(size)
+        normal = np.empty((len(found), size, size))
+        normal[:, upper, lower] = normal[:, lower, upper] = found[:, : len(upper)]
+        inside = found[:, len(upper) : found.shape[1] - size].reshape(len(found), self.beside, size)
+        return Segments(normal, inside, found[:, found.shape[1] - size :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Segments:
     """Products of k columns in each of g stretches of time: sums from which any choice of stretches is evaluated.
 
@@ -33,33 +78,28 @@ class Segments:
 
     @property
     def running(self) -> Segments:
-        """Sums (g + 1, ...) over the first 0, 1 ... g stretches, for ``folded``."""
+        """Sums (g + 1, ...) over the first 0, 1 ... g stretches."""
 
         def summed(part: Array) -> Array:
-            return np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)])
+            found = np.zeros((len(part) + 1, *part.shape[1:]))
+            np.cumsum(part, axis=0, out=found[1:])
+            return found
 
         normal, inside, right = summed(self.normal), summed(self.inside), summed(self.right)
         return Segments(normal, inside, right, self.squares, self.count)
 
-    def folded(self, cuts: NDArray[np.intp]) -> Segments:
-        """From ``running`` sums those over all stretches between ``cuts[:, i]`` and ``cuts[:, i + 1]``, one for each i.
-
-        ``cuts`` (c, q + 1) are numbers of stretches, rising along each row.
-        """
-
-        at = np.stack([self._packed.take(each, axis=0).sum(axis=0) for each in cuts.T])
-        found, size = np.diff(at, axis=0), self.right.shape[1]
-        upper, lower = np.triu_indices(size)
-        normal = np.empty((len(found), size, size))
-        normal[:, upper, lower] = normal[:, lower, upper] = found[:, : len(upper)]
-        inside = found[:, len(upper) : found.shape[1] - size].reshape(len(found), *self.inside.shape[1:])
-        return Segments(normal, inside, found[:, found.shape[1] - size :])
-
-    @cached_property
-    def _packed(self) -> Array:
-        """All sums of a stretch in a row (g, w), of the symmetric ones one half."""
-        half = (slice(None), *np.triu_indices(self.right.shape[1]))
-        return np.concatenate([self.normal[half], self.inside.reshape(len(self.inside), -1), self.right], axis=1)
+    @property
+    def folds(self) -> Folds:
+        """The same as running sums in one table, which any cycle is folded from."""
+        size, beside = self.right.shape[1], self.inside.shape[1]
+        upper = np.triu_indices(size)
+        ends = np.cumsum([len(upper[0]), beside * size, size])
+        table = np.zeros((len(self.right) + 1, ends[2]))
+        table[1:, : ends[0]] = self.normal[(slice(None), *upper)]
+        table[1:, ends[0] : ends[1]] = self.inside.reshape(len(self.inside), -1)
+        table[1:, ends[1] :] = self.right
+        np.cumsum(table[1:], axis=0, out=table[1:])
+        return Folds(table, size, beside, self.squares, self.count)
 
     @property
     def alone(self) -> Segments:

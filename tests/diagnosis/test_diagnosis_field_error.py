@@ -19,6 +19,7 @@ from magcal_service.diagnosis.field_error import (
     _polar,
     degree_variances,
 )
+from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.leftover import _beside
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Problem
@@ -228,6 +229,21 @@ def test_products_of_white_rows_need_no_white_rows(error: FieldError) -> None:
     whole, parts = space.sums_before(rows[:, :4], problem), space.segments(white[:, :4], np.array([0]))
     assert whole.drops == pytest.approx(parts.drops, rel=1e-7)
     assert (whole.squares, whole.count) == (parts.squares, parts.count)
+
+
+def test_products_of_groups_are_those_of_columns_that_are_zero_outside_of_one(error: FieldError) -> None:
+    """Of four groups and rows in none, each once with the errors of the field and once without."""
+    rng = np.random.default_rng(6)
+    count = len(scene())
+    groups, rows = Groups(rng.integers(0, 5, count).astype(np.int16), 4), 30.0 * rng.normal(size=(count, 2))
+    columns = groups.columns(rows)
+    expected = np.concatenate([rows * (groups.number == number)[:, None] for number in range(4)], axis=1)
+    assert (columns == expected).all()
+    assert groups.products(rows) == pytest.approx(expected.T @ expected)
+    assert error.products(rows, groups) == pytest.approx(error.products(expected), rel=1e-9, abs=1e-6)
+    for problem in (Problem(scene(), NOISE_NT, field_error=error), Problem(scene(), NOISE_NT)):
+        white = problem.white(expected)
+        assert problem.white_products(rows, groups) == pytest.approx(white.T @ white, rel=1e-9, abs=1e-6)
 
 
 def test_families_have_the_evidence_of_white_columns(error: FieldError) -> None:

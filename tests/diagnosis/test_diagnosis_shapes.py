@@ -114,13 +114,13 @@ def test_ranges_of_a_channel_hold_equally_many_samples() -> None:
     values = np.random.default_rng(5).permutation(np.arange(1000.0))
     made = _quantiles(values)
     assert made is not None
-    bins = made()
+    bins = made.indicators()
     assert bins.shape == (1000, 9)
     assert bins.sum(axis=0) == pytest.approx(np.full(9, 100.0), abs=1.0)
     assert np.array_equal(bins[:, 0] > 0, values < np.quantile(values, 0.1))
     two = _quantiles(np.array([0.0, 1.0] * 20))
     assert two is not None
-    assert two().tolist() == [[1.0], [0.0]] * 20
+    assert two.indicators().tolist() == [[1.0], [0.0]] * 20
     assert _quantiles(np.full(30, 4.0)) is None
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.drivers.pulses import Beat, _evidence, _nats_of_absence, _swells, _without_empty
+from magcal_service.physics.drivers.pulses import Beat, _evidences, _nats_of_absence, _swells, _without_empty
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.view import View
@@ -20,6 +20,20 @@ TIME_S = np.arange(COUNT) * 1.0
 CYCLE_S, SHARE, FIRST_S = 90.0, 0.3, 21.0
 CYCLE = ((TIME_S - FIRST_S) // CYCLE_S).astype(int)
 ON = (TIME_S - FIRST_S) % CYCLE_S < SHARE * CYCLE_S
+
+
+def test_the_evidence_for_fields_is_the_ratio_of_two_normal_densities() -> None:
+    """Of what was measured with fields of a variance, and without any."""
+    rng = np.random.default_rng(5)
+    directions, seen = rng.normal(size=(4, 6, 3)), rng.normal(size=(4, 6))
+    squares, products = np.swapaxes(directions, 1, 2) @ directions, np.einsum("kni,kn->ki", directions, seen)
+    sizes = (0.1, 2.0)
+    found = _evidences(squares, products, sizes)
+    for row, size in zip(found, sizes, strict=True):
+        for nats, of, values in zip(row.tolist(), directions, seen, strict=True):
+            covariance = np.eye(6) + size * of @ of.T
+            gained = values @ values - values @ np.linalg.solve(covariance, values)
+            assert nats == pytest.approx(0.5 * (gained - np.linalg.slogdet(covariance)[1]))
 
 
 def scene(**channels: Telemetry) -> Scene:
@@ -110,7 +124,7 @@ def test_what_pulses_that_are_gone_tell_is_what_noise_gives_against_them() -> No
     unit /= np.linalg.norm(unit, axis=2, keepdims=True)
     squares = np.einsum("kni,knj->kij", unit, unit)
     products = np.einsum("kni,dkn->dki", unit, rng.normal(size=(2000, 30, 9)))
-    against = -np.array([_evidence(squares, one, 0.5).sum() for one in products])
+    against = -np.array([_evidences(squares, one, (0.5,)).sum() for one in products])
     sigma = float(against.std()) / len(against) ** 0.5
     assert _nats_of_absence(squares, 0.5) == pytest.approx(float(against.mean()), abs=3.0 * sigma)
     assert sigma < 0.01 * against.mean()

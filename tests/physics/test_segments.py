@@ -31,10 +31,24 @@ def test_a_drop_is_that_of_the_normal_equations_of_what_is_switched_on() -> None
 def test_folded_stretches_are_the_sums_between_cuts() -> None:
     """Two rounds of two: stretches 0 and 3 belong to the first part, 1 and 2 and 4 to the second."""
     of = random_segments(5)
-    folded = of.running.folded(np.array([[0, 1, 3], [3, 4, 5]]))
+    folded = of.folds.folded(np.array([[0, 1, 3], [3, 4, 5]]))
     assert folded.normal[0] == pytest.approx(of.normal[0] + of.normal[3])
     assert folded.right[1] == pytest.approx(of.right[1] + of.right[2] + of.right[4])
     assert folded.inside[1] == pytest.approx(of.inside[1] + of.inside[2] + of.inside[4])
+
+
+@pytest.mark.parametrize("rounds", [3, 400])
+def test_few_cuts_and_many_are_folded_alike(rounds: int) -> None:
+    """Many are folded by a product with all stretches, few row by row; here against the stretches one after another."""
+    of, rng = random_segments(40), np.random.default_rng(8)
+    cuts = np.sort(rng.integers(0, 41, (rounds, 4)), axis=1)
+    folded = of.folds.folded(cuts)
+    for part in range(3):
+        chosen = [np.arange(first, end) for first, end in cuts[:, part : part + 2].tolist()]
+        stretches = np.concatenate(chosen)
+        assert folded.normal[part] == pytest.approx(of.normal[stretches].sum(axis=0))
+        assert folded.inside[part] == pytest.approx(of.inside[stretches].sum(axis=0))
+        assert folded.right[part] == pytest.approx(of.right[stretches].sum(axis=0))
 
 
 def test_alone_leaves_out_what_else_is_fitted() -> None:

@@ -241,9 +241,10 @@ def test_dumping_is_proposed_first_at_its_interval_with_every_hold(step: int, sl
     assert len(set(found[:, 0].tolist())) == 6
 
 
-def test_intervals_without_samples_take_no_place_among_the_sums() -> None:
-    """Two passes four days apart: every sample is in one interval, and none of the 17 000 between them is kept."""
-    times = np.concatenate([100.0 + TIME_S, 350_000.0 + TIME_S])
+@pytest.mark.parametrize("later_s", [4_000.0, 350_000.0])
+def test_intervals_without_samples_take_no_place_among_the_sums(later_s: float) -> None:
+    """Two passes an hour or four days apart: every sample is in one interval, and none of those between is kept."""
+    times = np.concatenate([100.0 + TIME_S, later_s + TIME_S])
     cuts = duty.cuts(times, 20.0)
     assert len(cuts) == 60 + 60
     assert cuts[0, 0] == 0

@@ -76,11 +76,11 @@ def _duty_tried(scene: Scene, periods: Array, sums: Sums) -> Array:
     """
     width = max(float(periods.min()) / SLOTS, scene.period_s, float(np.ptp(scene.time_s)) / _MOST_STRETCHES)
     firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
-    running = sums(along_axes(np.ones(len(scene))), firsts).running
+    folds = sums(along_axes(np.ones(len(scene))), firsts).folds
     times = scene.time_s[firsts] + 0.5 * (width - scene.period_s)
 
     def best(period_s: float) -> tuple[float, list[float]]:
-        drops = running.folded(cuts(times, period_s)).drop(_DUTIES)
+        drops = folds.folded(cuts(times, period_s)).drop(_DUTIES)
         top = int(np.argmax(drops))
         share, slot = _DUTY_NUMBERS[top]
         return float(drops[top]), [period_s, share / SLOTS, slot / SLOTS]
@@ -89,7 +89,7 @@ def _duty_tried(scene: Scene, periods: Array, sums: Sums) -> Array:
     beside = [1.0 / period[0] + _BESIDE / float(np.ptp(scene.time_s)) for _, period in lines]
     near = [best(1.0 / frequency) for frequency in np.concatenate(beside).tolist() if frequency > 0.0]
     found = sorted([*lines, *near], reverse=True)[:_MOST]
-    if found[0][0] > _CLEAR * running.squares / max(running.count, 1):
+    if found[0][0] > _CLEAR * folds.squares / max(folds.count, 1):
         found.insert(0, _sharpened(scene, found[0], sums))
     return np.array([numbers for _, numbers in found])
 
@@ -102,7 +102,7 @@ def _sharpened(scene: Scene, found: tuple[float, list[float]], sums: Sums) -> tu
     """
     span_s, middle_s = float(np.ptp(scene.time_s)), float(scene.time_s.mean())
     firsts = np.arange(0, len(scene), max(1, -(-len(scene) // _MOST_STRETCHES)))
-    running = sums(along_axes(np.ones(len(scene))), firsts).running
+    folds = sums(along_axes(np.ones(len(scene))), firsts).folds
     times = scene.time_s[firsts] - middle_s
 
     def around(period_s: float, begin: float, end: float, step: float) -> tuple[float, tuple[float, float, float]]:
@@ -113,7 +113,7 @@ def _sharpened(scene: Scene, found: tuple[float, list[float]], sums: Sums) -> tu
         if end - begin <= 2.0 * moves[-1] or end + moves[-1] >= begin + moves[0] + 1.0:
             return 0.0, (period_s, begin, end)
         cycles = np.unique(np.floor(times / period_s - edges[0]))[:, None] + np.append(edges, edges[0] + 1.0)
-        drops = running.folded(np.searchsorted(times, period_s * cycles)).drop(_BETWEEN)
+        drops = folds.folded(np.searchsorted(times, period_s * cycles)).drop(_BETWEEN)
         first, last = np.divmod(int(np.argmax(drops)), len(moves))
         return float(drops.max()), (period_s, begin + float(moves[first]), end + float(moves[last]))
 
@@ -136,8 +136,13 @@ def cuts(times_s: Array, period_s: float) -> NDArray[np.intp]:
 
     Intervals without any of the times are left out: between passes days apart nearly all are.
     """
-    number = np.floor(times_s / period_s)
-    begin = np.unique(np.concatenate([number, number + 1.0])) * period_s  # the next, where a quotient was rounded down
+    first, last = (float(np.floor(times_s[end] / period_s)) for end in (0, -1))
+    if last - first < len(times_s):
+        number = np.arange(first, last + 2.0)
+    else:
+        own = np.floor(times_s / period_s)
+        number = np.unique(np.concatenate([own, own + 1.0]))
+    begin = number * period_s  # of one more than there are times in, where a quotient was rounded down
     found: NDArray[np.intp] = np.searchsorted(times_s, begin[:, None] + np.arange(SLOTS + 1) / SLOTS * period_s)
     return found[found[:, -1] > found[:, 0]]
 

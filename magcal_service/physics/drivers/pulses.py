@@ -9,6 +9,7 @@ sound; those in them carry a field that nothing else in the recording tells.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -180,7 +181,7 @@ def pulses(view: View, as_well: tuple[str, ...]) -> Finding | None:
     nats, beat, size = _without_empty(found)
     squares, products = sums.pulses(beat)
     fields = _fields(squares, products, size)
-    off_nats = float(_evidence(*sums.gaps(beat), size).sum())
+    off_nats = float(_evidences(*sums.gaps(beat), (size,)).sum())
     follows = float((fields[1:] * fields[:-1]).sum()) / max(float((fields**2).sum()), 1e-300)
     turns = nats - _of_one_direction(squares, products, fields) > _LEAST_NATS
     strength = (fields**2).sum(axis=1)
@@ -329,7 +330,7 @@ def _best(sums: _Sums, period_s: float) -> tuple[float, Beat, float]:
     """Evidence, place and length of pulses in a cycle, and the variance of their fields."""
     step_s = period_s / _STEPS
     coarse = [Beat(period_s, number * step_s, share) for share in _SHARES for number in range(_STEPS)]
-    nats, beat, size = max((_tried(sums, one, size) for one in coarse for size in _SIZES), key=_nats)
+    nats, beat, size = max((found for one in coarse for found in _tried(sums, one, _SIZES)), key=_nats)
     near = range(-_NEAR, _NEAR + 1)
     fine = [
         Beat(period_s, (beat.first_s + begin * step_s) % period_s, beat.on_share + length / _STEPS)
@@ -337,12 +338,14 @@ def _best(sums: _Sums, period_s: float) -> tuple[float, Beat, float]:
         for length in near
         if 0.0 < beat.on_share + length / _STEPS < 1.0
     ]
-    nats, beat, size = max((_tried(sums, one, size) for one in fine), key=_nats)
+    nats, beat, size = max((found for one in fine for found in _tried(sums, one, (size,))), key=_nats)
     return nats - math.log((len(coarse) * len(_SIZES) + len(fine)) * len(_CYCLES_S)), beat, size
 
 
-def _tried(sums: _Sums, beat: Beat, size: float) -> tuple[float, Beat, float]:
-    return float(_evidence(*sums.pulses(beat), size).sum()), beat, size
+def _tried(sums: _Sums, beat: Beat, sizes: Sequence[float]) -> list[tuple[float, Beat, float]]:
+    """Evidence for a beat whose fields have each of some variances."""
+    each = _evidences(*sums.pulses(beat), sizes).sum(axis=1)
+    return [(nats, beat, size) for nats, size in zip(each.tolist(), sizes, strict=True)]
 
 
 def _fields(squares: Array, products: Array, size: float) -> Array:
@@ -350,10 +353,12 @@ def _fields(squares: Array, products: Array, size: float) -> Array:
     return np.asarray(np.linalg.solve(squares + np.eye(3) / size, products[..., None])[..., 0])
 
 
-def _evidence(squares: Array, products: Array, size: float) -> Array:
-    """(k,) ln of the odds for a field of a variance over none in each stretch [nats]."""
-    explained = np.einsum("ki,ki->k", products, _fields(squares, products, size))
-    return np.asarray(0.5 * (explained - np.linalg.slogdet(np.eye(3) + size * squares)[1]))
+def _evidences(squares: Array, products: Array, sizes: Sequence[float]) -> Array:
+    """(s, k) ln of the odds for a field of each variance (s,) over none in each stretch [nats]."""
+    values, axes = np.linalg.eigh(squares)
+    values, along2 = np.maximum(values, 0.0), np.einsum("kij,ki->kj", axes, products) ** 2
+    size = np.array(sizes)[:, None, None]
+    return np.asarray(0.5 * (along2 / (values + 1.0 / size) - np.log1p(size * values)).sum(axis=2))
 
 
 def _nats_of_absence(squares: Array, size: float) -> float:

@@ -240,8 +240,8 @@ def _dumping_tried(scene: Scene, periods: Array, holds: Array, middle_s: float, 
     times = scene.time_s[firsts] + 0.5 * width - middle_s
 
     def table(of: Segments, among: NDArray[np.intp]) -> Array:
-        running = of.running
-        return np.array([running.folded(cuts(times, float(periods[row]))).drop(_ON) for row in among])
+        folds = of.folds
+        return np.array([folds.folded(cuts(times, float(periods[row]))).drop(_ON) for row in among])
 
     rough = table(segments.alone, np.arange(len(periods))).max(axis=1)
     among = np.argsort(rough)[::-1][: max(len(periods) // _FULLY, _FEWEST_FULLY)]
