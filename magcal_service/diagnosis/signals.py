@@ -230,8 +230,8 @@ def _values(scene: Scene) -> list[Signal]:
         Signal(f"channel:{channel.name}", "", column if channel.quantity != "angle" else _turn(column))
         for channel in scene.channels.values()
         if channel.quantity not in _NO_DRIVER and not is_sun_vector(channel)
-        for column in channel.values.T
-        if float(np.std(column)) > _LEAST_SWING * float(np.abs(column).max())
+        for number, column in enumerate(channel.values.T)
+        if channel.swings[0][number] > _LEAST_SWING * channel.swings[1][number]
     ]
     if scene.lit is not None and scene.eclipses:
         found.append(Signal(f"inferred:{_LIGHT}", "", scene.lit))

@@ -7,13 +7,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene, is_sun_vector
+from magcal_service.physics.scene.scene import Scene, Telemetry, is_sun_vector
 from magcal_service.physics.scene.sunlight import first_order
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
@@ -52,7 +53,7 @@ def _fixed(signals: Array) -> Callable[[Array], Columns]:
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for channel in scene.of_quantity("current"):
-        moving = np.std(channel.values, axis=0) > _LEAST_SWING * np.abs(channel.values).max(axis=0)
+        moving = _moves(channel)
         chosen = scene.chosen("column", np.flatnonzero(moving).tolist())
         circuits = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
         if len(circuits) == 0:
@@ -87,6 +88,12 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
 
 
+def _moves(channel: Telemetry) -> NDArray[np.bool_]:
+    """Which columns (k,) of a channel vary."""
+    spread, largest = channel.swings
+    return np.asarray(spread > _LEAST_SWING * largest)
+
+
 def _largest(currents: Array) -> float:
     """rms that the field of currents (n, k) may have [nT]."""
     return min(_MOST_NT, _MOST_PER_A_NT * float(np.sqrt(np.mean(currents**2) * currents.shape[1])))
@@ -97,8 +104,8 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
     for channel in scene.of_quantity(*_LIKE_CURRENTS):
         if is_sun_vector(channel):
             continue
-        for column, values in enumerate(channel.values.T):
-            if not scene.is_given and not np.std(values) > _LEAST_SWING * np.abs(values).max():
+        for column in range(channel.values.shape[1]):
+            if not scene.is_given and not _moves(channel)[column]:
                 continue
             several = channel.values.shape[1] > 1
             yield Hypothesis(
@@ -118,7 +125,7 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
         signal, is_current = channel.values, channel.quantity == "current"
         if is_sun_vector(channel) or signal.shape[1] > 1:
             continue
-        if not scene.is_given and not np.std(signal) > _LEAST_SWING * np.abs(signal).max():
+        if not scene.is_given and not _moves(channel)[0]:
             continue
         driver = f"channel:{channel.name}"
         yield Hypothesis(
@@ -148,11 +155,11 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
     if len(channels) < 2:
         return
-    signals = np.concatenate([channel.values for channel in channels], axis=1)
-    moving = np.flatnonzero(np.std(signals, axis=0) > _LEAST_SWING * np.abs(signals).max(axis=0))
-    used = [column for column in scene.chosen("column", moving.tolist()) if column < signals.shape[1]]
+    moving = np.concatenate([_moves(channel) for channel in channels])
+    used = [column for column in scene.chosen("column", np.flatnonzero(moving).tolist()) if column < len(moving)]
     if len(used) < 2 or len(used) > _MOST_TOGETHER:
         return
+    signals = np.concatenate([channel.values for channel in channels], axis=1)
     driver = "channel:" + "+".join(channel.name for channel in channels)
     names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
     labels = (tuple(names[column] for column in used), AXES)

@@ -59,13 +59,18 @@ Warmed = Recent[tuple[float, float], tuple[Array, Array]]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Telemetry:
     """One channel on the samples' times: kind by its unit, and values (n, k) in the base unit without gaps."""
 
     name: str
     quantity: str
     values: Array
+
+    @cached_property
+    def swings(self) -> tuple[Array, Array]:
+        """Standard deviation and largest absolute value (k,) of each column, asked for whenever forms are made anew."""
+        return np.std(self.values, axis=0), np.abs(self.values).max(axis=0)
 
 
 def is_sun_vector(channel: Telemetry) -> bool:
