@@ -23,14 +23,14 @@ class Groups:
     number: NDArray[np.int16]
     count: int
 
-    def indicators(self) -> Array:
-        """(n, g) ones in each group's rows, and zeros."""
-        every = np.arange(self.count, dtype=np.int16)
-        return np.asarray(self.number == every[:, None], dtype=np.float64).T
+    def columns(self, rows: Array, some: slice = slice(None)) -> Array:
+        """(n, g a) each group's part of rows (n, a), zero elsewhere, one group's after another's, each in one piece.
 
-    def columns(self, rows: Array) -> Array:
-        """(n, g a) each group's part of rows (n, a), zero elsewhere, one group's after another's."""
-        return (self.indicators()[:, :, None] * rows[:, None]).reshape(len(rows), -1)
+        ``some``: of these groups only.
+        """
+        every = np.arange(self.count, dtype=np.int16)[some]
+        found: Array = (self.number == every[:, None])[:, None] * np.ascontiguousarray(rows.T)
+        return found.reshape(-1, len(rows)).T
 
     def sums(self, values: Array, among: NDArray[np.intp] | None = None, parts: int = 1) -> Array:
         """(g, parts) sums of values (n,) over each group's rows, for each part of the recording by number (n,)."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis.explain import Search
+from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.linear import Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem
@@ -51,6 +52,8 @@ _TRANSIENTS_S: Final = (30.0, 90.0, 240.0)
 Choice: factors of about three, since a stretch half or twice as long as the cause still finds most of it; more widths
 cost evidence by their number.
 """
+
+_GROUPS_AT_ONCE: Final = 9  # whose columns are made together: all ranges of a channel, a fifth of a line's courses
 
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
@@ -92,15 +95,25 @@ class _Beside:
 
     def products(self, shape: Shape) -> tuple[Products, Products]:
         """Of a family's columns, which are not kept, with the residual without its tails, and with all of it."""
+        if self.white_whole is not None and shape.groups is not None:
+            return self._of_groups(shape.groups, shape.own(self.fit.unit), self.white_whole)
         rows = shape.columns(self.fit.unit)
         if self.white_whole is not None:
-            problem = self.search.problem
-            whole = None if shape.groups is None else problem.white_products(self.fit.unit, shape.groups)
-            held = self.space.products_before(rows, problem, whole)
+            held = self.space.products_before(rows, self.search.problem)
             return held, replace(held, right=rows.T @ self.white_whole / held.scale)
         columns = self.search.white(rows)
         held = self.space.products(columns)
         return held, replace(held, right=columns.T @ self.whole.residual / held.scale)
+
+    def _of_groups(self, groups: Groups, own: Array, white_whole: Array) -> tuple[Products, Products]:
+        """The same of columns ``own`` (m, a) in each group's rows alone: those of a few groups are made at a time."""
+        problem, beside, right = self.search.problem, [], []
+        for first in range(0, groups.count, _GROUPS_AT_ONCE):
+            rows = groups.columns(own, slice(first, first + _GROUPS_AT_ONCE))
+            beside.append(self.space.beside(rows, problem))
+            right.append(rows.T @ white_whole)
+        held = self.space.products_of(problem.white_products(own, groups), np.concatenate(beside, axis=1))
+        return held, replace(held, right=np.concatenate(right) / held.scale)
 
     def signal(self, shape: Shape, amplitudes: Array) -> Array:
         """(m,) what amplitudes of a family add to the residual [nT]."""

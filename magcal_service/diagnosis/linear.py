@@ -141,22 +141,26 @@ class Workspace:
         Its whitening is a symmetric matrix: that of what they are multiplied by will do.  ``whole``: their white
         products (k, k) where they are known.
         """
-        beside = self._beside(rows, problem)
-        return self._products(problem.white_products(rows) if whole is None else whole, beside[:-1], beside[-1])
+        beside = self.beside(rows, problem)
+        return self.products_of(problem.white_products(rows) if whole is None else whole, beside)
 
     def sums_before(self, rows: Array, problem: Whitening) -> Segments:
         """As ``segments`` of one stretch that is the whole recording, of columns as in ``products_before``."""
-        whole, beside = problem.white_products(rows), self._beside(rows, problem)
+        whole, beside = problem.white_products(rows), self.beside(rows, problem)
         scale = _rms(np.diagonal(whole) / self.count)
         normal, beside = whole / np.outer(scale, scale), beside / scale
         return Segments(normal[None], beside[None, :-1], beside[None, -1], self.squares, self.count)
 
-    def _beside(self, rows: Array, problem: Whitening) -> Array:
+    def beside(self, rows: Array, problem: Whitening) -> Array:
         """(p + 1, k) products of the basis and the residual with what a problem makes of rows (m, k)."""
         if self._before is None:
             self._before = problem.white(self._fixed)
         found: Array = self._before.T @ rows
         return found
+
+    def products_of(self, whole: Array, beside: Array) -> Products:
+        """Of columns whose white products with one another (k, k), and what ``beside`` says (p + 1, k), are known."""
+        return self._products(whole, beside[:-1], beside[-1])
 
     def _products(self, whole: Array, inside: Array, right: Array) -> Products:
         """Of columns Z, from Z'Z (k, k), Q'Z (p, k) and Z'r (k,), Q being the model's basis."""

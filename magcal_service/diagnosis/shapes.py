@@ -12,6 +12,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.problem import Problem
@@ -42,7 +43,8 @@ class Shape:
     columns: its columns (m, k) as a function of the field's direction (n, 3).
     terms: names of its signals, where they have any.
     of_attitude: whether it is a function of where the craft points.
-    groups: of rows, where its signals are ones in each group's rows and zeros, each along each axis of the body.
+    groups: of rows, where each of its columns is zero outside of one.
+    own: then the columns (n, a) of every group, as a function of the same.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Shape:
     terms: tuple[str, ...] = ()
     of_attitude: bool = False
     groups: Groups | None = None
+    own: Callable[[Array], Array] = np.asarray
 
 
 def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) -> Iterator[Shape]:
@@ -71,13 +74,14 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     if line_hz is not None:
         angle = 2.0 * np.pi * line_hz * scene.time_s
         count = int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES))
-
-        def swinging() -> Array:
-            courses = _windows(share, count)
-            return np.concatenate([courses * part[:, None] for part in (np.cos(angle), np.sin(angle))], axis=1)
-
         says = f"a body-fixed oscillation near {line_hz:.4g} Hz that comes and goes"
-        yield _body(problem, "line", says, swinging)
+        if problem.is_vector:
+            yield _body(problem, "line", says, partial(_swinging, angle, _windows(share, count)))
+        else:
+            used, number = np.unique(_window_numbers(share, count), return_inverse=True)
+            swing = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            groups = Groups(number.astype(np.int16), len(used))
+            yield _grouped("line", says, groups, along_axes(swing).along)
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
         spinning = body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
@@ -95,7 +99,10 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             if ranges is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
                 says = f"a body-fixed field that follows {channel.name}"
-                yield replace(_body(problem, name, says, ranges.indicators), groups=ranges)
+                if problem.is_vector:
+                    yield _body(problem, name, says, partial(ranges.columns, np.ones((len(scene), 1))))
+                else:
+                    yield _grouped(name, says, ranges, np.asarray)
 
 
 def products_of_two(problem: Problem) -> Columns:
@@ -120,6 +127,11 @@ def _body(problem: Problem, name: str, says: str, make: Callable[[], Array], ter
     return Shape(name, says, columns, terms)
 
 
+def _grouped(name: str, says: str, groups: Groups, own: Callable[[Array], Array]) -> Shape:
+    """A family each of whose columns is one of ``own`` in one group's rows."""
+    return Shape(name, says, lambda unit: groups.columns(own(unit)), groups=groups, own=own)
+
+
 def plain_shape(name: str, says: str, rows: Array) -> Shape:
     """A family of columns along the field (n, k)."""
     return _plain(name, says, lambda: rows)
@@ -134,9 +146,19 @@ def _cosines(share: Array, count: int) -> Array:
     return np.asarray(np.cos(np.pi * share[:, None] * np.arange(1, count + 1)))
 
 
+def _swinging(angle: Array, courses: Array) -> Array:
+    """(n, 2 s) an oscillation in each of courses (n, s), as cosine and sine."""
+    return np.concatenate([courses * part[:, None] for part in (np.cos(angle), np.sin(angle))], axis=1)
+
+
+def _window_numbers(share: Array, count: int) -> NDArray[np.intp]:
+    """(n,) number of each sample's even window."""
+    return np.minimum((share * count).astype(np.intp), count - 1)
+
+
 def _windows(share: Array, count: int) -> Array:
     """(n, used) indicators of even windows."""
-    number = np.minimum((share * count).astype(np.intp), count - 1)
+    number = _window_numbers(share, count)
     used = np.unique(number)
     return np.asarray(number[:, None] == used, dtype=np.float64)
 

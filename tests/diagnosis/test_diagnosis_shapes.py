@@ -114,13 +114,13 @@ def test_ranges_of_a_channel_hold_equally_many_samples() -> None:
     values = np.random.default_rng(5).permutation(np.arange(1000.0))
     made = _quantiles(values)
     assert made is not None
-    bins = made.indicators()
+    bins = made.columns(np.ones((1000, 1)))
     assert bins.shape == (1000, 9)
     assert bins.sum(axis=0) == pytest.approx(np.full(9, 100.0), abs=1.0)
     assert np.array_equal(bins[:, 0] > 0, values < np.quantile(values, 0.1))
     two = _quantiles(np.array([0.0, 1.0] * 20))
     assert two is not None
-    assert two.indicators().tolist() == [[1.0], [0.0]] * 20
+    assert two.columns(np.ones((40, 1))).tolist() == [[1.0], [0.0]] * 20
     assert _quantiles(np.full(30, 4.0)) is None
 
 
@@ -191,7 +191,7 @@ def test_a_line_that_comes_and_goes_has_a_course_every_four_minutes() -> None:
     assert swinging.shape == (COUNT, 2 * count)
     first = TIME_S[-1] / count > TIME_S
     assert swinging[first, 0] == pytest.approx(np.cos(2.0 * np.pi * 0.02 * TIME_S[first]))
-    assert swinging[first, count] == pytest.approx(np.sin(2.0 * np.pi * 0.02 * TIME_S[first]))
+    assert swinging[first, 1] == pytest.approx(np.sin(2.0 * np.pi * 0.02 * TIME_S[first]))
     assert not swinging[~first, 0].any()
     long = replace(scene(), time_s=3.0 * TIME_S, channels={}, position_ecef_km=None, body_from_eci=None)
     assert columns_of("line", long, line_hz=0.02).shape == (COUNT, 2 * 48)
