@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,12 @@ class Groups:
 
     number: NDArray[np.int16]
     count: int
+
+    @classmethod
+    def of(cls, number: NDArray[np.integer[Any]], among: NDArray[np.integer[Any]]) -> Groups:
+        """Rows by a number (n,) each, one group for each of some numbers (g,), rising; rows of others are in none."""
+        place = np.minimum(np.searchsorted(among, number), len(among) - 1)
+        return cls(np.where(among[place] == number, place, len(among)).astype(np.int16), len(among))
 
     def columns(self, rows: Array, some: slice = slice(None)) -> Array:
         """(n, g a) each group's part of rows (n, a), zero elsewhere, one group's after another's, each in one piece.

@@ -53,7 +53,7 @@ Choice: factors of about three, since a stretch half or twice as long as the cau
 cost evidence by their number.
 """
 
-_GROUPS_AT_ONCE: Final = 9  # whose columns are made together: all ranges of a channel, a fifth of a line's courses
+_COLUMNS_AT_ONCE: Final = 54  # of groups, made together: those of a line's courses would be 46 MB at 20 000 rows
 
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
@@ -108,8 +108,9 @@ class _Beside:
     def _of_groups(self, groups: Groups, own: Array, white_whole: Array) -> tuple[Products, Products]:
         """The same of columns ``own`` (m, a) in each group's rows alone: those of a few groups are made at a time."""
         problem, beside, right = self.search.problem, [], []
-        for first in range(0, groups.count, _GROUPS_AT_ONCE):
-            rows = groups.columns(own, slice(first, first + _GROUPS_AT_ONCE))
+        some = max(_COLUMNS_AT_ONCE // own.shape[1], 1)
+        for first in range(0, groups.count, some):
+            rows = groups.columns(own, slice(first, first + some))
             beside.append(self.space.beside(rows, problem))
             right.append(rows.T @ white_whole)
         held = self.space.products_of(problem.white_products(own, groups), np.concatenate(beside, axis=1))

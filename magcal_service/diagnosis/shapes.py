@@ -12,7 +12,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.problem import Problem
@@ -67,7 +66,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     if not problem.is_vector:
         for count in (24, 160):
             says = "the field's magnitude, in stretches of time"
-            yield _plain(f"time {count}", says, partial(_windows, share, count))
+            yield _grouped(f"time {count}", says, _in_windows(share, count), _ones)
     says = "a body-fixed field that follows the field itself"
     follows = body_shape(problem, "field", says, *_products(without_noise(scene)))
     yield replace(follows, of_attitude=True)
@@ -76,12 +75,10 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
         count = int(np.clip(float(elapsed[-1]) / _SHORTEST_S, 4, _MOST_COURSES))
         says = f"a body-fixed oscillation near {line_hz:.4g} Hz that comes and goes"
         if problem.is_vector:
-            yield _body(problem, "line", says, partial(_swinging, angle, _windows(share, count)))
+            yield _body(problem, "line", says, partial(_swinging, angle, _in_windows(share, count)))
         else:
-            used, number = np.unique(_window_numbers(share, count), return_inverse=True)
             swing = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            groups = Groups(number.astype(np.int16), len(used))
-            yield _grouped("line", says, groups, along_axes(swing).along)
+            yield _grouped("line", says, _in_windows(share, count), along_axes(swing).along)
     if phase is not None:
         turn = np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
         spinning = body_shape(problem, "spin phase", "a body-fixed field that follows the spin's phase", turn)
@@ -92,7 +89,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
     if scene.position_ecef_km is not None and not problem.is_vector:
         places = _places(scene.position_ecef_km)
         if places is not None:
-            yield _plain("place", "the field's magnitude, by place on the Earth", places)
+            yield _grouped("place", "the field's magnitude, by place on the Earth", places, _ones)
     for channel in scene.channels.values():
         for index, values in enumerate(channel.values.T):
             ranges = scene.once(f"ranges of {channel.name} {index}", partial(_quantiles, values))
@@ -100,7 +97,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
                 says = f"a body-fixed field that follows {channel.name}"
                 if problem.is_vector:
-                    yield _body(problem, name, says, partial(ranges.columns, np.ones((len(scene), 1))))
+                    yield _body(problem, name, says, partial(ranges.columns, _ones(scene.time_s)))
                 else:
                     yield _grouped(name, says, ranges, np.asarray)
 
@@ -134,11 +131,7 @@ def _grouped(name: str, says: str, groups: Groups, own: Callable[[Array], Array]
 
 def plain_shape(name: str, says: str, rows: Array) -> Shape:
     """A family of columns along the field (n, k)."""
-    return _plain(name, says, lambda: rows)
-
-
-def _plain(name: str, says: str, make: Callable[[], Array]) -> Shape:
-    return Shape(name, says, lambda _: make())
+    return Shape(name, says, lambda _: rows)
 
 
 def _cosines(share: Array, count: int) -> Array:
@@ -146,21 +139,21 @@ def _cosines(share: Array, count: int) -> Array:
     return np.asarray(np.cos(np.pi * share[:, None] * np.arange(1, count + 1)))
 
 
-def _swinging(angle: Array, courses: Array) -> Array:
-    """(n, 2 s) an oscillation in each of courses (n, s), as cosine and sine."""
+def _swinging(angle: Array, windows: Groups) -> Array:
+    """(n, 2 g) an oscillation in each window, as cosine and sine."""
+    courses = windows.columns(_ones(angle))
     return np.concatenate([courses * part[:, None] for part in (np.cos(angle), np.sin(angle))], axis=1)
 
 
-def _window_numbers(share: Array, count: int) -> NDArray[np.intp]:
-    """(n,) number of each sample's even window."""
-    return np.minimum((share * count).astype(np.intp), count - 1)
+def _in_windows(share: Array, count: int) -> Groups:
+    """Even windows of the recording, as far as they are used."""
+    number = np.minimum((share * count).astype(np.intp), count - 1)
+    return Groups.of(number, np.unique(number))
 
 
-def _windows(share: Array, count: int) -> Array:
-    """(n, used) indicators of even windows."""
-    number = _window_numbers(share, count)
-    used = np.unique(number)
-    return np.asarray(number[:, None] == used, dtype=np.float64)
+def _ones(rows: Array) -> Array:
+    """(n, 1) for so many rows."""
+    return np.ones((len(rows), 1))
 
 
 def without_noise(scene: Scene) -> Array:
@@ -190,16 +183,17 @@ def _products(field_nt: Array) -> tuple[Array, tuple[str, ...]]:
 def _quantiles(values: Array) -> Groups | None:
     """Nine of ten ranges that hold equally many samples, as far as they are used; None for a constant channel."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    used, number = np.unique(np.searchsorted(edges, values, side="right"), return_inverse=True)
-    return None if len(used) < 2 else Groups(number.astype(np.int16), len(used) - 1)
+    number = np.searchsorted(edges, values, side="right")
+    used = np.unique(number)
+    return None if len(used) < 2 else Groups.of(number, used[:-1])
 
 
-def _places(position_ecef_km: Array) -> Callable[[], Array] | None:
-    """(n, used) indicators of the squares of about 15 degrees that were visited; None of fewer than two."""
+def _places(position_ecef_km: Array) -> Groups | None:
+    """The squares of about 15 degrees that were visited; None of fewer than two."""
     x, y, z = position_ecef_km.T
     latitude = np.degrees(np.arctan2(z, np.hypot(x, y)))
     longitude = np.degrees(np.arctan2(y, x))
     number = (np.floor(latitude / 15.0) * 100.0 + np.floor(longitude / 15.0)).astype(np.int16)
     used, counts = np.unique(number, return_counts=True)
     kept = used[counts >= 20][:200]
-    return (lambda: (number == kept[:, None]).astype(np.float64).T) if len(kept) > 1 else None
+    return Groups.of(number, kept) if len(kept) > 1 else None

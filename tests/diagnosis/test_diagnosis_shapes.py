@@ -21,10 +21,10 @@ from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.shapes import (
     Shape,
     _cosines,
+    _in_windows,
     _places,
     _products,
     _quantiles,
-    _windows,
     body_shape,
     products_of_two,
     shapes,
@@ -64,15 +64,9 @@ def test_courses_are_cosines_of_half_turns() -> None:
 
 def test_windows_are_even_and_the_last_sample_is_in_the_last() -> None:
     share = np.array([0.0, 0.24, 0.26, 0.5, 0.9, 1.0])
-    assert _windows(share, 4).tolist() == [
-        [1.0, 0.0, 0.0, 0.0],
-        [1.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-    assert _windows(np.array([0.0, 0.1, 0.9]), 4).shape == (3, 2)
+    assert _in_windows(share, 4).number.tolist() == [0, 0, 1, 2, 3, 3]
+    few = _in_windows(np.array([0.0, 0.1, 0.9]), 4)
+    assert (few.number.tolist(), few.count) == ([0, 0, 1], 2)
 
 
 def test_products_of_the_field_are_scaled_centred_and_named() -> None:
@@ -133,7 +127,7 @@ def test_places_are_squares_of_15_degrees_that_were_seen_twenty_times() -> None:
     seen = [(14.0, 1.0, 20), (16.0, 1.0, 21), (14.0, -1.0, 19), (14.0, 14.0, 3), (-1.0, 16.0, 30)]
     made = _places(np.concatenate([at(*place) for place in seen]))
     assert made is not None
-    found = made()
+    found = made.columns(np.ones((len(made.number), 1)))
     assert found.sum(axis=0).tolist() == [30.0, 23.0, 21.0]
     assert found[:20, 1].all()
     assert found[60:63, 1].all()
