@@ -15,6 +15,7 @@ import numpy as np
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
+from magcal_service.diagnosis.signals import Followed
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 
@@ -51,16 +52,24 @@ def likeliest(problem: Problem, usual: FieldError, x: Array, terms: Sequence[Ter
     return scale, nats
 
 
-def needed_scale(usual: FieldError, of_alone: tuple[Scale, float], named: Fit) -> tuple[Scale, bool]:
+def needed_scale(
+    usual: FieldError, of_alone: tuple[Scale, float], named: Fit, followed: Followed | None = None
+) -> tuple[Scale, bool]:
     """The scale that suits the nine errors alone, or the names where those are likelier still; and whether they are.
 
-    ``of_alone``: what ``likeliest`` says of the nine errors alone, which is the same whatever a search has named.
+    Parameters
+    ----------
+    of_alone: what ``likeliest`` says of the nine errors alone, which is the same whatever a search has named.
+    followed: a signal of a channel beside the names; what is left may follow it, and be no error of a field model.
     """
     alone, nats_alone = of_alone
-    if not named.terms:
+    terms, cost = list(named.terms), ACCEPTED_NATS
+    if followed is not None:
+        terms, cost = [*terms, followed.term], cost + followed.cost
+    if not terms:
         return alone, False
-    scale, nats = likeliest(named.problem, usual, named.x, named.terms)
-    return (scale, True) if nats > nats_alone + ACCEPTED_NATS else (alone, False)
+    scale, nats = likeliest(named.problem, usual, named.x, terms)
+    return (scale, True) if nats > nats_alone + cost else (alone, False)
 
 
 def likelier_by(fit: Fit, most: Scale) -> float:

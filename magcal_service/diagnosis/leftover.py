@@ -18,6 +18,7 @@ from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.shapes import Shape, body_shape, plain_shape, products_of_two, shapes
+from magcal_service.diagnosis.signals import Followed, strongest_signal
 from magcal_service.diagnosis.sweeps import tracks
 from magcal_service.diagnosis.wander import (
     TWO_LEVELS,
@@ -191,12 +192,13 @@ def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
 
 
 def with_courses(search: Search, fit: Fit, found: list[Structure], floor_nt: float) -> list[Structure]:
-    """The structures of a residual, and in their order tones whose frequency wanders and courses at no regular times:
-    those are sought once only, beside what stands."""
+    """The structures of a residual, and in their order tones whose frequency wanders, courses at no regular times and
+    what follows a signal of a channel: those are sought once only, beside what stands."""
     beside, sigma = _beside(search, fit, floor_nt)
-    cost = math.log(len(found) + 2.0)
+    cost = math.log(len(found) + 3.0)
+    followed = _following(beside, sigma, strongest_signal(search, fit, floor_nt))
     return sorted(
-        [*found, *_sweeping(beside, sigma, cost), *_wandering(beside, sigma, cost)],
+        [*found, *_sweeping(beside, sigma, cost), *_wandering(beside, sigma, cost), *followed],
         key=lambda structure: -structure.nats,
     )
 
@@ -236,6 +238,22 @@ def _wandering(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure
         shape = Shape("course", says, partial(_course_columns, problem, shown_in(problem.scene, course), course))
     found = _structure(shape, beside.products(shape), beside, sigma, cost)
     yield replace(found, nats=course.nats - cost)
+
+
+def _following(beside: _Beside, sigma: float, followed: Followed | None) -> Iterator[Structure]:
+    """What follows a signal of a channel, which may be a gain, and made of its values."""
+    if followed is None:
+        return
+    hypothesis, problem = followed.hypothesis, beside.search.problem
+
+    def columns(unit: Array) -> Array:
+        rows = problem.rows(hypothesis.columns(np.zeros(0)), unit)
+        assert rows is not None, "a signal acts in every form"
+        return rows
+
+    shape = Shape(f"{hypothesis.driver.replace(':', ' ')}, {hypothesis.variant}", followed.says, columns)
+    found = _structure(shape, beside.products(shape), beside, sigma, 0.0)
+    yield replace(found, nats=followed.nats)
 
 
 def _course_columns(problem: Problem, number: NDArray[np.intp], course: Course, unit: Array) -> Array:

@@ -57,6 +57,7 @@ _KINDS: Final = {
     "transients": "time",
     "course": "time",
     "two": "time",
+    "inferred": "light",
     "field": "field",
     "spin": "phase",
     "sunlight": "light",

@@ -17,7 +17,7 @@ from magcal_service.diagnosis.parameters import of_each_axis, parameters_of
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations, switched_off
-from magcal_service.diagnosis.signals import said, strongest
+from magcal_service.diagnosis.signals import strongest_signal
 from magcal_service.diagnosis.wander import TWO_LEVELS
 from magcal_service.diagnosis.where import lines, span, where_of_term
 from magcal_service.diagnosis.words import percent
@@ -143,10 +143,14 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
             f" Nearest is {nearest[0]}: it would take {100.0 * nearest[1]:.0f} % of it, but held-out blocks, its rivals"
             " or shapes without a name speak against it."
         )
-    follows = strongest(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
-    held = 0.0 if follows is None else min(1.0, follows[1] / max(structure.squares, 1e-9))
-    if follows is not None and held >= (0.0 if nearest is None else nearest[1]):
-        says += f" Of one channel's signals {said(follows[0])} does most: {100.0 * held:.0f} %."
+    follows = strongest_signal(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
+    held = 0.0 if follows is None else min(1.0, follows.squares / max(structure.squares, 1e-9))
+    if (
+        follows is not None
+        and follows.says != structure.shape.says
+        and held >= (0.0 if nearest is None else nearest[1])
+    ):
+        says += f" Of one channel's signals {follows.says} does most: {100.0 * held:.0f} %."
     where: dict[str, Any] = {
         "time_s": span(diagnosis.fit, structure.signal),
         "axis": None,

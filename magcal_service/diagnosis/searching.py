@@ -27,6 +27,7 @@ from magcal_service.diagnosis.records import from_records
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
+from magcal_service.diagnosis.signals import strongest_signal
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import Progress, untold
 from magcal_service.model import Array
@@ -163,6 +164,9 @@ def _searched(
         alone = alone or likeliest(prepared.problem, usual, prepared.baseline.x)
         prepared = replace(prepared, alone=alone[0])
         scale, names_hold = needed_scale(usual, alone, explained.fit)
+        if not scale.is_within(taken) and (followed := strongest_signal(search, explained.fit, floor)) is not None:
+            beside, holds = needed_scale(usual, alone, explained.fit, followed)
+            scale = beside if holds else scale
         if scale.is_within(taken):
             return prepared, search, explained
         taken = scale.at_least(taken)
@@ -190,15 +194,16 @@ def _settled(prepared: Prepared, problem: Problem) -> Prepared:
 def with_memory(prepared: Prepared, search: Search, explained: Explained, progress: Progress) -> End:
     """What stands, on a residual whitened by the memory of its noise where it has one.
 
-    It is not whitened where a recorded driver would go with it: what the blocks bear out of a record is no noise.
+    It is not whitened where a recorded driver would go with it, or where it follows a channel in spite of it: what the
+    blocks bear out of a record is no noise.
     """
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     coefficients = _memory(prepared, search.problem, explained.fit)
-    if not len(coefficients):
-        return End(search, *_standing(search, baseline, explained, phase, floor), floor, coefficients)
     quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
+    if not len(coefficients) or strongest_signal(quiet, explained.fit, lower) is not None:
+        return End(search, *_standing(search, baseline, explained, phase, floor), floor, np.zeros(0))
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
     again = from_records(quiet, again, lower, progress)
     again, again_left = _standing(quiet, baseline, again, phase, lower)

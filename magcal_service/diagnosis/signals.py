@@ -18,7 +18,7 @@ import numpy as np
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.linear import Gain, Workspace
-from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rivals import RECORDED_NATS
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.model import Array
@@ -142,8 +142,44 @@ def against_signals(search: Search, explained: Explained, floor_nt: float) -> Ex
     )
 
 
-def strongest(search: Search, fit: Fit, floor_nt: float) -> tuple[Hypothesis, float] | None:
-    """The signal of a channel that holds most of what a fit leaves, and its drop in squares [nT^2]; None without one.
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A signal of a channel that what is left follows.
+
+    Parameters
+    ----------
+    hypothesis: how it acts.
+    gain: what it holds.
+    cost: of choosing it among all of them, and what a record without physics has to hold [nats].
+    """
+
+    hypothesis: Hypothesis
+    gain: Gain
+    cost: float
+
+    @property
+    def nats(self) -> float:
+        """Evidence for it after its cost."""
+        return self.gain.nats - self.cost
+
+    @property
+    def squares(self) -> float:
+        """Its drop in squares [nT^2]."""
+        return self.gain.squares
+
+    @property
+    def term(self) -> Term:
+        """As if it were an effect."""
+        return Term(self.hypothesis, np.zeros(0), self.gain.amplitudes)
+
+    @property
+    def says(self) -> str:
+        """How it acts and what it is made of, in words."""
+        return said(self.hypothesis)
+
+
+def strongest_signal(search: Search, fit: Fit, floor_nt: float) -> Followed | None:
+    """The signal of a channel that holds most of what a fit leaves; None without one that is clear.
 
     Parameters
     ----------
@@ -154,9 +190,10 @@ def strongest(search: Search, fit: Fit, floor_nt: float) -> tuple[Hypothesis, fl
     space = search.workspace(fit)
     tried = _tried(search, fit, [_Place(None, space, space.residual, 0.0, max(fit.white_rms_nt, floor_nt))])
     best = max((each[0] for each in tried), key=lambda one: one.nats, default=None)
-    if best is None or best.nats - RECORDED_NATS - math.log(len(tried)) < ACCEPTED_NATS:
+    if best is None:
         return None
-    return best.hypothesis, best.gain.squares
+    found = Followed(best.hypothesis, best.gain, RECORDED_NATS + math.log(len(tried)))
+    return found if found.nats >= ACCEPTED_NATS else None
 
 
 def _tried(search: Search, fit: Fit, places: list[_Place]) -> list[list[Candidate]]:

@@ -22,9 +22,11 @@ from magcal_service.diagnosis.field_level import (
 from magcal_service.diagnosis.leftover import significant, structures
 from magcal_service.diagnosis.problem import Problem, Term
 from magcal_service.diagnosis.searching import End, without_names
+from magcal_service.diagnosis.signals import strongest_signal
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import D_ALL, D_SCALE, Array, measure
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.scene.scene import Telemetry
 from tests.physics.scenes import X, scene, spoiled
 
 NOISE_NT = 10.0
@@ -98,6 +100,25 @@ def test_a_name_has_to_be_likelier_than_larger_errors() -> None:
     named = solve(stepped, X, [Term(form, np.array([4100.0]), np.array([400.0, -300.0, 200.0]))])
     assert needed_scale(usual(), likeliest(stepped, usual(), baseline.x), named) == (Scale(), True)
     assert at_scale(stepped, usual(), Scale(2.0, 1.0)).field_error is not None
+
+
+def test_what_follows_a_channel_is_no_error_of_the_field_model() -> None:
+    """A gain by a voltage that drifts, some 150 nT of it, would take four times the usual errors; a channel that has
+    nothing to do with errors as large takes none of them."""
+    volts = np.sin(scene().time_s / 1500.0) + 0.3 * np.sin(scene().time_s / 611.0)
+    recorded = {"volts": Telemetry("volts", "voltage", volts[:, None])}
+    for drawn, gain, holds in ((1.0, 0.006, True), (4.0, 0.0, False)):
+        made = problem(drawn, 19, gain * volts[:, None] * scene().calibrated_nt)
+        made = replace(made, scene=replace(made.scene, channels=recorded))
+        small = at_scale(made, usual(), Scale(0.25, 1.0))
+        search = Search(small, [])
+        fit = search.refreshed(solve(small, X))
+        alone = likeliest(made, usual(), fit.x)
+        assert alone[0].coarse > 1.0
+        followed = strongest_signal(search, fit, 0.3 * NOISE_NT)
+        assert followed is not None
+        assert needed_scale(usual(), alone, fit, followed)[1] is holds
+        assert followed.says.startswith("a gain that follows the recorded volts") or not holds
 
 
 @pytest.mark.parametrize(("drawn", "scale", "doubtful"), [(4.0, 4.0, True), (0.0, 4.0, False), (4.0, 2.0, False)])

@@ -10,7 +10,7 @@ import pytest
 from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.problem import Term
-from magcal_service.diagnosis.signals import against_signals, strongest
+from magcal_service.diagnosis.signals import against_signals, strongest_signal
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.interface import UNLISTED, Hypothesis
@@ -81,7 +81,8 @@ def test_a_clock_drives_nothing() -> None:
     """A column of time is no cause, and two columns that say the same are tried alike."""
     of = replace(flown(along(0, 300.0 * CHANGE)), channels={"up": Telemetry("up", "time", CHANGE[:, None])})
     search, fit = searching(of)
-    assert strongest(search, fit, FLOOR_NT) is None or strongest(search, fit, FLOOR_NT)[0].driver != "channel:up"  # type: ignore[index]
+    found = strongest_signal(search, fit, FLOOR_NT)
+    assert found is None or found.hypothesis.driver != "channel:up"
 
 
 def test_the_strongest_signal_holds_what_is_left() -> None:
@@ -91,8 +92,8 @@ def test_the_strongest_signal_holds_what_is_left() -> None:
         "idle": Telemetry("idle", "pressure", OTHER[:, None]),
     }
     search, fit = searching(replace(of, channels=channels))
-    found = strongest(search, fit, FLOOR_NT)
+    found = strongest_signal(search, fit, FLOOR_NT)
     assert found is not None
-    assert (found[0].driver, found[0].variant) == ("channel:hull", "field change")
+    assert (found.hypothesis.driver, found.hypothesis.variant) == ("channel:hull", "field change")
     space = search.workspace(fit)
-    assert found[1] == pytest.approx(space.squares - len(TIME_S) * 80.0**2, rel=0.05)
+    assert found.squares == pytest.approx(space.squares - len(TIME_S) * 80.0**2, rel=0.05)
