@@ -364,9 +364,9 @@ def hypotheses_of(effects: Sequence[Effect], problem: Problem) -> list[Hypothesi
     if not scene.in_orbit:  # what is inferred is inferred from an orbit: light, torquers that unload momentum
         found = [hypothesis for hypothesis in found if not hypothesis.is_inferred]
     if not problem.is_vector:
-        return found
+        return [hypothesis for hypothesis in found if not hypothesis.needs_vectors]
     of_reference = {effect.name for effect in effects if effect.acts_on.is_reference}
-    return [replace(h) for h in found if h.effect not in of_reference]
+    return [replace(h) for h in found if h.needs_vectors or h.effect not in of_reference]
 
 
 def is_simpler(one: Hypothesis, than: Hypothesis) -> bool:

@@ -133,6 +133,7 @@ class Hypothesis:
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
     at_once: effect of the same change at an instant, for one that takes a while.
     as_well: other effects that act exactly so, and are met as often: the field alone never tells them apart.
+    needs_vectors: whether only whole vectors show it, beside a recorded attitude.
     inexact: of its evidence, what its form leaves for others to take, as where its course is guessed.
     if_completed: other effects that it may as well be where only blocks that complete its form stand out.
     samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
@@ -159,6 +160,7 @@ class Hypothesis:
     in_place: bool = False
     at_once: str = ""
     as_well: tuple[str, ...] = ()
+    needs_vectors: bool = False
     inexact: float = 0.0
     if_completed: tuple[str, ...] = ()
     samples_in: Callable[[Array], int] | None = None

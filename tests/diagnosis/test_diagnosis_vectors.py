@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from magcal_service.diagnosis.aimed import Aimed, guessed, left_jacobian, turn
+from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.prepare import Form
@@ -80,13 +83,29 @@ def test_the_mounting_is_found_within_its_sigma(seed: int, noise_rad: float) -> 
 def test_a_lag_is_seen_by_vectors_and_by_what_it_takes_off_their_length() -> None:
     """In a steady field a sensor that answers late turns the vectors; by magnitudes alone its square shows."""
     lagging = Bench(6, with_attitude=True, steady=True, lag_s=0.5, noise_nt=30.0)
-    found = diagnose(lagging.recording())
-    assert [term.hypothesis.effect for term in found.fit.terms] == ["response_lag"]
-    assert found.fit.held_out_rms_nt < 1.1 * 30.0
+    found = diagnose(lagging.recording().select(np.arange(5, 1800)))  # what it began with has decayed
+    (term,) = found.fit.terms
+    assert (term.hypothesis.effect, term.hypothesis.variant) == ("response_lag", "beside the attitude")
+    assert "time_offset" not in posterior(found.explained, 0).members  # by the second order
+    assert float(term.amplitudes[0]) == pytest.approx(0.5, rel=0.01)
+    assert found.fit.held_out_rms_nt < 1.02 * 30.0
     lagging.with_attitude = False
     (term,) = diagnose(lagging.recording()).fit.terms
     assert (term.hypothesis.effect, term.hypothesis.variant) == ("response_lag", "average of samples")
     assert float(np.sqrt(term.amplitudes[0])) * term.hypothesis.constants["period_s"] == pytest.approx(0.5, rel=0.15)
+
+
+def test_samples_tagged_apart_from_the_attitude_are_a_clock_s_offset() -> None:
+    """Later ones cannot be those of a sensor that lags."""
+    bench = Bench(7, with_attitude=True, steady=True, noise_nt=30.0)
+    made = bench.recording()
+    early = replace(made, field_body_nt=np.roll(made.field_body_nt, -1, axis=0))
+    late_s = float(np.median(np.diff(made.time_ns))) * 1e-9
+    found = diagnose(early.select(np.arange(len(made) - 1)))
+    (term,) = found.fit.terms
+    assert (term.hypothesis.effect, term.hypothesis.variant) == ("time_offset", "ahead of the attitude")
+    assert posterior(found.explained, 0).members == ("time_offset",)
+    assert float(term.amplitudes[0]) == pytest.approx(late_s, rel=0.02)
 
 
 def test_in_a_room_too_an_attitude_that_errs_is_not_believed() -> None:

@@ -77,6 +77,7 @@ LIVE = [
     h
     for h in forms()
     if not effect_named(h.effect).acts_on.is_reference and h.driver not in NEEDS_COURSE and "Sun" not in h.variant
+    if not h.needs_vectors
 ]
 SUN = ("inferred:array_current", "inferred:sun_direction")
 

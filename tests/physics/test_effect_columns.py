@@ -212,7 +212,7 @@ def test_a_late_answer_is_short_by_the_square_of_its_delay() -> None:
     assert (float(derived["tau_s"].value), float(derived["tau_s"].sigma)) == pytest.approx((0.2, 0.01))
     assert effect_named("response_lag").derived({"tau2_s2": value_of(-0.04, 0.004, "s2")}) == {}
     unturned = forms("response_lag", replace(scene(), channels={}, body_from_eci=None))
-    names = [variant for _, variant in unturned]
+    names = [variant for (_, variant), form in unturned.items() if not form.needs_vectors]
     assert names == ["by the steps", "by the steps, from its start", "average of samples"]  # test_physics_lag.py
 
 
@@ -549,7 +549,18 @@ def test_a_late_clock_sees_the_field_of_another_time() -> None:
     assert grown(found["none", ""], 2.0) == pytest.approx(2.0 * slope)
     assert grown(found["none", "with drift"], [2.0, 50.0]) == pytest.approx(slope * (2.0 + 50e-6 * TIME_S))
     still = replace(scene(), magnitude_nt=np.full(COUNT, 45e3), position_ecef_km=None)
-    assert forms("time_offset", still) == {}
+    assert all(form.needs_vectors for form in forms("time_offset", still).values())
+    ahead, behind = (found["none", f"{way} the attitude"] for way in ("ahead of", "behind"))
+    assert added(ahead, [0.02]) == pytest.approx(0.02 * scene().field_slope)
+    assert added(behind, [0.02]) == pytest.approx(-0.02 * scene().field_slope)
+    turn = np.linalg.norm(scene().field_slope) / np.linalg.norm(scene().calibrated_nt)
+    assert ahead.blocks[0].most == pytest.approx(min(120.0, 0.5 / turn))
+    moved, bend = replace(scene(), moved_s=np.full(COUNT, 0.1)), scene().slope(scene().field_slope)
+    assert added(forms("time_offset", moved)["none", "ahead of the attitude"], [0.1]) == pytest.approx(
+        0.1 * scene().field_slope + 0.005 * bend
+    )
+    late = forms("response_lag", replace(scene(), moved_s=np.full(COUNT, -0.1)))["none", "beside the attitude"]
+    assert added(late, [0.1]) == pytest.approx(-0.1 * scene().field_slope + 0.01 * bend)
 
 
 def magnitude(places_ecef_km: Array, times_ns: Array, degree: int = 13) -> Array:

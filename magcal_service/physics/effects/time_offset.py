@@ -9,14 +9,20 @@ import numpy as np
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.far import NEAR_S, shifted, within
+from magcal_service.physics.drivers.whole_vectors import another_time
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_DRIFT_PPM = 1e4
 """Drift of a clock at the most [1e-6]: of a resistor and a capacitor in a microcontroller, 1 %; quartz has 100."""
 
+_AHEAD, _BEHIND = "ahead of the attitude", "behind the attitude"
+"""Forms where samples and attitude are tagged apart: a vector is that of another attitude, whatever the field does."""
+
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield another_time(scene, "time_offset", _AHEAD, "offset_s", 1.0, 0.5, NEAR_S)
+    yield another_time(scene, "time_offset", _BEHIND, "behind_s", -1.0, 0.5, NEAR_S)
     slope = scene.magnitude_slope
     if float(np.std(slope)) <= 1e-3 and not scene.is_given:
         return
@@ -44,13 +50,16 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 EFFECT = Effect(
     name="time_offset",
     acts_on=ActsOn.REFERENCE_TIME,
-    not_live=("by minutes",),
+    not_live=("by minutes", _AHEAD, _BEHIND),
     watched=((Watched.SLOPE, ""),),
-    title="time tags of sensor and reference disagree",
-    equation="the field at the sensor at its tag t is H_ref(t + offset + drift t)",
-    units={"offset_s": "s", "drift_ppm": "1e-6", "late_s": "s", "late_s_per_h": "s/h", "share": "1"},
+    title="time tags of sensor and reference, or attitude, disagree",
+    equation="the field at the sensor at its tag t is H_ref(t + offset + drift t); by attitude A(t + offset) H_ref",
+    units={"offset_s": "s", "behind_s": "s", "drift_ppm": "1e-6", "late_s": "s", "late_s_per_h": "s/h", "share": "1"},
     prior=(10.0, 5000.0),
-    valid="to second order in the offset: below two minutes in low orbit; by minutes, up to 20 of them",
+    valid=(
+        "to second order in the offset: below two minutes in low orbit; by minutes, up to 20 of them; by an attitude "
+        "within half a radian of turning"
+    ),
     confused_with=("position_offset", "thermal_bias", "reference_epoch"),
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
     source="51 nT per second through IGRF at 300 km (largest d|H|/dt); clocks as in pulsar timing (PINT)",
@@ -58,6 +67,7 @@ EFFECT = Effect(
         "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
         "{drift_ppm.signed}.",
         "The samples match the reference {offset_s.signed} later than tagged.",
+        "The samples match the recorded attitude {behind_s.signed} earlier than tagged.",
         "The samples match the reference {late_s.signed} later than tagged, and later by {late_s_per_h.signed}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

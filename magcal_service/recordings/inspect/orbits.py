@@ -21,7 +21,7 @@ from magcal_service.recordings.inspect.motion import (
     placed_rows,
     rate_rad_s,
 )
-from magcal_service.recordings.specs import GeodeticPosition
+from magcal_service.recordings.specs import GeodeticPosition, PlatformKind
 from magcal_service.recordings.table import FloatArray
 from magcal_service.wire.messages import Frame
 
@@ -95,8 +95,14 @@ def heights_and_times(log: Log) -> Iterator[Seen]:
         yield _wrong_height(log, height, rate * radius, _height_units(height, rate))
     elif _ORBITS_KM[0] < height < _ORBITS_KM[1] and (units := _time_units(height, rate)):
         yield _wrong_time(log, height, rate * radius, units)
-    elif height > _BALLOON_KM:
+    elif height > _BALLOON_KM and not _is_stated_elsewhere(log):
         yield _wrong_height(log, height, rate * radius, _height_units(height, rate))
+
+
+def _is_stated_elsewhere(log: Log) -> bool:
+    """Whether the descriptor says that it was made in no orbit: a rocket is high and slow."""
+    platform = log.recording.descriptor.platform
+    return platform is not None and platform.kind is not PlatformKind.ORBIT
 
 
 def _is_orbit(height_km: float, rate: float, close: tuple[float, float] = _AGREES) -> bool:

@@ -19,6 +19,10 @@ _EARTH_NT: Final = (15_000.0, 70_000.0)
 
 _FEWEST: Final = 50  # rows: fewer are refused anyway
 _HELD: Final = 0.3  # of the rows: a receiver that misses a few values now and then is no holder
+_STEPS: Final = 3.0
+"""Times as far as from row to row elsewhere, that readings move where the reference jumps, from which on the field does
+so too, as in a coil that is driven in steps; those of a craft that turns move there as anywhere."""
+
 _STEADY: Final = 0.002  # of |H|: a reference that hardly changes may well repeat
 
 
@@ -60,6 +64,9 @@ def reference_repeats(log: Log) -> Iterator[Seen]:
     moving = steps[steps > 0.0]
     repeats = np.flatnonzero((steps == 0.0) & (np.diff(log.time_ns[known]) != 0))
     if len(repeats) < _HELD * len(known) or len(moving) < 3:
+        return
+    moved = np.linalg.norm(np.diff(log.field_nt[known], axis=0), axis=1)
+    if float(np.median(moved[steps > 0.0])) > _STEPS * float(np.median(moved[repeats])):
         return
     levels = np.diff(np.unique(np.round(values, 6)))
     if float(np.median(moving)) < 3.0 * float(np.quantile(levels, 0.1)) or _is_rounded(moving):

@@ -94,6 +94,14 @@ def test_an_aircraft_has_no_orbit(tmp_path: Path) -> None:
     assert metres.found(tmp_path / "m")[Code.ALTITUDE_UNIT].certain is False
 
 
+def test_a_rocket_is_high_and_slow_where_it_is_stated_to_be_in_no_orbit(tmp_path: Path) -> None:
+    time_s = np.arange(1800.0)
+    up = 60.0 + 0.6 * time_s * (1.0 - time_s / 1800.0)
+    log = clean_log().changed(lat=68.0 + 2e-4 * time_s, lon=21.0 + 1e-4 * time_s, alt=up)
+    assert Code.ALTITUDE_UNIT in log.found(tmp_path)
+    assert Code.ALTITUDE_UNIT not in log.described(platform='[platform]\nkind = "air"').found(tmp_path / "air")
+
+
 @pytest.mark.parametrize("inclination_deg", [51.6, 97.4])
 def test_a_longitude_of_the_other_sign_is_asked_about(inclination_deg: float, tmp_path: Path) -> None:
     log = clean_log(Kind(inclination_deg=inclination_deg)).spoiled("lon", lambda column: -column)

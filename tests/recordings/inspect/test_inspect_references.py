@@ -41,6 +41,16 @@ def test_a_reference_that_is_held_is_used_where_it_is_renewed(repeats: int, refe
     assert np.count_nonzero(np.isfinite(inspection.usable.reference.magnitude_nt)) == 1800 // repeats
 
 
+def test_a_coil_that_is_driven_in_steps_is_no_reference_that_is_held(tmp_path: Path) -> None:
+    """Readings jump with it, and hold still in between but for their noise."""
+    held = np.arange(1800) // 30 * 30
+    log = clean_log(Kind(reference="vector", rates_deg_s=(1.0, 0.3), place="none"))
+    noise = np.random.default_rng(71).normal(0.0, 20.0, (3, 1800))
+    stepped = log.spoiled("F hx hy hz mx my mz", lambda column: column[held])
+    noisy = {name: stepped.columns[name] + each for name, each in zip(("mx", "my", "mz"), noise, strict=True)}
+    assert Code.REFERENCE_REPEATS not in stepped.changed(**noisy).found(tmp_path)
+
+
 def test_a_rounded_reference_is_not_held(tmp_path: Path) -> None:
     log = clean_log(Kind(step_s=0.1, rates_deg_s=(6.0, 2.0)))
     assert log.spoiled("F", lambda column: np.round(column, -2)).found(tmp_path) == {}
