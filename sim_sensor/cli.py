@@ -118,7 +118,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, metavar="S", help="seed (default: the scenario's)")
     parser.add_argument("--duration", type=_duration, metavar="S", help="simulated seconds (default: the scenario's)")
     parser.add_argument(
-        "--physics", type=Path, metavar="FILE", help="a physics.toml whose errors and effects are added"
+        "--physics", type=Path, metavar="FILE", help="a physics.toml: its nine errors are taken, its effects added"
     )
 
 

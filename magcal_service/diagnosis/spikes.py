@@ -38,6 +38,9 @@ _ROUNDS: Final = 8
 _MUCH: Final = 0.25
 """Of a command's whole range, a change from one row to the next that is an edge."""
 
+_EXPLAINS: Final = 0.5
+"""Of the rows that stand out while a command is on, what it has to explain to be what makes them; choice: most."""
+
 _ALONE: Final = 0.5
 """Of a row's own weight in a fit, from which on the fit says nothing of it."""
 
@@ -65,8 +68,12 @@ def spikes(scene: Scene, x: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
     if not found.any() or not commands.shape[1]:
         return found, np.zeros(len(scene), dtype=bool)
     explained, left = _explained(commands, w, residual - float(np.median(residual)))
-    found &= _off(left) > limit
-    edges = found & _at_change(commands, _MUCH * np.ptp(commands, axis=0)) & _at_change(explained[:, None], limit)
+    still, least = found & (_off(left) > limit), _MUCH * np.ptp(commands, axis=0)
+    on = found & (np.abs(commands) > least).any(axis=1)
+    if np.count_nonzero(found & ~still) < _EXPLAINS * np.count_nonzero(on):  # those that agree are no more its own
+        return found, np.zeros(len(scene), dtype=bool)
+    found = still
+    edges = found & _at_change(commands, least) & _at_change(explained[:, None], limit)
     return found & ~edges, edges
 
 

@@ -52,7 +52,12 @@ _ACTIVE: Final = 0.3
 A few bursts that begin at multiples of some cycle have less."""
 
 _LEAST_NATS: Final = 50.0
-"""Evidence for pulses over their absence, beside what the search costs; and for more than one direction over one."""
+"""Evidence for pulses over their absence, beside what the search costs, and over fields that fill whole cycles; and for
+more than one direction over one."""
+
+_OF_WHOLE_CYCLES: Final = 0.9
+"""Of the evidence for pulses, what fields that fill whole cycles may have: of coils on for 0.7 of a cycle they had
+0.88, of a magnet that flips at random, and was taken for pulses, 0.92 to 0.99."""
 
 _AS_MUCH: Final = 0.9
 """Of the best evidence, what a multiple of its cycle needs to be the cycle: a multiple that leaves out every second
@@ -155,6 +160,11 @@ class _Sums:
         begins = self._begins(beat)
         return self.over(begins + beat.on_share * beat.period_s, begins + beat.period_s)
 
+    def of_whole_cycles(self, beat: Beat) -> float:
+        """Evidence [nats] for a field in each whole cycle, without any pause, of the best variance."""
+        begins = self._begins(beat)
+        return float(_evidences(*self.over(begins, begins + beat.period_s), _SIZES).sum(axis=1).max())
+
     def _begins(self, beat: Beat) -> Array:
         count = int((self.time_s[-1] - beat.first_s) // beat.period_s)
         return beat.first_s + beat.period_s * np.arange(max(count, 0))
@@ -187,7 +197,9 @@ def pulses(view: View, as_well: tuple[str, ...]) -> Finding | None:
     strength = (fields**2).sum(axis=1)
     active = float(strength.sum() ** 2 / max(float(strength @ strength), 1e-300))
     many = len(fields) >= _FEWEST and active > _ACTIVE * len(fields)
-    clear = many and nats > _LEAST_NATS and off_nats < 0.0 and abs(follows) < _STEADY
+    whole = sums.of_whole_cycles(beat)  # what wanders or switches at random fills the pauses, too
+    pauses = nats - whole > _LEAST_NATS and whole < _OF_WHOLE_CYCLES * nats
+    clear = many and nats > _LEAST_NATS and pauses and off_nats < 0.0 and abs(follows) < _STEADY
     if not clear or not _goes_both_ways(fields) or _swells(view, beat, fields) or _is_louder(view, beat, fields):
         return None
     near = (other for its_nats, other, _ in found if its_nats > _OF_A_GAIN * nats)  # multiples of its cycle, and parts

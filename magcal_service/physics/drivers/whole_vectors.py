@@ -1,8 +1,8 @@
 """What only whole vectors show beside a recorded attitude: samples of another time than the attitude's.
 
-A vector that is late points elsewhere as soon as the craft turns, whatever the field's size does.  To second order in
-between: w(t + s) = w + s w' + s^2 w'' / 2 of a clock that is off by s, and w - tau w' + tau^2 w'' of a low-pass; so the
-two are told apart where the second order shows.
+A vector that is late points elsewhere as soon as the craft turns, whatever the field's size does.  A clock that is off
+by s gives w(t + s) = w + s w' + s^2 w'' / 2.  What answers late does so as well, to first order: of samples behind the
+attitude nothing tells a clock from a filter, whose second order is its own.
 """
 
 from __future__ import annotations
@@ -22,31 +22,33 @@ _MOST_TURN: Final = 0.5
 
 
 def another_time(
-    scene: Scene, effect: str, variant: str, name: str, first: float, second: float, longest_s: float
+    scene: Scene, effect: str, variant: str, name: str, sign: float, longest_s: float, as_well: tuple[str, ...] = ()
 ) -> Hypothesis:
     """Samples of another time than the attitude that is recorded with them.
 
     Parameters
     ----------
     name: of its amplitude [s], which is positive.
-    first, second: of s w' and of s^2 w'' for an amplitude of s.
+    sign: 1 of samples ahead of the attitude, -1 of those behind.
     longest_s: amplitude at most [s], and less where the craft turns by half a radian in less.
+    as_well: effects that look so, too.
     """
     slope = scene.field_slope
     rate = float(np.sqrt(np.mean(slope**2) / max(float(np.mean(scene.calibrated_nt**2)), 1e-300)))
     most = min(longest_s, _MOST_TURN / max(rate, 1e-9))
-    column = first * slope
+    column = sign * slope
     if scene.moved_s is not None:
         bend = scene.once("bend of whole vectors", lambda: scene.slope(slope))
-        column = column + second * np.clip(np.abs(scene.moved_s), 0.0, most)[:, None] * bend
+        column = column + 0.5 * np.clip(sign * scene.moved_s, 0.0, most)[:, None] * bend
     return Hypothesis(
         effect,
         "none",
         partial(_alone, column),
         (Block(name, "s", (), most=most, least=0.0),),
         variant,
+        as_well=as_well,
         needs_vectors=True,
-        moves_s=partial(_moved, first),
+        moves_s=partial(_moved, sign),
     )
 
 
@@ -54,5 +56,5 @@ def _alone(field_nt: Array, _theta: Array) -> Columns:
     return Columns(body=field_nt[None])
 
 
-def _moved(first: float, amplitudes: Array) -> float:
-    return first * float(amplitudes[0])
+def _moved(sign: float, amplitudes: Array) -> float:
+    return sign * float(amplitudes[0])

@@ -219,6 +219,7 @@ def _strip(variant: str, rods: str, parts: _Rods, width: Nonlinear, constants: M
         nonlinear=(width, tilt, turn),
         proposals=lambda sums, grids: parts.strips(sums, grids[0]),
         refines=replace(form, variant=rods).label,
+        as_well=("cubic_response",),  # what bends along a slanted direction without a memory, of which there is no form
     )
 
 

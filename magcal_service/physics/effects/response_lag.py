@@ -13,7 +13,6 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.late import by_average, by_low_pass, longer_by_low_pass
-from magcal_service.physics.drivers.whole_vectors import another_time
 from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
 from magcal_service.physics.scene.recent import Recent
@@ -25,9 +24,6 @@ _AVERAGING: Final = "average of samples"
 
 _BY_STEPS: Final = "by the steps"
 """Form of a low-pass whose turn is taken from samples that follow one another: of a craft of which no rate is known."""
-
-_BESIDE_ATTITUDE: Final = "beside the attitude"
-"""Form where whole vectors are compared: what is late points elsewhere, too."""
 
 _BEGUN: Final = "from its start"
 """Added to the form of a low-pass that held something else when the recording began than the turn before would tell."""
@@ -77,7 +73,6 @@ _FEWEST: Final = 64
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield another_time(scene, "response_lag", _BESIDE_ATTITUDE, "tau_s", -1.0, 1.0, _LONGEST_S)
     period_s = scene.constant("period_s", scene.period_s)
     if scene.rate_body is not None:
         slope = scene.field_slope
@@ -323,8 +318,6 @@ def _derived(parameters: Values) -> Values:
     """The time constant, from what is lost across the field, which grows as tau^2; or the share of a new sample."""
     if "memory" in parameters:
         return _of_average(parameters["memory"], parameters)
-    if "tau_s" in parameters:
-        return {}
     loss = parameters["tau2_s2"]
     tau = float(np.sqrt(max(float(loss.value), 0.0)))
     if tau <= 0.0:
@@ -366,7 +359,6 @@ def _of_average(memory: Value, parameters: Values) -> Values:
 EFFECT = Effect(
     name="response_lag",
     acts_on=ActsOn.FIELD,
-    not_live=(_BESIDE_ATTITUDE,),
     title="the sensor answers late",
     equation="tau dy/dt = A H - y: what turns is short by 1 / sqrt(1 + w^2 tau^2), |B| by tau^2 |dB/dt|^2 / (2 |B|) "
     "and by tau d|H|/dt; of samples y_k = a x_k + (1 - a) y_(k-1): by (1 - a) / a^2 |y_k - y_(k-1)|^2 / (2 |B|), and "

@@ -36,7 +36,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 
         knee = Nonlinear("knee", "1", _KNEES)
         constants = {"axis": float(axis), "full_scale_nt": largest}
-        block = Block("missing_nt", "nT", ())
+        block = Block("missing_nt", "nT", (), least=0.0)
         yield Hypothesis("saturation", "none", columns, (block,), f"soft knee of {name}", (knee,), constants, odds=1.0)
 
 

@@ -21,8 +21,8 @@ _AHEAD, _BEHIND = "ahead of the attitude", "behind the attitude"
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield another_time(scene, "time_offset", _AHEAD, "offset_s", 1.0, 0.5, NEAR_S)
-    yield another_time(scene, "time_offset", _BEHIND, "behind_s", -1.0, 0.5, NEAR_S)
+    yield another_time(scene, "time_offset", _AHEAD, "ahead_s", 1.0, NEAR_S)
+    yield another_time(scene, "time_offset", _BEHIND, "behind_s", -1.0, NEAR_S, as_well=("response_lag",))
     slope = scene.magnitude_slope
     if float(np.std(slope)) <= 1e-3 and not scene.is_given:
         return
@@ -54,7 +54,15 @@ EFFECT = Effect(
     watched=((Watched.SLOPE, ""),),
     title="time tags of sensor and reference, or attitude, disagree",
     equation="the field at the sensor at its tag t is H_ref(t + offset + drift t); by attitude A(t + offset) H_ref",
-    units={"offset_s": "s", "behind_s": "s", "drift_ppm": "1e-6", "late_s": "s", "late_s_per_h": "s/h", "share": "1"},
+    units={
+        "offset_s": "s",
+        "ahead_s": "s",
+        "behind_s": "s",
+        "drift_ppm": "1e-6",
+        "late_s": "s",
+        "late_s_per_h": "s/h",
+        "share": "1",
+    },
     prior=(10.0, 5000.0),
     valid=(
         "to second order in the offset: below two minutes in low orbit; by minutes, up to 20 of them; by an attitude "
@@ -67,6 +75,7 @@ EFFECT = Effect(
         "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
         "{drift_ppm.signed}.",
         "The samples match the reference {offset_s.signed} later than tagged.",
+        "The samples match the recorded attitude {ahead_s.signed} later than tagged.",
         "The samples match the recorded attitude {behind_s.signed} earlier than tagged.",
         "The samples match the reference {late_s.signed} later than tagged, and later by {late_s_per_h.signed}.",
     ),
