@@ -333,6 +333,8 @@ class _Samples:
 
     def excess_in_reach(self, end: Stop, sound: NDArray[np.bool_]) -> float:
         """As ``excess``, of all readings that noise takes away from an end, beside stretches as wide further inside."""
+        if self.noise_nt <= 0.0:  # then all of them are at it
+            return 0.0
         inside = np.abs(self.field_nt[:, end.axis] - end.at_nt)
         zone = np.floor(inside / (_REACH * self.noise_nt))
         at_end, *others = (self._missing(end, np.flatnonzero(sound & (zone == number))) for number in range(_ZONES + 1))

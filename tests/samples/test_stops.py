@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_service.model import Array, measure
-from magcal_service.samples.stops import stops
+from magcal_service.samples.stops import Stop, _Samples, stops
 
 X = np.array([4000.0, -2500.0, 1200.0, 0.03, -0.05, 0.02, 0.01, -0.02, 0.015])
 SIGMA_NT = 200.0
@@ -110,6 +110,16 @@ def test_what_stops_before_its_noise_is_found_with_all_that_the_noise_moves(
     assert (found.axis, found.at_nt) == (axis, at_nt)
     assert np.mean(found.spoiled[beyond]) > 0.98
     assert np.count_nonzero(found.spoiled & ~beyond) < 0.5 * np.count_nonzero(beyond)
+
+
+def test_without_any_noise_nothing_is_taken_away_from_an_end() -> None:
+    """An end that comes often, of samples that fit to the last digit."""
+    size = np.full(COUNT, 40_000.0)
+    field = 40_000.0 * np.stack([np.ones(COUNT), np.zeros(COUNT), np.zeros(COUNT)], axis=1)
+    samples = _Samples(field, size, np.ones(COUNT, dtype=bool))
+    samples.__dict__["noise_nt"] = 0.0
+    end = Stop(0, 1.0, 40_000.0, np.ones(COUNT, dtype=bool), np.zeros(COUNT, dtype=bool))
+    assert samples.excess_in_reach(end, samples.known) == 0.0
 
 
 def test_the_axes_of_a_sensor_have_one_range() -> None:
