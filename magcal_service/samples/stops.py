@@ -201,12 +201,11 @@ def _stopped_before_noise(samples: _Samples, stopped: list[Stop], ends: list[Sto
     found: list[Stop] = []
     while len(found) < len(ends):
         beside = [one for one in ends if one not in found and one not in stopped]
-        reached = [samples.reached(one) for one in (*beside, *stopped, *found)]
-        if not beside or np.count_nonzero(samples.inner & ~np.any(reached, axis=0)) < _FEWEST_FITTED:
+        usable = samples.known & ~np.any([samples.reached(one) for one in (*stopped, *found)], axis=0)
+        inner = usable & samples.no_end & ~np.any([samples.reached(one) for one in beside], axis=0)
+        if not beside or np.count_nonzero(inner) < _FEWEST_FITTED:
             break
-        sound = replace(samples, no_end=samples.no_end & ~np.any(reached, axis=0))
-        gone = np.any([samples.reached(one) for one in (*stopped, *found)], axis=0) if stopped or found else None
-        usable = sound.known if gone is None else sound.known & ~gone
+        sound = replace(samples, no_end=inner)
         excess, surest = max(((sound.excess_in_reach(one, usable), one) for one in beside), key=lambda pair: pair[0])
         if excess < 1.0:
             break
@@ -321,11 +320,9 @@ class _Samples:
         beside = [(level, *one) for level, one in zip(levels[1:], others, strict=True) if one is not None]
         if at_end is None or not beside or np.count_nonzero(sound & end.rows) < _FEWEST:
             return 0.0
-        here, sigma = at_end
-        foretold, uncertain, rough = _foretold(np.array(beside))
         step_nt = float(np.diff(levels[1:]).min())  # the end itself may lie between two steps
         sure = _SURE_IF_OFTEN if times > _OFTEN and self._undithered(step_nt) < _MORE else _SURE
-        return (here - foretold) / max(self._rounded(step_nt), sure * rough * math.hypot(sigma, uncertain))
+        return _beyond(at_end, beside, self._rounded(step_nt), sure)
 
     def reached(self, end: Stop) -> NDArray[np.bool_]:
         """(n,) readings that may be at an end, but for noise that comes after it."""
@@ -341,9 +338,7 @@ class _Samples:
         beside = [(number + 1.0, *one) for number, one in enumerate(others) if one is not None]
         if at_end is None or not beside:
             return 0.0
-        here, sigma = at_end
-        foretold, uncertain, rough = _foretold(np.array(beside))
-        return (here - foretold) / max(self.noise_nt, _SURE * rough * math.hypot(sigma, uncertain))
+        return _beyond(at_end, beside, self.noise_nt, _SURE)
 
     def _rounded(self, step_nt: float) -> float:
         """What may be missing in the mean of many readings on a lattice that stop nowhere [nT]."""
@@ -368,6 +363,16 @@ class _Samples:
         squares = float(np.sum(slope**2))
         sigma = math.sqrt(self.shape.sigma_nt**2 * squares + self.slow_nt**2 * together) / squares
         return -float(slope @ self.bounded_nt[rows]) / squares, sigma
+
+
+def _beyond(
+    at_end: tuple[float, float], beside: list[tuple[float, float, float]], least_nt: float, sure: float
+) -> float:
+    """What is missing at an end, given with its sigma, beyond what is foretold beside it (``_foretold``), over what has
+    to be: so much [nT], and so many standard errors."""
+    here, sigma = at_end
+    foretold, uncertain, rough = _foretold(np.array(beside))
+    return (here - foretold) / max(least_nt, sure * rough * math.hypot(sigma, uncertain))
 
 
 def _foretold(beside: Array) -> tuple[float, float, float]:
