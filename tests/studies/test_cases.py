@@ -60,6 +60,20 @@ def _scored(truth: Truth, said: Said) -> Scored:
         (_truth("several", STEP, Put("tone", {})), _said("named", _named("tone")), False, False, 0),
         (_truth("several", STEP, Put("tone", {})), _said("named", _named("tone"), _named("bias_step")), True, True, 0),
         (
+            _truth("several", STEP, Put("tone", {})),
+            _said("named", _named("tone"), _named("bias_drift", 0.6, ("bias_step",))),
+            False,
+            True,
+            1,
+        ),
+        (
+            _truth("several", STEP, Put("bias_drift", {})),  # one name is one cause, whatever its class holds
+            _said("named", _named("bias_drift", 0.6, ("bias_step",)), _named("tone")),
+            False,
+            False,
+            1,
+        ),
+        (
             _truth("outside", Put("bursts", {}), unknown_is_right=True),
             _said("unknown", _named("unknown")),
             True,

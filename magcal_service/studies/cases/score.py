@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, permutations
 from statistics import fmean
 from typing import Any, Final
 
@@ -58,10 +58,15 @@ class Scored:
 
     @property
     def is_in_class(self) -> bool:
-        """Right, or one effect was put in and is in the class of the first name."""
-        if self.is_right or self.truth.kind != "effect" or self.said.verdict != "named" or self.first is None:
+        """Right, or the effect is in the class of the first name; of several, each in the class of another name."""
+        if self.is_right or not self._true or self.said.verdict != "named" or self.first is None:
             return self.is_right
-        return not self._true.isdisjoint(self.first.members)
+        if self.truth.kind == "effect":
+            return not self._true.isdisjoint(self.first.members)
+        classes = [set(entry.members) for entry in self.said.named]
+        chosen = permutations(classes, len(self._true))
+        each = (all(effect in one for effect, one in zip(self._true, some, strict=True)) for some in chosen)
+        return self.truth.kind == "several" and any(each)
 
     def distances(self) -> dict[str, list[float]]:
         """|value - truth| / sigma of each component of parameters that both give, by effect and parameter."""
