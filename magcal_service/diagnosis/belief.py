@@ -103,7 +103,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     as the name, so by that share's square.
 
     How often a cause is met counts for how probable it is, and not for what a recording can tell apart.  What acts as
-    well exactly so is as probable.
+    well exactly so is as probable, as the name or as a rival of it.
     """
     mine = explained.fit.terms[index].hypothesis
     name = mine.effect
@@ -116,6 +116,8 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights[name] = 1.0
     as_well = may_as_well_be(explained.fit, index)
     weights |= dict.fromkeys(as_well, 1.0)
+    for rival in (c.hypothesis for c in ranked if c.hypothesis.effect != name):
+        weights |= {other: max(weights.get(other, 0.0), weights[rival.effect]) for other in rival.as_well}
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + _slow_odds(explained, index)
     held = max(explained.gains[index].nats, 0.0)
     lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
@@ -124,7 +126,8 @@ def posterior(explained: Explained, index: int) -> Posterior:
     weights[UNLISTED] += unlisted * total
     rivals = sorted(((n, w / total) for n, w in weights.items() if n != name), key=lambda pair: -pair[1])
     apart = [one + max(c.hypothesis.odds - mine.odds, 0.0) for c, one in zip(ranked, ahead, strict=True)]
-    effects = [c.hypothesis.effect for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
+    near = [c.hypothesis for c, one in zip(ranked, apart, strict=True) if one > -CLASS_NATS]
+    effects = [effect for hypothesis in near for effect in (hypothesis.effect, *hypothesis.as_well)]
     effects += [*as_well, *([UNLISTED] if _may_be_slow(explained, index) else [])]
     return Posterior(weights[name] / total, tuple(rivals), tuple(dict.fromkeys((name, *effects))))
 

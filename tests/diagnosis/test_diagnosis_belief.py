@@ -252,6 +252,23 @@ def test_what_a_load_does_as_well_is_not_told_from_it(
     assert found.own == pytest.approx(0.97 / len(members))
 
 
+@pytest.mark.parametrize(("behind", "members"), [(0.0, True), (10.0, False)])
+def test_what_acts_as_a_rival_does_is_in_the_class_with_it(behind: float, members: bool) -> None:
+    """A drift that is not told from a field that is switched on and off is not told from a load either."""
+    of = replace(scene(), channels={})
+    switched = next(h for h in effect_named("bias_step").hypotheses(of) if h.variant == "switched at 2 instants")
+    idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
+    ranked = [
+        Candidate(form("bias_drift"), np.zeros(0), idle, 100.0),
+        Candidate(switched, np.zeros(2), idle, 100.0 - behind),
+    ]
+    named = explained([])
+    fit = replace(named.fit, terms=(Term(form("bias_drift"), np.zeros(0), np.ones(3)),))
+    found = posterior(replace(named, fit=fit, rivals=(tuple(ranked),)), 0)
+    assert found.members == (("bias_drift", "bias_step", "current_loop") if members else ("bias_drift",))
+    assert found.own == pytest.approx(0.97 / (1.0 + 2.0 * math.exp(-behind)))
+
+
 @pytest.mark.parametrize(
     ("larger", "driver", "own"),
     [(40.0, "none", 0.7), (40.0, "channel:one", 0.99), (30.0, "none", 0.97)],
