@@ -200,3 +200,18 @@ def test_a_faint_hysteresis_arrives_though_its_answer_bends_with_its_width(half_
     assert found.converged
     sigma = float(np.sqrt(np.diagonal(found.covariance))[-1])
     assert abs(found.terms[0].theta[0] - half_width) < 3.0 * sigma
+
+
+@pytest.mark.parametrize("seed", [2002, 2003, 2005])
+def test_dumping_along_the_field_arrives(seed: int) -> None:
+    """What a turn of the pulses' vectors would change leaves no magnitude another, and is no unknown of the fit."""
+    hypothesis = next(h for h in effect_named("torquer").hypotheses(scene()) if "dumped" in h.variant)
+    theta = np.array([518.0, 0.177, 0.958])
+    coupling = np.array([[0.0, 0.012, 0.009], [-0.018, 0.006, 0.0], [0.003, 0.009, 0.0]])
+    on = np.mod((scene().time_s - hypothesis.constants["middle_s"]) / theta[0] - theta[2], 1.0) < theta[1]
+    fired = scene().calibrated_nt @ coupling * on[:, None]
+    noise = NOISE_NT * np.random.default_rng(seed).normal(size=(len(scene()), 3))
+    problem = Problem(spoiled(measure(X, scene().calibrated_nt + fired + noise), scene()), NOISE_NT)
+    fit = solve(problem, X, [Term(hypothesis, theta, np.zeros(6))])
+    assert fit.converged
+    assert fit.white_rms_nt < 1.05 * NOISE_NT

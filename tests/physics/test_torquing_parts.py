@@ -110,33 +110,38 @@ def test_parts_are_all_stretches_of_seven_and_more() -> None:
 
 @pytest.mark.parametrize(
     ("interval_s", "share", "phase", "hold_s"),
-    [(300.0, 0.25, 0.0, 0.0), (300.0, 0.2, 0.4, 10.0), (400.0, 0.3, 0.9, 5.0)],
+    [(300.0, 0.25, 0.0, None), (300.0, 0.2, 0.4, 10.0), (400.0, 0.3, 0.9, 5.0)],
 )
 def test_dumping_follows_the_field_or_holds_it_for_a_while(
-    interval_s: float, share: float, phase: float, hold_s: float
+    interval_s: float, share: float, phase: float, hold_s: float | None
 ) -> None:
     """Intervals count from the middle of the recording; a held dipole is that of the beginning of its hold."""
-    hypothesis = form("momentum dumped at intervals")
+    numbers = [interval_s, share, phase] + ([] if hold_s is None else [hold_s])
+    hypothesis = form("momentum dumped at intervals, " + ("in any direction" if hold_s is None else "held"))
     middle_s = 0.5 * TIME_S[-1]
     assert hypothesis.constants == {"middle_s": middle_s}
     expected = np.zeros((COUNT, 3))
     for row, now_s in enumerate(TIME_S.tolist()):
         into_s = ((now_s - middle_s) / interval_s - phase) % 1.0 * interval_s
-        made_s = now_s - into_s % hold_s if hold_s > PERIOD_S else now_s
+        made_s = now_s - into_s % hold_s if hold_s else now_s
         made = next(number for number, at_s in enumerate(TIME_S) if at_s >= made_s - 0.5 * PERIOD_S)
         if into_s / interval_s < share:
             expected[row] = course()[min(made, row)] @ MATRIX
-    found = field_of(hypothesis, MATRIX, interval_s, share, phase, hold_s)
-    assert found == pytest.approx(expected)
+    assert field_of(hypothesis, MATRIX, *numbers) == pytest.approx(expected)
+    if hold_s is None:
+        symmetric = 0.5 * (MATRIX + MATRIX.T)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        found = field_of(form("momentum dumped at intervals"), symmetric, *numbers)
+        assert (found * course()).sum(axis=1) == pytest.approx((expected * course()).sum(axis=1))
 
 
 def test_dumping_is_searched_by_intervals_slots_and_holds() -> None:
-    grids = {number.name: number.grid for number in form("momentum dumped at intervals").nonlinear}
+    held = "momentum dumped at intervals, held"
+    grids = {number.name: number.grid for number in form(held).nonlinear}
     assert grids["on_share"] == pytest.approx(np.array([3, 5, 7, 10]) / 24.0)
     assert grids["phase"] == pytest.approx(np.arange(24) / 24.0)
-    assert grids["hold_s"].tolist() == [0.0, 2.0, 4.0, 5.0, 10.0]
-    slow = {number.name: number.grid for number in form("momentum dumped at intervals", flown(COUNT, 6.0)).nonlinear}
-    assert slow["hold_s"].tolist() == [0.0, 6.0, 10.0]
+    assert grids["hold_s"].tolist() == [4.0, 5.0, 10.0]  # longer than a sample
+    slow = {number.name: number.grid for number in form(held, flown(COUNT, 6.0)).nonlinear}
+    assert slow["hold_s"].tolist() == [10.0]
     assert grids["period_s"] == pytest.approx(torquing._intervals(TIME_S[-1]))
 
 
@@ -229,9 +234,9 @@ def test_a_duty_is_proposed_first_from_a_line_that_is_a_part_of_a_width_off(
 
 @pytest.mark.parametrize(("step", "slot", "length"), [(2, 6, 5), (0, 20, 7)])
 def test_dumping_is_proposed_first_at_its_interval_with_every_hold(step: int, slot: int, length: int) -> None:
-    hypothesis = form("momentum dumped at intervals")
+    hypothesis = form("momentum dumped at intervals, held")
     intervals, _, _, holds = (number.grid for number in hypothesis.nonlinear)
-    numbers = (float(intervals[step]), length / 24.0, slot / 24.0, 0.0)
+    numbers = (float(intervals[step]), length / 24.0, slot / 24.0, float(holds[0]))
     found = proposed(hypothesis, *numbers, amplitude=0.01)
     assert found.shape == (6 * len(holds), 4)
     best = found[: len(holds)]

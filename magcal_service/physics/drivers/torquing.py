@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.drivers.duty import SLOTS, cuts, patterns_of, regular
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, Proposals
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.segments import Segments, Sums
@@ -28,8 +28,8 @@ CYCLES_S: Final = np.array([4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.
 LEADS_S: Final = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 """How long before it fires a controller has seen dB/dt."""
 
-HOLDS_S: Final = np.array([0.0, 2.0, 4.0, 5.0, 10.0])
-"""For how long a dipole is held while momentum is dumped; 0: it follows the field."""
+HOLDS_S: Final = np.array([2.0, 4.0, 5.0, 10.0])
+"""For how long a dipole is held while momentum is dumped, where it does not follow the field."""
 
 INTERVAL_S: Final = (250.0, 1600.0)
 """From the beginning of one dump of momentum to the next."""
@@ -76,6 +76,9 @@ _LEAST_SAMPLES: Final = 200
 _COILS: Final = ("coil x", "coil y", "coil z")
 _ALONG: Final = ("field along x", "field along y", "field along z")
 """What the rows of an amplitude belong to."""
+
+_SYMMETRIC: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
+"""Elements of a symmetric matrix."""
 
 DETUMBLING: Final = "inferred:detumbling"
 DUMPING: Final = "inferred:dumping"
@@ -193,6 +196,11 @@ def _held(scene: Scene, into_s: Array, hold_s: float) -> NDArray[np.intp]:
 
 
 def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
+    """Forms of a dipole along B x h, whose field is some matrix times B.
+
+    A magnitude shows its symmetric part only: matrices that differ by a turn of the pulses' vectors leave one and the
+    same.  The rest shows where a dipole is held while the field turns, or in whole vectors.
+    """
     span = float(scene.time_s[-1] - scene.time_s[0])
     if not 3.0 * INTERVAL_S[0] <= span <= _LONGEST_BEAT_S and not scene.is_given:
         return
@@ -201,39 +209,55 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         Nonlinear("period_s", "s", periods, role="held"),
         Nonlinear("on_share", "1", np.array(_ON_SLOTS) / SLOTS, role="held"),
         Nonlinear("phase", "1", np.arange(SLOTS) / SLOTS, role="held"),
-        Nonlinear("hold_s", "s", np.unique(np.maximum(HOLDS_S, np.where(HOLDS_S > 0, scene.period_s, 0))), role="held"),
     )
     middle_s = scene.constant("middle_s", float(0.5 * (scene.time_s[0] + scene.time_s[-1])))
 
-    def columns(theta: Array) -> Columns:
-        period_s, share, phase, hold_s = (float(value) for value in theta)
+    def field(theta: Array) -> Array:
+        period_s, share, phase, hold_s = (*theta.tolist(), 0.0)[:4]
         into = np.mod((scene.time_s - middle_s) / period_s - phase, 1.0)
         made = _held(scene, into * period_s, hold_s)
-        return along_axes(scene.calibrated_nt[made] * (into < share)[:, None])
+        return np.asarray(scene.calibrated_nt[made] * (into < share)[:, None])
 
-    holds = numbers[3].grid
-    block = Block("dumping", "1", (3, 3), labels=(_ALONG, AXES))
+    def tried(holds: Array | None = None) -> Proposals:
+        return lambda sums, _: _dumping_tried(scene, periods, holds, middle_s, sums)
+
     variant = "momentum dumped at intervals"
-    yield Hypothesis(
+    plain = Hypothesis(
         effect,
         DUMPING,
-        columns,
-        (block,),
+        lambda theta: Columns(body=_symmetric(field(theta))),
+        (Block("dumping", "1", (6,), labels=(_SYMMETRIC,)),),
         variant,
         numbers,
         {"middle_s": middle_s},
         largest_nt=LARGEST_NT,
-        proposals=lambda sums, _: _dumping_tried(scene, periods, holds, middle_s, sums),
+        proposals=tried(),
     )
+    whole = replace(
+        plain,
+        columns=lambda theta: along_axes(field(theta)),
+        blocks=(Block("dumping", "1", (3, 3), labels=(_ALONG, AXES)),),
+    )
+    holds = HOLDS_S[scene.period_s < HOLDS_S]
+    yield plain
+    yield replace(whole, variant=f"{variant}, in any direction", needs_vectors=True)
+    if len(holds):
+        held, name = Nonlinear("hold_s", "s", holds, role="held"), f"{variant}, held"
+        yield replace(whole, variant=name, nonlinear=(*numbers, held), refines=plain.label, proposals=tried(held.grid))
 
 
-def _dumping_tried(scene: Scene, periods: Array, holds: Array, middle_s: float, sums: Sums) -> Array:
-    """Numbers (q, 4) of the intervals and slots that lower the squares most, with every hold."""
-    w = scene.calibrated_nt
-    body = np.zeros((6, len(scene), 3))
+def _symmetric(field_nt: Array) -> Array:
+    """(6, n, 3) of vectors (n, 3): what each element of a symmetric matrix adds, in the order of ``_SYMMETRIC``."""
+    body = np.zeros((6, *field_nt.shape))
     for number, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        body[number, :, i] = w[:, j]
-        body[number, :, j] = w[:, i]
+        body[number, :, i] = field_nt[:, j]
+        body[number, :, j] = field_nt[:, i]
+    return body
+
+
+def _dumping_tried(scene: Scene, periods: Array, holds: Array | None, middle_s: float, sums: Sums) -> Array:
+    """Numbers (q, 3) of the intervals and slots that lower the squares most, or (q, 4) with every hold, if any."""
+    body = _symmetric(scene.calibrated_nt)
     width = max(_SEGMENT_S, scene.period_s)
     firsts = np.unique(np.searchsorted(scene.time_s, np.arange(scene.time_s[0], scene.time_s[-1], width)))
     segments = sums(Columns(body=body), firsts)
@@ -250,7 +274,8 @@ def _dumping_tried(scene: Scene, periods: Array, holds: Array, middle_s: float, 
     found = []
     for row in best.tolist():
         share, slot = _ON_NUMBERS[int(np.argmax(drops[row]))]
-        found += [[periods[among[row]], share / SLOTS, slot / SLOTS, hold_s] for hold_s in holds.tolist()]
+        numbers = [periods[among[row]], share / SLOTS, slot / SLOTS]
+        found += [numbers] if holds is None else [[*numbers, hold_s] for hold_s in holds.tolist()]
     return np.array(found)
 
 
