@@ -14,10 +14,11 @@ factors G = R'(I + D) of a linear fit; Sola et al. 2018 for the derivative of a 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from magcal_service.diagnosis.offset import Offset
 from magcal_service.earth import geomagnetic
 from magcal_service.model import Array, calibrate
 from magcal_service.physics.scene.scene import Scene
@@ -40,19 +41,39 @@ class Aimed:
     reference_nt: (n, 3) S A H [nT]: by the attitude and the guess of the mounting.
     guess: (3, 3) S, sensor from body.
     across: weight of the rows across the field against those along it, 0 to 1.
+    offset: what the reference may be off by in its own axes; None: it is as stated.
     """
 
     reference_nt: Array
     guess: Array
     across: float = 1.0
+    offset: Offset | None = None
 
-    def turned(self, phi: Array) -> Array:
-        """The reference (n, 3) with the sensor turned further by phi (3,) [rad]."""
-        return np.asarray(self.reference_nt @ turn(phi).T)
+    @property
+    def size(self) -> int:
+        """Unknowns: a small turn of the sensor (3,), and what the reference is off by (k,)."""
+        return 3 + (0 if self.offset is None else self.offset.size)
 
-    def slopes(self, phi: Array) -> Array:
-        """(n, 3, 3) derivatives of ``turned`` by phi."""
-        return -skew(self.turned(phi)) @ left_jacobian(phi)
+    @property
+    def tie(self) -> Array:
+        """Inverse prior variance of each unknown."""
+        off = [] if self.offset is None else [self.offset.usual_nt**-2] * self.offset.size
+        return np.array([0.0, 0.0, 0.0, *off])
+
+    def turned(self, unknowns: Array) -> Array:
+        """The reference (n, 3) with the sensor turned further by the first three of (3 + k,) [rad], off by the rest."""
+        reference = self.reference_nt
+        if self.offset is not None:
+            reference = reference + self.offset.columns @ unknowns[3:]
+        return np.asarray(reference @ turn(unknowns[:3]).T)
+
+    def slopes(self, unknowns: Array) -> Array:
+        """(n, 3, 3 + k) derivatives of ``turned`` by its unknowns."""
+        phi = unknowns[:3]
+        by_turn = -skew(self.turned(unknowns)) @ left_jacobian(phi)
+        if self.offset is None:
+            return by_turn
+        return np.concatenate([by_turn, turn(phi) @ self.offset.columns], axis=2)
 
     def sensor_from_body(self, phi: Array) -> Array:
         """(3, 3) R."""
@@ -71,11 +92,13 @@ class Aimed:
     def continued(self, rotation: Array) -> Aimed:
         """With as many samples more, of a craft that turns its body by rotations (n, 3, 3) beside what it did."""
         further = np.einsum("nij,nj->ni", rotation, self.reference_nt)
-        return replace(self, reference_nt=np.concatenate([self.reference_nt, further]))
+        offset = None if self.offset is None else self.offset.continued(rotation)
+        return replace(self, reference_nt=np.concatenate([self.reference_nt, further]), offset=offset)
 
     def part(self, last: int) -> Aimed:
         """Of the first rows only."""
-        return replace(self, reference_nt=self.reference_nt[:last])
+        offset = None if self.offset is None else self.offset.part(last)
+        return replace(self, reference_nt=self.reference_nt[:last], offset=offset)
 
 
 def skew(vectors: Array) -> Array:
@@ -104,8 +127,16 @@ def left_jacobian(phi: Array) -> Array:
     )
 
 
-def in_body(recording: Recording, scene: Scene, attitude: tuple[Axes, Array] | None) -> Array | None:
-    """The reference (n, 3) in the body by a recorded attitude [nT]; None where either is missing."""
+class InBody(NamedTuple):
+    """A reference by a recorded attitude: (n, 3) in the body [nT], and (n, 3, 3) body from the axes it is given in."""
+
+    reference_nt: Array
+    body_from_axes: Array
+    axes: Axes
+
+
+def in_body(recording: Recording, scene: Scene, attitude: tuple[Axes, Array] | None) -> InBody | None:
+    """The reference in the body by a recorded attitude; None where either is missing."""
     if (
         attitude is None
         or recording.reference.vector_nt is None
@@ -113,7 +144,9 @@ def in_body(recording: Recording, scene: Scene, attitude: tuple[Axes, Array] | N
     ):
         return None
     reference = _in_axes(recording, scene, attitude[0])
-    return None if reference is None else np.asarray(np.einsum("nij,nj->ni", attitude[1], reference))
+    if reference is None:
+        return None
+    return InBody(np.asarray(np.einsum("nij,nj->ni", attitude[1], reference)), attitude[1], attitude[0])
 
 
 def _in_axes(recording: Recording, scene: Scene, axes: Axes) -> Array | None:

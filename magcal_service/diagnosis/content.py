@@ -13,6 +13,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
+from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import verdict_sentence
@@ -26,7 +27,8 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     found = entries(diagnosis) if found is None else found
     fit = diagnosis.fit
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
-    mounting, (moved_nt, moved_sigma_nt) = mounting_of(fit), moved_bias(diagnosis)
+    mounting, reference_off = mounting_of(fit), reference_off_of(fit)
+    moved_nt, moved_sigma_nt = moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)
     content: dict[str, Any] = {
         **head(DIAGNOSIS),
@@ -51,6 +53,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         "residual": str(diagnosis.prepared.form),
         "not_borne_out": [str(form) for form in diagnosis.refused],
         "mounting": None if mounting is None else mounting.as_json(),
+        "reference_off": None if reference_off is None else reference_off.as_json(),
         "located": [place.as_json() for place in places],
         "empirical": None if diagnosis.modelled is None else diagnosis.modelled.as_json(),
         "unexplained_share": round(diagnosis.unexplained, 4),

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns, free_numbers
+from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.term_columns import amplitude_columns
 from magcal_service.model import Array
 from magcal_service.physics.interface import Block, Effect, Nonlinear, Value, Values, by_name, value_of
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis.linear import fold_solutions, held_out
-from magcal_service.diagnosis.problem import Fit, amplitude_columns, columns_of
+from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.term_columns import amplitude_columns, columns_of
 from magcal_service.model import Array
 
 _ACTS: Final = 0.25  # of what a term adds in the pass that it adds most to, and it acts there

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.config.settings import FilterConfig
-from magcal_service.diagnosis.aimed import guessed, in_body, weighted
+from magcal_service.diagnosis.aimed import InBody, guessed, in_body, weighted
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError, Scale
+from magcal_service.diagnosis.offset import Offset
 from magcal_service.diagnosis.problem import PRIOR_BIAS_NT, PRIOR_D, Fit, Problem
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.spikes import spikes
@@ -199,12 +200,12 @@ def _turning(
 
 
 def _baseline(
-    scene: Scene, used: _Used, largest_nt: Mapping[str, float], aimed: Array | None, room: Array | None
+    scene: Scene, used: _Used, largest_nt: Mapping[str, float], aimed: InBody | None, room: Array | None
 ) -> Fit:
     """The nine errors alone, in the form of residual that there is; of vectors on a scene free of noise."""
     level_nt, x = used.level_nt, used.x
     if aimed is not None:
-        fit = _aimed_baseline(scene, level_nt, largest_nt, aimed, x)
+        fit = _aimed_baseline(scene, used, largest_nt, aimed)
     elif room is not None:
         fit = solve(Problem(scene, level_nt, room, largest_nt), np.concatenate([x, _room_field(scene, room)]))
     else:
@@ -213,13 +214,21 @@ def _baseline(
     return _quiet(fit) if fit.problem.is_vector else fit
 
 
-def _aimed_baseline(scene: Scene, level: float, largest_nt: Mapping[str, float], reference: Array, x: Array) -> Fit:
-    """Nine errors and the turn of the sensor, the rows across the field weighted by the attitude's own noise."""
-    aimed, start = guessed(scene, reference, x)
+def _aimed_baseline(scene: Scene, used: _Used, largest_nt: Mapping[str, float], reference: InBody) -> Fit:
+    """Nine errors, the turn of the sensor and what the reference is off by, the rows across the field weighted by the
+    attitude's own noise."""
+    level = used.level_nt
+    aimed, start = guessed(scene, reference.reference_nt, used.x)
     if is_collapsed(start):
-        start = x
+        start = used.x
     fit = solve(Problem(scene, level, None, largest_nt, aimed=aimed), np.concatenate([start, np.zeros(3)]))
     aimed = weighted(aimed, scene, fit.residual, level)
+    fit = solve(replace(fit.problem, aimed=aimed), fit.x)
+    by_axes = aimed.guess @ reference.body_from_axes
+    products = fit.problem.white_products(np.concatenate([fit.columns, by_axes.reshape(-1, 3)], axis=1))
+    offset = Offset.of(by_axes, reference.axes, used.recording.descriptor.platform, products)
+    fit = solve(replace(fit.problem, aimed=replace(aimed, offset=offset)), np.append(fit.x, np.zeros(offset.size)))
+    aimed = replace(weighted(aimed, scene, fit.residual, level), offset=offset)
     return solve(replace(fit.problem, aimed=aimed), fit.x)
 
 

@@ -1,10 +1,10 @@
 """Simulation and recording side by side: nine errors, effects, and the residual, with its derivatives.
 
 Three forms of residual, one interface.  Scalar: e = |w| - |H| - m, one row a sample.  Vector, where an attitude was
-recorded, three rows a sample: r = w - R A H where the reference is a vector, with the turn R of the sensor against the
-body as three unknowns more (``aimed``); r = w - |H| A h where the reference has one magnitude only (a room), with the
-field's direction h there as unknowns more: on a sphere the scalar form is degenerate.  w = (I + D) B - b - d with d
-and m the effects' (``physics.interface``).
+recorded, three rows a sample: r = w - R A (H + o) where the reference is a vector, with the turn R of the sensor
+against the body and what it is off by as unknowns more (``aimed``); r = w - |H| A h where it has one magnitude only (a
+room), with the field's direction h as unknowns more: on a sphere the scalar form is degenerate.  w = (I + D) B - b - d
+with d and m the effects' (``physics.interface``).
 
 Derivatives are taken where the noise is not (``model.without_radial_noise``): at the measured vector they hold the
 residual's noise.
@@ -59,7 +59,7 @@ class Problem:
     ----------
     scene: the samples.
     noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is subtracted from the scalar residual.
-    room_from_body: (n, 3, 3) attitude to a room in which the field is uniform; None: there is none.
+    room_from_body: (n, 3, 3) attitude to a room of uniform field; None: there is none.
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
     field_error: errors of the field model itself, part of the scalar residual's noise; None: there is none.
     aimed: reference vectors in the sensor's axes; None, and no room either: the scalar form.
@@ -84,14 +84,18 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Unknowns before any effect: nine, and a vector along the room's field or the turn of the sensor."""
-        return STATE_SIZE + 3 * self.is_vector
+        """Unknowns before any effect: nine, and a vector along the room's field, or those of ``aimed``."""
+        return STATE_SIZE + (self.aimed.size if self.aimed is not None else 3 * self.is_vector)
+
+    @property
+    def tie_beside(self) -> Array:
+        """Inverse prior variances of the unknowns beside the nine errors."""
+        return np.zeros(self.size - STATE_SIZE) if self.aimed is None else self.aimed.tie
 
     @cached_property
     def fold(self) -> NDArray[np.intp]:
         """Fold number of each row."""
-        numbers = folds(self.scene.time_s)
-        return np.repeat(numbers, self.rows_per_sample)
+        return np.repeat(folds(self.scene.time_s), self.rows_per_sample)
 
     @cached_property
     def row_time_s(self) -> Array:
@@ -124,7 +128,7 @@ class Problem:
         return np.asarray(np.einsum("nji,j->ni", self.room_from_body, towards) * self.scene.magnitude_nt[:, None])
 
     def target_slopes(self, x: Array) -> Array | None:
-        """d target / d what turns it (n, 3, 3); None in the scalar form."""
+        """d target / d what turns or moves it (n, 3, k); None in the scalar form."""
         if self.aimed is not None:
             return self.aimed.slopes(x[STATE_SIZE:])
         room = self.room_from_body
@@ -153,9 +157,7 @@ class Problem:
 
     def rows(self, columns: Columns, unit: Array) -> Array | None:
         """Columns as rows of the residual (m, k), or None where they are zero in this form."""
-        if not self.is_vector:
-            return columns.along(unit)
-        return columns.components()
+        return columns.components() if self.is_vector else columns.along(unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +167,7 @@ class Fit:
     Parameters
     ----------
     problem: what was solved.
-    x: (9,), or with the room's field or the sensor's turn (12,).
+    x: (9,), or with the room's field (12,), or with the unknowns of ``aimed`` (12 + k,).
     terms: effects.
     residual: (m,) [nT].
     columns: (m, p) derivatives of the residual: -d residual / d (unknowns, amplitudes, nonlinear numbers).
@@ -354,7 +356,7 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     measured = scene.field_nt + (clean - w) @ inverse.T
     unit = clean / _lengths(clean)[:, None]
     parts = [-unknown_slopes(measured, unit, problem.target_slopes(x))]
-    ties = [np.repeat([PRIOR_BIAS_NT**-2, PRIOR_D**-2, 0.0], [3, 6, problem.size - STATE_SIZE])]
+    ties = [np.repeat([PRIOR_BIAS_NT**-2, PRIOR_D**-2], [3, 6]), problem.tie_beside]
     slopes: list[Array] = []
     span_s = float(np.ptp(scene.time_s))
     for term, own in zip(terms, made, strict=True):
@@ -379,20 +381,6 @@ def _lengths(vectors: Array) -> Array:
 def _required(rows: Array | None) -> Array:
     assert rows is not None, "a term that says nothing in this form was fitted"
     return rows
-
-
-def amplitude_columns(fit: Fit, index: int) -> slice:
-    """Numbers of the columns of a term's amplitudes."""
-    first = fit.problem.size + sum(term.hypothesis.size for term in fit.terms[:index])
-    return slice(first, first + fit.terms[index].hypothesis.size)
-
-
-def columns_of(fit: Fit, index: int) -> NDArray[np.intp]:
-    """Numbers of the columns that belong to a term: amplitudes, then nonlinear numbers."""
-    linear = amplitude_columns(fit, index)
-    free = fit.linear_size + sum(len(free_numbers(term)) for term in fit.terms[:index])
-    moving = np.arange(free, free + len(free_numbers(fit.terms[index])))
-    return np.concatenate([np.arange(linear.start, linear.stop), moving]).astype(np.intp)
 
 
 def free_numbers(term: Term) -> list[int]:

@@ -14,8 +14,9 @@ from magcal_service.diagnosis.grids import OF_LINES, combinations, tried_first
 from magcal_service.diagnosis.linear import Gain, Products, Workspace
 from magcal_service.diagnosis.lines import strongest
 from magcal_service.diagnosis.plausible import WHOLE, above_least
-from magcal_service.diagnosis.problem import Fit, Problem, columns_of
+from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.refine import refined as refined_numbers
+from magcal_service.diagnosis.term_columns import columns_of
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, oscillation
 from magcal_service.physics.effects.coloured_noise import Whitener

@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
+from magcal_service.diagnosis.problem import Fit, Term
+from magcal_service.diagnosis.term_columns import amplitude_columns
 
 _OF_ITS_SIGMA: Final = 3.0
 """Times its own sigma that one number of what an effect says of itself has to be."""

@@ -22,16 +22,18 @@ def room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Arr
 
 
 def unknown_slopes(measured_nt: Array, unit: Array, of_target: Array | None) -> Array:
-    """d residual / d unknowns (m, 9 or 12), for measured vectors (n, 3) [nT].
+    """d residual / d unknowns (m, 9 or 9 + k), for measured vectors (n, 3) [nT].
 
     Parameters
     ----------
     unit: direction of the field in the body (n, 3).
-    of_target: in a vector form, d target / d what turns it (n, 3, 3).
+    of_target: in a vector form, d target / d what turns or moves it (n, 3, k).
     """
     if of_target is None:
         return magnitude_jacobian(measured_nt, unit)
-    return np.concatenate([field_jacobian(measured_nt), -of_target], axis=2).reshape(-1, STATE_SIZE + 3)
+    return np.concatenate([field_jacobian(measured_nt), -of_target], axis=2).reshape(
+        -1, STATE_SIZE + of_target.shape[2]
+    )
 
 
 def number_slopes(

@@ -11,6 +11,7 @@ from magcal_service.diagnosis.doubts import LITTLE_LEFT, SURE
 from magcal_service.diagnosis.empirical.curves import unit_of
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.separation import Separation
 from magcal_service.physics.apply.advice import RECORDING
 from magcal_service.physics.apply.empirical import Empirical
@@ -141,7 +142,13 @@ def explained_share(unexplained: float) -> str:
 
 
 def verdict_sentence(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
-    """The verdict in one plain sentence: the cause and its size, or what is left without a name."""
+    """The verdict in one plain sentence: the cause and its size, or what is left without a name; and in a second one
+    what the reference vector is off by, where that is certain."""
+    said, off = _verdict_alone(diagnosis, found, held_out), reference_off_of(diagnosis.fit)
+    return said if off is None or not off.is_certain or diagnosis.inspection.open else f"{said} {off}"
+
+
+def _verdict_alone(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mapping[str, float]) -> str:
     if diagnosis.verdict is Verdict.NONE:
         problem = diagnosis.fit.problem
         error = problem.field_error

@@ -14,10 +14,11 @@ from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.grids import combinations, tried_first
 from magcal_service.diagnosis.handover import model_term, terms_of
 from magcal_service.diagnosis.lines import folded, slots
-from magcal_service.diagnosis.problem import Problem, Term, columns_of, free_numbers
+from magcal_service.diagnosis.problem import Problem, Term, free_numbers
 from magcal_service.diagnosis.rivals import best_of_each
 from magcal_service.diagnosis.screen import Candidate, search_cost
 from magcal_service.diagnosis.solution import _blocked, _inside, _moved
+from magcal_service.diagnosis.term_columns import columns_of
 from magcal_service.model import Array
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear

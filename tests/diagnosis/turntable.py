@@ -67,6 +67,8 @@ class Bench:
     lag_s: time constant of the sensor's answer [s].
     attitude_noise_rad: 1 sigma of the recorded attitude about each axis [rad]; steady: whether the reference is;
         in_a_room: whether its magnitude alone was recorded.
+    reference_off_nt: (3,) what the field is beyond the reference, in the reference's axes [nT].
+    is_still: whether the body does not turn.
     channels: name -> (values, unit).
     """
 
@@ -80,6 +82,8 @@ class Bench:
     with_attitude: bool = False
     steady: bool = False
     in_a_room: bool = False
+    reference_off_nt: Array | float = 0.0
+    is_still: bool = False
     channels: dict[str, tuple[Array, str]] = field(default_factory=dict)
 
     @property
@@ -96,7 +100,9 @@ class Bench:
         reference = np.stack(
             [20e3 + 6e3 * np.sin(5.0 * share), -9e3 + 8e3 * np.cos(4.0 * share), 30e3 - 9e3 * share], axis=1
         )
-        body = np.array(turned(quaternion, reference))
+        if self.is_still:
+            quaternion = np.tile(quaternion[:1], (len(fine_s), 1))
+        body = np.array(turned(quaternion, reference + self.reference_off_nt))
         for row in range(1, len(body)) if self.lag_s else ():
             body[row] = body[row - 1] + (body[row] - body[row - 1]) / (1.0 + self.lag_s * _FINE)
         quaternion, reference, body = quaternion[::_FINE], reference[::_FINE], body[::_FINE]

@@ -22,8 +22,9 @@ from magcal_service.diagnosis.empirical.curves import ELAPSED, Form, drivers_of,
 from magcal_service.diagnosis.empirical.gain import forward_rms_nt, gain_in_blocks, gain_of
 from magcal_service.diagnosis.empirical.trials import Trial, trials_of
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.problem import Fit, Term, amplitude_columns
+from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.term_columns import amplitude_columns
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.empirical import NAME, Empirical

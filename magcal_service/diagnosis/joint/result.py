@@ -17,8 +17,9 @@ from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.joint.words import ONE_ALONE, effect_of, parameters, says, sentence
-from magcal_service.diagnosis.problem import Term, amplitude_columns
+from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.term_columns import amplitude_columns
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import JOINT, head
 from magcal_service.physics.apply.advice import advice
