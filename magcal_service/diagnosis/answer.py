@@ -37,8 +37,8 @@ class Answer(NineErrors):
     verdict: ``none``, ``named`` or ``unknown``.
     trusted, reasons: whether it may be acted on, and what speaks against it.
     effects: what was found, by the share of the mismatch that it explains.
-    held_out_rms_nt: rms of the residual on blocks that took no part [nT]: ``simulation``, ``recalibrated`` (nine errors
-        fitted anew), ``with_effects``.
+    held_out_rms_nt: rms of the residual on blocks that took no part [nT]: ``simulation`` (of none: as calibrated on the
+        first half), ``recalibrated`` (nine errors fitted anew), ``with_effects``.
     x, covariance: nine errors (9,) with the effects beside them, and their covariance (9, 9) [nT, -].
     content: what ``diagnosis.json`` holds.
     """
@@ -74,7 +74,8 @@ class Answer(NineErrors):
     def __repr__(self) -> str:
         doubt = "trusted" if self.trusted else f"do not act on this: {', '.join(self.reasons)}"
         levels = " -> ".join(f"{value:.0f}" for value in self.held_out_rms_nt.values())
-        head = f"Diagnosis: {self.verdict} ({doubt}); held out {levels} nT (simulation, recalibrated, with effects)"
+        compared = self.content["compared_with"]
+        head = f"Diagnosis: {self.verdict} ({doubt}); held out {levels} nT ({compared}, recalibrated, with effects)"
         return "\n".join(
             [head, f"  {self.content['sentence']}", *(f"  {entry.effect}: {entry.says}" for entry in self.effects)]
         )

@@ -16,7 +16,7 @@ from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.words import verdict_sentence
+from magcal_service.diagnosis.words import compared_with, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import DIAGNOSIS, head
 from magcal_service.physics.apply.advice import advice
@@ -34,11 +34,13 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
         **head(DIAGNOSIS),
         "verdict": str(diagnosis.verdict),
         "sentence": verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
+        "compared_with": compared_with(has_simulation=diagnosis.has_simulation),
         "effects": [entry.as_json() for entry in found],
         "fit": {
             "noise_floor_nt": diagnosis.noise_nt,
             "noise_is_stated": diagnosis.prepared.view.stated_noise_nt is not None,
             "added_noise_nt": diagnosis.added_noise_nt,
+            "noise_with_memory_nt": diagnosis.memory_nt,
             "held_out_rms_nt": held_out_rms(diagnosis),
             "in_sample_rms_nt": {"recalibrated": diagnosis.prepared.baseline.rms_nt, "with_effects": fit.rms_nt},
             "bias_nt": fit.x[BIAS].tolist(),

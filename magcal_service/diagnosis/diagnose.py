@@ -62,13 +62,14 @@ class Diagnosis:
     unexplained: share of the mismatch that no effect explains, 0 where nothing significant is left.
     verdict, trusted, reasons: what it comes to, and what speaks against believing it.
     spin: the turn of the craft after the fit.
-    simulation_rms_nt: rms of the residual under the simulation's own nine errors [nT].
-    simulation_x: those errors (9,).
+    simulation_x: nine errors (9,) of the simulation; of none, as calibrated on the first half of the recording.
+    simulation_residual_nt: the residual under them [nT].
     whitening: autoregressive coefficients of the noise, empty where it is white.
     seconds: what it took.
     refused: forms of the residual that the attitude did not bear out.
     rest: what lasts beside the names; None where the noise has a memory, which lasts by itself.
     modelled: what has no name as curves over drivers; None where nothing is left, or no curve helps.
+    has_simulation: whether a simulation was given.
     """
 
     inspection: Inspection
@@ -89,6 +90,14 @@ class Diagnosis:
     refused: tuple[Form, ...] = ()
     rest: Rest | None = None
     modelled: Modelled | None = None
+    has_simulation: bool = False
+
+    @property
+    def memory_nt(self) -> float | None:
+        """rms of the noise with its memory [nT], where that is more than ``noise_nt``; None where it is white, or the
+        memory may be that of what has no name."""
+        has_one = len(self.whitening) > 0 and self.verdict is not Verdict.UNKNOWN
+        return self.fit.rms_nt if has_one and self.fit.rms_nt > self.noise_nt else None
 
     @property
     def left_share(self) -> float:
@@ -255,6 +264,7 @@ def _on_rows(
         refused=refused,
         rest=end.rest,
         modelled=_modelled(end, against, inspection, spin, progress),
+        has_simulation=simulation_x is not None,
     )
 
 

@@ -201,7 +201,7 @@ class Search(Screen):
             for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
                 trial = solve(self.problem, fit.x, (*fit.terms, term))
-                if self._agrees(fit, trial) and all_within_physics(trial):
+                if self.agrees(fit, trial) and all_within_physics(trial):
                     return trial
         return None
 
@@ -237,7 +237,7 @@ class Search(Screen):
             fit = solve(self.problem, fit.x, [term for index, term in enumerate(fit.terms) if index != weakest])
         return fit
 
-    def _agrees(self, before: Fit, after: Fit) -> bool:
+    def agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
         inside = float((before.sensor_residual**2).sum() - (after.sensor_residual**2).sum())
         return inside > 0.0 and held_out(before) - held_out(after) > HELD_OUT_SHARE * inside

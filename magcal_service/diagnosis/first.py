@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from magcal_service.diagnosis.belief import posterior
-from magcal_service.diagnosis.diagnose import Diagnosis
-from magcal_service.diagnosis.explain import LIKELIER, OF_BLOCKS, held_out
+from magcal_service.diagnosis.explain import LIKELIER, OF_BLOCKS, Explained, held_out
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
 
 
-def why_first(diagnosis: Diagnosis, index: int) -> str:
+def why_first(explained: Explained, index: int) -> str:
     """Why the likeliest of a term's class did not take its place, in words; empty where that is the term itself.
 
     A cause in no catalogue has no numbers, and takes no place.
     """
-    explained, fit = diagnosis.explained, diagnosis.fit
+    fit = explained.fit
     believed, own = posterior(explained, index), explained.own_nats(index)
     mine = fit.terms[index].hypothesis.effect
     probability = dict(believed.rivals)

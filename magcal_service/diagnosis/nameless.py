@@ -20,6 +20,7 @@ from magcal_service.diagnosis.screen import ACCEPTED_NATS, is_simpler
 from magcal_service.diagnosis.signals import against_signals
 from magcal_service.diagnosis.solution import ended, exchanged, solve
 from magcal_service.model import Array
+from magcal_service.physics.interface import UNLISTED
 
 NEEDED_SHARES: Final = (0.75, 0.85, 0.93, 0.97)
 """Of what the best family without a name holds: what one, two, three, four effects have to explain together."""
@@ -39,6 +40,11 @@ Sun's turn in the body is one, and none of these functions."""
 _BY_REFIT: Final = 0.5
 """Of a name's evidence to first order, what it has to hold by a fit without it: true ones hold 0.98 to 1.06, two false
 ones held 0.001 and 0.05."""
+
+_BY_NINE: Final = "a fit without it leaves hardly more, for the nine errors do the same"
+_BY_SHAPE: Final = "shapes without a name do more in its place"
+_BY_ATTITUDE: Final = "functions of the attitude hold half as much or more in its place"
+"""Why a family without a name, or none, does as well as a name."""
 
 _WORSE: Final = 1.02
 """Times the held-out rms of the nine errors alone, from which on names are no gain, whatever whitened rows say; faint
@@ -67,12 +73,28 @@ def standing(
         fit = fit if fit.converged else _in_a_simpler_form(search, fit, floor_nt)
         explained = search.compared(fit, floor_nt) if fit.converged else explained
     while explained.fit.terms:
-        index = _weakest_failing(baseline, explained, floor_nt)
-        if index is None:
+        failing = _weakest_failing(baseline, explained, floor_nt)
+        if failing is None:
             break
-        fewer = _Less(solve(search.problem, explained.fit.x, _others(explained.fit, index)))
+        fewer = _Less(solve(search.problem, explained.fit.x, _others(explained.fit, failing[0])), failing[1])
         explained = against_signals(search, _without(search, fewer, floor_nt), floor_nt)
     return explained
+
+
+def spoken_against(search: Search, baseline: Fit, explained: Explained, phase: Array | None, floor_nt: float) -> str:
+    """What speaks against the last name of a search beside what is left, in words; empty where it would stand.
+
+    Parameters as of ``standing``.
+    """
+    last = len(explained.fit.terms) - 1
+    outdone = _first_outdone(search, explained, phase, floor_nt, is_left=True)
+    name = explained.fit.terms[last].hypothesis.effect
+    if outdone is not None and all(term.hypothesis.effect != name for term in outdone.fit.terms):
+        return outdone.why
+    if len(_all_together(search, baseline, explained, phase, floor_nt, is_left=True).fit.terms) <= last:
+        return _BY_SHAPE
+    failing = _weakest_failing(baseline, against_signals(search, explained, floor_nt), floor_nt)
+    return failing[1] if failing is not None and failing[0] == last else ""
 
 
 def _in_a_simpler_form(search: Search, fit: Fit, floor_nt: float) -> Fit:
@@ -106,22 +128,28 @@ def _may_be_the_models(explained: Explained, index: int) -> bool:
     return rows is not None and is_as_smooth(fit.problem, rows @ term.amplitudes)
 
 
-def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> int | None:
+def _weakest_failing(baseline: Fit, explained: Explained, floor_nt: float) -> tuple[int, str] | None:
     """A name that the field model's errors may be, or that a rival beats and may not replace; else the weakest, where
-    the fit or its gain does not hold."""
+    the fit or its gain does not hold; and which of these it is, in words."""
     every = range(len(explained.fit.terms))
     beneath = next((index for index in every if _may_be_the_models(explained, index)), None)
     if beneath is not None:
-        return beneath
+        return beneath, "the field model may err by as much, as smoothly"
     each = [posterior(explained, index) for index in every]
     beside = [one.own / max((rival for _, rival in one.rivals), default=1e-300) for one in each]
     if min(beside) < _LEAST_PROBABLE:
-        return int(np.argmin(beside))
+        index = int(np.argmin(beside))
+        rival = max(each[index].rivals, key=lambda pair: pair[1])[0]
+        return index, f"{'a cause in no catalogue' if rival == UNLISTED else rival} is far likelier in its place"
     left = [fit.held_out_rms_nt / fit.noise_gain for fit in (explained.fit, baseline)]
-    worse = left[0] > _WORSE * left[1]
-    if explained.fit.converged and not worse and stands_out(baseline, explained.fit, floor_nt):
-        return None
-    return int(np.argmin(explained.nats))
+    weakest = int(np.argmin(explained.nats))
+    if not explained.fit.converged:
+        return weakest, "a fit with it does not arrive"
+    if left[0] > _WORSE * left[1]:
+        return weakest, "held-out blocks are left with more by it"
+    if not stands_out(baseline, explained.fit, floor_nt):
+        return weakest, "what held-out blocks gain by it does not stand out of their scatter"
+    return None
 
 
 def _all_together(
@@ -166,9 +194,10 @@ def _each_its_own(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Less:
-    """A fit without one of the names, and, where that was made, the search and the fit that ``refreshed`` leads to."""
+    """A fit without one of the names, and why; the search and fit that ``refreshed`` leads to, where that was made."""
 
     fit: Fit
+    why: str
     beside: Search | None = None
     refreshed: Fit | None = None
 
@@ -191,7 +220,7 @@ def _first_outdone(
     held = [_held_by_refit(search, explained, index, one, floor_nt) for index, one in enumerate(without)]
     needed = [max(ACCEPTED_NATS, _BY_REFIT * nats) for nats in explained.nats]
     if any(one < least for one, least in zip(held, needed, strict=True)):
-        return _Less(without[int(np.argmin(held))])
+        return _Less(without[int(np.argmin(held))], _BY_NINE)
     weakest = int(np.argmin(explained.nats))
     for index, term in enumerate(fit.terms):
         is_weakest = several and index == weakest
@@ -200,7 +229,7 @@ def _first_outdone(
             continue
         beside = replace(search)
         less = beside.refreshed(without[index])
-        outdone = _Less(without[index], beside, less)
+        outdone = _Less(without[index], _BY_SHAPE, beside, less)
         families = structures(beside, less, phase, floor_nt)
         best = families[0]
         own = _squares(search, less) - _squares(search, fit)
@@ -209,7 +238,7 @@ def _first_outdone(
         clear = _CLEARLY * 2.0 * (max(fit.white_rms_nt, floor_nt) / fit.noise_gain) ** 2
         is_duty = any(number.role == "period" for number in term.hypothesis.nonlinear)
         if is_line and turning > _OF_ATTITUDE * own and (is_left or not is_duty or own - turning < clear):
-            return outdone
+            return replace(outdone, why=_BY_ATTITUDE)
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
             return outdone
         # to first order beside the nine errors, or by how much more the nine errors alone leave

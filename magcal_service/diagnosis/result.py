@@ -13,8 +13,8 @@ from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
 from magcal_service.diagnosis.first import why_first
 from magcal_service.diagnosis.leftover import fitted_terms
 from magcal_service.diagnosis.locate import locate
+from magcal_service.diagnosis.nearest import Nearest
 from magcal_service.diagnosis.parameters import of_each_axis, parameters_of
-from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate
 from magcal_service.diagnosis.searching import FLOOR
 from magcal_service.diagnosis.separation import separations, switched_off
 from magcal_service.diagnosis.signals import strongest_signal
@@ -75,9 +75,9 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
         unlisted=unlisted(diagnosis.explained, index),
         as_well=term.hypothesis.as_well,
-        why_first=why_first(diagnosis, index),
+        why_first=why_first(diagnosis.explained, index),
         # of several in one residual; these need not add up to what all of them explain
-        extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch would be back without it",
+        extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch comes back in a fit without it",
     )
 
 
@@ -126,7 +126,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     structure = diagnosis.left[0]
     places = [place for place in locate(diagnosis.search, diagnosis.fit, diagnosis.left) if place.share > 0.0]
     terms = fitted_terms(structure, diagnosis.search, diagnosis.fit)
-    nearest = _nearest(diagnosis)
+    nearest = None if diagnosis.inspection.open else Nearest.of(diagnosis)
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
     separated_by = "record more telemetry beside the magnetometer, and switch one suspect at a time"
     says = f"Something without a name is left, most like {structure.shape.says}."
@@ -139,16 +139,13 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         separated_by = "correct the descriptor, or accept what was found under [inspect]"
         says = f"Recording and reference disagree; no physics is named before the recording is answered for: {asked}."
     if nearest is not None:
-        says += (
-            f" Nearest is {nearest[0]}: it would take {100.0 * nearest[1]:.0f} % of it, but held-out blocks, its rivals"
-            " or shapes without a name speak against it."
-        )
+        says += f" {nearest}"
     follows = strongest_signal(diagnosis.search, diagnosis.fit, FLOOR * diagnosis.prepared.problem.noise_nt)
     held = 0.0 if follows is None else min(1.0, follows.squares / max(structure.squares, 1e-9))
     if (
         follows is not None
         and follows.says != structure.shape.says
-        and held >= (0.0 if nearest is None else nearest[1])
+        and held >= (0.0 if nearest is None else nearest.share)
     ):
         says += f" Of one channel's signals {follows.says} does most: {100.0 * held:.0f} %."
     where: dict[str, Any] = {
@@ -159,7 +156,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
         "rms_nt": round(float(np.sqrt(np.mean(structure.signal**2))), 2),
         "correlates_with": [place.as_json() for place in places[:6]],
         "fitted_shape": shape or structure.shape.name,
-        "nearest": None if nearest is None else {"effect": nearest[0], "explains": round(nearest[1], 4)},
+        "nearest": None if nearest is None else nearest.to_dict(),
     }
     return Entry(
         effect=UNLISTED,
@@ -184,18 +181,6 @@ def _of_two_levels(diagnosis: Diagnosis) -> tuple[str, ...]:
         return ()
     named = {term.hypothesis.effect for term in diagnosis.fit.terms}
     return tuple(effect.name for effect in diagnosis.effects if effect.two_levels and effect.name not in named)
-
-
-def _nearest(diagnosis: Diagnosis) -> tuple[str, float] | None:
-    """The effect of the catalogue that would explain most of what is left, and how much of it."""
-    fit, search = diagnosis.fit, diagnosis.search
-    present = {term.hypothesis.effect for term in fit.terms}
-    space = search.workspace(fit)
-    ranked = search.screen(space, fit, max(fit.white_rms_nt, 1e-3), sorted(present))
-    if not ranked or ranked[0].nats < ACCEPTED_NATS:
-        return None
-    best: Candidate = ranked[0]
-    return best.hypothesis.effect, min(1.0, best.gain.squares / max(diagnosis.left[0].squares, 1e-9))
 
 
 def moved_bias(diagnosis: Diagnosis) -> tuple[float, float]:

@@ -15,9 +15,11 @@ from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     IN_DOUBT,
     belief,
+    compared_with,
     modelled_sentence,
     next_step,
     noise_of,
+    not_borne_out,
     not_told_from,
     remaining,
     verdict_sentence,
@@ -51,13 +53,14 @@ def summary(
         lines += _of(entry, entry.says[1:].removesuffix(".") in sentence)
     if len(found) > _MOST_EFFECTS:
         lines.append(f"  and {len(found) - _MOST_EFFECTS} more, in the files")
+    compared = compared_with(has_simulation=diagnosis.has_simulation)
     lines += wrapped(
-        f"rms on held-out rows: {held_out['simulation']:.1f} nT simulation, {held_out['recalibrated']:.1f} "
+        f"rms on held-out rows: {held_out['simulation']:.1f} nT {compared}, {held_out['recalibrated']:.1f} "
         f"nT recalibrated, {held_out['with_effects']:.1f} nT with effects; noise {noise_of(diagnosis)}",
         "",
     )
     if held_out["recalibrated"] > _WORSE * held_out["simulation"]:
-        lines.append("  recalibrated is worse than the simulation on these rows: what is missing moves it")
+        lines.append(f"  recalibrated is worse than {compared} on these rows: what is missing moves it")
     lines += _vectors(diagnosis)
     if diagnosis.fit.terms:
         before, after = diagnosis.prepared.baseline.x[BIAS], diagnosis.fit.x[BIAS]
@@ -111,7 +114,7 @@ def _vectors(diagnosis: Diagnosis) -> Iterator[str]:
             f"1 sigma {float(mounting.sigma_deg.max()):.2f} deg"
         )
     if diagnosis.refused:
-        yield f"compared by {diagnosis.prepared.form}: the recorded attitude errs by more than the field does"
+        yield f"compared by {not_borne_out(diagnosis)}"
 
 
 def _alike(entry: Entry) -> str:

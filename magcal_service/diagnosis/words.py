@@ -76,6 +76,7 @@ def agreed(
     model_nt: float | None,
     reasons: Sequence[str],
     compared: str = "recording",
+    memory_nt: float | None = None,
 ) -> str:
     """The verdict where nothing is left out.
 
@@ -84,23 +85,26 @@ def agreed(
     left_nt: rms on data that took no part in the fit [nT].
     noise_nt, model_nt: noise of the sensor, and rms that the field model may err by, where that counts [nT].
     reasons: what speaks against acting on it: more may be left than the noise, or than field models usually err by.
-    compared: what the simulation agrees with.
+    compared: what the model agrees with.
+    memory_nt: rms of the noise with its memory [nT], where it has one.
     """
     model = "" if model_nt is None else f", and {model_nt:.1f} nT that the field model may err by"
+    over = f"a noise of {noise_nt:.1f} nT"
+    if memory_nt is not None:
+        over += f" that has a memory and makes {memory_nt:.1f} nT with it"
     if "noisier_than_stated" in reasons:
         return (
-            f"Simulation and {compared} differ by more than the stated noise, and nothing shows by what: {left_nt:.1f} "
-            f"nT are left on data that took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
+            f"The calibrated model and the {compared} differ by more than the stated noise, and nothing shows by what: "
+            f"{left_nt:.1f} nT are left on data that took no part in the fit, over {over}{model}."
         )
     if "field_model_doubtful" in reasons:
         return (
-            f"Nothing that has a form was left out, and simulation and {compared} differ by more than field models "
-            f"usually err by: {left_nt:.1f} nT are left on data that took no part in the fit, over a noise of "
-            f"{noise_nt:.1f} nT."
+            f"Nothing that has a form was left out, and the calibrated model and the {compared} differ by more than "
+            f"field models usually err by: {left_nt:.1f} nT are left on data that took no part in the fit, over {over}."
         )
     return (
-        f"Simulation and {compared} agree to the noise: {left_nt:.1f} nT are left on data that "
-        f"took no part in the fit, over a noise of {noise_nt:.1f} nT{model}."
+        f"The calibrated model and the {compared} agree to the noise: {left_nt:.1f} nT are left on data that "
+        f"took no part in the fit, over {over}{model}."
     )
 
 
@@ -130,8 +134,25 @@ def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> s
 
 def noise_of(diagnosis: Diagnosis) -> str:
     """The same of a diagnosis of one recording."""
-    prepared = diagnosis.prepared
-    return noise_in_words(diagnosis.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt)
+    prepared, memory_nt = diagnosis.prepared, diagnosis.memory_nt
+    said = noise_in_words(diagnosis.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt)
+    return said if memory_nt is None else f"{said}, {memory_nt:.1f} nT with its memory"
+
+
+def compared_with(*, has_simulation: bool) -> str:
+    """What is neither calibrated anew nor has effects, as it stands behind its level."""
+    return "simulation" if has_simulation else "as calibrated on the first half"
+
+
+def not_borne_out(diagnosis: Diagnosis) -> str:
+    """By what was compared where whole vectors were not borne out, and why; empty where they were, or there are none.
+
+    An attitude that errs and samples of another time than the attitude beside them leave the same.
+    """
+    if not diagnosis.refused:
+        return ""
+    why = "the recorded attitude errs, or samples are tagged apart from it"
+    return f"{diagnosis.prepared.form}, as whole vectors leave more: {why}"
 
 
 def explained_share(unexplained: float) -> str:
@@ -153,7 +174,8 @@ def _verdict_alone(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mappi
         problem = diagnosis.fit.problem
         error = problem.field_error
         model_nt = None if error is None else error.rms_nt
-        return agreed(held_out["with_effects"], diagnosis.noise_nt, model_nt, diagnosis.reasons)
+        left_nt, memory_nt = held_out["with_effects"], diagnosis.memory_nt
+        return agreed(left_nt, diagnosis.noise_nt, model_nt, diagnosis.reasons, memory_nt=memory_nt)
     known = titles(diagnosis.effects)
     named = [entry for entry in found if entry.effect != UNLISTED]
     if diagnosis.verdict is Verdict.UNKNOWN:

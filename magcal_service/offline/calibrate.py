@@ -168,6 +168,7 @@ class Calibration(NineErrors):
             "counters": self.counters,
             "model_doubt": self.model_doubt,
             "scale_doubt": self.scale_doubt,
+            "physics_doubts": list(self.physics_doubts),
             "findings": [one.to_dict() for one in self.findings],
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any, Final
 
 from magcal_service.model import STATE_NAMES
@@ -16,6 +17,9 @@ _LEVELS: Final = {
     "predicted_from_others": LINES[2],
 }
 """Held-out residuals of one of several recordings, as they are drawn beside each other."""
+
+_NARROW: Final = 14
+"""Characters of a line beneath one of three bars; choice: as ``recalibrated`` with room."""
 
 _WIDTH: Final = 0.8
 """Of a recording's place, what its bars fill; choice."""
@@ -46,10 +50,12 @@ def of_diagnosis(content: dict[str, Any]) -> Sheet:
     """Held-out residual without and with the effects, and the share of the mismatch that each explains."""
     fit, effects = content["fit"], content["effects"]
     levels = {name: value for name, value in fit["held_out_rms_nt"].items() if isinstance(value, int | float)}
+    words = {"simulation": "\n".join(textwrap.wrap(str(content.get("compared_with", "simulation")), _NARROW))}
 
     def draw(figure: Any) -> None:
         held, share = figure.subplots(1, 2)
-        bars = held.bar([name.replace("_", "\n") for name in levels], list(levels.values()), color=AFTER)
+        names = [words.get(name, name.replace("_", "\n")) for name in levels]
+        bars = held.bar(names, list(levels.values()), color=AFTER)
         held.bar_label(bars, fmt="%.0f", fontsize=8)
         held.axhline(fit["noise_floor_nt"], color=QUIET, ls="--", label="sensor noise")
         held.set(title="held-out residual rms [nT]")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ SAME = along(0, SLOW)
 AWAY = along(2, np.cos(TIME_S / 90.0))
 
 
-def fitted(field: Any, ahead: float) -> Any:
+def fitted(field: Any, ahead: float) -> Explained:
     """A slow field that was fitted as ``mine``, and a rival along a field that is ahead of it by so many nats."""
     mine, rival = body_form("mine", "", SAME), body_form("rival", "", field)
     search, alone = searching(flown(60.0 * SAME), mine, rival)
@@ -36,8 +35,7 @@ def fitted(field: Any, ahead: float) -> Any:
         Candidate(forms["mine"], np.zeros(0), idle, OWN_NATS),
     ]
     ranked.sort(key=lambda one: -one.nats)
-    named = Explained(fit, (tuple(ranked),), (OWN_NATS,), (BlockGain(OWN_NATS, 1.0, 10, 10),))
-    return SimpleNamespace(explained=named, fit=fit)
+    return Explained(fit, (tuple(ranked),), (OWN_NATS,), (BlockGain(OWN_NATS, 1.0, 10, 10),))
 
 
 def test_the_likeliest_needs_no_reason() -> None:

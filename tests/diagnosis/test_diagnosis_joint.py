@@ -153,7 +153,7 @@ def test_nothing_is_named_from_clean_days() -> None:
     clean = _together([day(number, NONE, NONE) for number in range(2)])
     assert (clean.verdict, clean.fit.terms, clean.reasons) == (Verdict.NONE, (), ())
     content = json.loads(as_json(clean))
-    assert content["sentence"].startswith("Simulation and recordings agree to the noise: ")
+    assert content["sentence"].startswith("The calibrated model and the recordings agree to the noise: ")
     assert content["fit"]["held_out_rms_nt"]["with_effects"] == pytest.approx(NOISE_NT, rel=0.1)
     assert content["advice"] == []
 
@@ -166,7 +166,7 @@ def test_a_field_model_that_errs_is_doubted_as_of_one_recording() -> None:
             assert diagnose(one.recording, effects=EFFECTS).reasons == doubts
         found = _together(days)
         assert (found.verdict, found.reasons) == (Verdict.NONE, doubts)
-        assert sentence(found).startswith("Nothing that has a form was left out" if doubts else "Simulation and recor")
+        assert sentence(found).startswith("Nothing that has a form was left out" if doubts else "The calibrated model")
         assert bool(doubts) == ("differ by more than field models usually err by" in sentence(found))
 
 
@@ -270,6 +270,25 @@ def test_a_name_that_is_open_is_said_to_be(found: JointDiagnosis) -> None:
         rf"in common something whose name is open, [67]\d.* % thermal_bias \({heat}\); or 2\d.* % bias_step \({step}\)"
     )
     assert re.search(said, text)
+
+
+def test_why_a_likelier_name_did_not_take_the_place_is_said_of_several_recordings_too(
+    found: JointDiagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The likeliest here is the name itself; one that is not has its reason in JSON, summary and page."""
+    assert {one["why_first"] for one in json.loads(as_json(found))["effects"]} == {""}
+    index = next(k for k, term in enumerate(found.fit.terms) if term.hypothesis.effect == "thermal_bias")
+    alike = [
+        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none"))
+        for effect, nats in (("bias_step", 9.5), ("thermal_bias", 9.0))
+    ]
+    rivals: list[Any] = [()] * len(found.fit.terms)
+    rivals[index] = tuple(alike)
+    of = replace(found, explained=replace(found.explained, rivals=tuple(rivals)))
+    why = "bias_step is likelier by less than 3 to 1, and thermal_bias was found first"
+    assert [one["why_first"] for one in json.loads(as_json(of))["effects"]][index] == why
+    assert f"; {why}" in "\n".join(summary(of, ()))
+    assert why in html.unescape(report(of, Origin("three days", "magcal diagnose a b c", ())))
 
 
 def test_a_name_that_is_open_has_its_rivals_beside_it(found: JointDiagnosis) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis import nameless
+from magcal_service.diagnosis.belief import Posterior
 from magcal_service.diagnosis.blocks import Gain
 from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.leftover import Structure
-from magcal_service.diagnosis.nameless import standing
+from magcal_service.diagnosis.nameless import spoken_against, standing
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.shapes import body_shape
 from magcal_service.diagnosis.solution import solve
@@ -36,6 +37,35 @@ def test_a_name_that_holds_nearly_all_stays_and_one_that_holds_little_goes() -> 
     """Beside 150 nT without a name: 900 nT are three quarters of all and more, 100 nT are not."""
     assert len(stands(("one", along(0, SLOW), 900.0)).fit.terms) == 1
     assert stands(("one", along(0, SLOW), 100.0)).fit.terms == ()
+
+
+def against(size_nt: float, *, is_free: bool = False) -> str:
+    """What is said against a name of such a size beside what is left."""
+    form = replace(body_form("one", "", along(0, SLOW)), is_free=is_free)
+    search, fit = searching(flown(size_nt * along(0, SLOW) + along(2, 150.0 * np.cos(TIME_S / 300.0))), form)
+    found = search.compared(solve(search.problem, fit.x, [Term(form, np.zeros(0), np.array([0.0]))]), FLOOR_NT)
+    return spoken_against(search, fit, found, None, FLOOR_NT)
+
+
+def test_what_speaks_against_a_name_is_said_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ "Held-out blocks, its rivals or shapes without a name" was all of it at once."""
+    shapes = "shapes without a name do more in its place"
+    assert against(900.0) == ""
+    assert against(100.0) == shapes
+    assert against(900.0, is_free=True) == shapes
+    monkeypatch.setattr(nameless, "_may_be_the_models", lambda *_: True)
+    assert against(900.0) == "the field model may err by as much, as smoothly"
+    monkeypatch.undo()
+    likely = Posterior(0.01, (("unknown", 0.99),), ("one",))
+    monkeypatch.setattr(nameless, "posterior", lambda *_: likely)
+    assert against(900.0) == "a cause in no catalogue is far likelier in its place"
+    monkeypatch.setattr(nameless, "posterior", lambda *_: replace(likely, rivals=(("two", 0.99),)))
+    assert against(900.0) == "two is far likelier in its place"
+    monkeypatch.undo()
+    monkeypatch.setattr(nameless, "stands_out", lambda *_: False)
+    assert against(900.0) == "what held-out blocks gain by it does not stand out of their scatter"
+    monkeypatch.setattr(nameless, "_WORSE", 0.0)
+    assert against(900.0) == "held-out blocks are left with more by it"
 
 
 def test_a_free_form_has_to_be_likelier_than_a_family_without_a_name() -> None:
@@ -101,6 +131,8 @@ def test_a_duty_that_the_attitude_half_holds_stays_where_it_clearly_holds_more_a
     monkeypatch.setattr(nameless, "_held_by_refit", lambda *_: 200.0)
     outdone = nameless._first_outdone(search, found, None, FLOOR_NT, is_left)
     assert (outdone is None) == bool(left)
+    said = spoken_against(search, fit, found, None, FLOOR_NT)
+    assert ("functions of the attitude" in said) == (not left or (role, is_left, share) == ("period", False, 0.6))
 
 
 def test_nothing_is_outdone_where_nothing_was_found() -> None:

@@ -13,17 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import nearest
 from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.entry import plain
-from magcal_service.diagnosis.explain import Explained
+from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import structures
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.misled import Misled
+from magcal_service.diagnosis.nearest import Nearest
 from magcal_service.diagnosis.parameters import _instant_sigma, parameters_of
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.problem import Fit, Problem, Term
-from magcal_service.diagnosis.result import _nearest, entries, held_out_rms, moved_bias
+from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.where import direction, lines, span
@@ -267,6 +269,9 @@ def made() -> Any:
         added_noise_nt=28.9,
         misled=Misled.of(fit, explained.fit),
         held_at=(HeldAt("channel:board", 21.5, "degC"),),
+        memory_nt=None,
+        has_simulation=False,
+        whitening=np.zeros(0),
     )
 
 
@@ -391,7 +396,9 @@ def unknown() -> Any:
             "left": tuple(left),
             "unexplained": 0.81234,
             "verdict": Verdict.UNKNOWN,
-            "prepared": SimpleNamespace(baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR, sun=None),
+            "prepared": SimpleNamespace(
+                baseline=fit, problem=search.problem, left_out={}, form=Form.SCALAR, sun=None, spin=None
+            ),
             "effects": tuple(search.effects),
         }
     )
@@ -400,26 +407,52 @@ def unknown() -> Any:
 def test_what_has_no_name_is_described_with_the_nearest_that_has() -> None:
     of = unknown()
     (entry,) = entries(of)
-    nearest = _nearest(of)
-    assert nearest is not None
+    near = Nearest.of(of)
+    assert near is not None
     space = of.search.workspace(of.fit)
     rows = of.search.hypotheses[0].columns(np.zeros(0)).along(of.fit.unit)
     share = space.gain(rows, of.fit.rms_nt).squares / of.left[0].squares
-    assert nearest == ("idle", pytest.approx(share))
+    assert (near.effect, near.share) == ("idle", pytest.approx(share))
     assert 0.2 < share < 0.95
     shape = of.left[0].shape
     assert entry.says == (
         f"Something without a name is left, most like {shape.says}."
-        f" Nearest is idle: it would take {100.0 * share:.0f} % of it, but held-out blocks, its rivals"
-        " or shapes without a name speak against it."
+        f" Nearest is idle: it would take {100.0 * share:.0f} % of it, but shapes without a name do more in its place."
     )
     assert (entry.effect, entry.variant, entry.rivals) == ("unknown", shape.name, ())
     assert entry.where["share_of_mismatch"] == 0.8123
-    assert entry.where["nearest"] == {"effect": "idle", "explains": round(share, 4)}
+    assert entry.where["nearest"] == {
+        "effect": "idle",
+        "explains": round(share, 4),
+        "against": "shapes without a name do more in its place",
+    }
     assert entry.where["fitted_shape"] == shape.name
     assert 0 < len(entry.where["correlates_with"]) <= 6
     assert entry.nats == of.left[0].nats
     assert entry.probability == pytest.approx(1.0 - math.exp(-min(entry.nats, 50.0)))
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "stands_in", "said"),
+    [
+        (nearest, "all_within_physics", lambda *_: False, "it would be larger than its physics allows"),
+        (Search, "agrees", lambda *_: False, "held-out blocks gain too little by it"),
+        (nearest, "NEEDED_SHARES", (0.0,), "what else is asked"),
+        (nearest, "are_rather_unlisted", lambda *_: True, "what it leaves makes a cause in no catalogue likelier"),
+        (nearest, "are_rather_unlisted", lambda *_: False, "it did not hold beside what else was tried"),
+    ],
+)
+def test_what_speaks_against_the_nearest_is_said(
+    monkeypatch: pytest.MonkeyPatch, of: Any, name: str, stands_in: Any, said: str
+) -> None:
+    """One thing, the first that a search would have found, and not all that may."""
+    monkeypatch.setattr(of, name, stands_in)
+    monkeypatch.setattr(nearest, "spoken_against", lambda *_: said if said == "what else is asked" else "")
+    if of is nearest and name != "all_within_physics":
+        monkeypatch.setattr(nearest, "NEEDED_SHARES", (0.0,))
+    (entry,) = entries(unknown())
+    assert entry.says.endswith(f" % of it, but {said}.")
+    assert entry.where["nearest"]["against"] == said
 
 
 def test_while_the_recording_is_in_doubt_what_was_found_on_it_is_asked_for() -> None:
@@ -487,6 +520,8 @@ def test_the_json_holds_the_fit_with_its_sigmas() -> None:
     content = json.loads(as_json(made()))
     fit = made().fit
     assert content["verdict"] == "named"
+    assert content["compared_with"] == "as calibrated on the first half"
+    assert content["fit"]["noise_with_memory_nt"] is None
     assert content["fit"]["noise_floor_nt"] == 31.4
     assert (content["fit"]["noise_is_stated"], content["fit"]["added_noise_nt"]) == (False, 28.9)
     assert content["fit"]["bias_nt"] == fit.x[:3].tolist()

@@ -62,6 +62,8 @@ def diagnosis(
         may_last=0.26,
         noise_nt=100.04,
         added_noise_nt=0.0,
+        memory_nt=None,
+        has_simulation=True,
         held_at=held,
         misled=Misled(14.04, 0.52, 20.06, 1234.0, 397.5),
         concerned={reason: ("heat",) for reason in reasons if reason == "name_uncertain"},
@@ -191,9 +193,30 @@ def test_drivers_are_told_in_words(driver: str, words: str) -> None:
 
 def test_a_clean_recording_agrees_to_the_noise() -> None:
     assert verdict_sentence(diagnosis(Verdict.NONE), [], HELD_OUT) == (
-        "Simulation and recording agree to the noise: 101.5 nT are left on data that took no part in the fit, "
-        "over a noise of 100.0 nT."
+        "The calibrated model and the recording agree to the noise: 101.5 nT are left on data that took no part in "
+        "the fit, over a noise of 100.0 nT."
     )
+
+
+def test_noise_with_a_memory_is_said_where_more_is_left_than_its_white_part() -> None:
+    """82 nT agreed to the noise over 29 nT."""
+    clean = diagnosis(Verdict.NONE)
+    clean.noise_nt, clean.memory_nt = 29.04, 81.46
+    said = verdict_sentence(clean, [], {**HELD_OUT, "with_effects": 82.0})
+    assert said.endswith("over a noise of 29.0 nT that has a memory and makes 81.5 nT with it.")
+    assert noise_of(clean).endswith(", 81.5 nT with its memory")
+
+
+def test_without_a_simulation_none_is_said_to_be_compared_with() -> None:
+    """It is the calibration of the recording's own first half."""
+    for has_simulation, said in ((True, "950.0 nT simulation,"), (False, "950.0 nT as calibrated on the first half,")):
+        of = diagnosis(Verdict.NONE)
+        of.has_simulation = has_simulation
+        lines = "\n".join(summary(of, [], {**HELD_OUT, "recalibrated": 990.0}, []))
+        assert said in lines
+        assert ("simulation" in lines) is has_simulation
+        compared = "simulation" if has_simulation else "as calibrated on the first half"
+        assert f"  recalibrated is worse than {compared} on these rows" in lines
 
 
 def test_what_the_field_model_may_err_by_is_said_beside_the_noise() -> None:
@@ -526,7 +549,8 @@ def test_channels_that_cannot_be_told_apart_are_named_together() -> None:
 def test_the_mounting_is_said_or_that_the_attitude_was_not_believed() -> None:
     of = diagnosis(Verdict.NONE)
     of.refused, of.prepared.form = (Form.AIMED,), Form.SCALAR
-    said = "compared by magnitudes: the recorded attitude errs by more than the field does"
+    said = "compared by magnitudes, as whole vectors leave more: the recorded attitude errs, or samples are tagged "
+    said += "apart from it"
     assert said in summary(of, [], HELD_OUT, [])
     turned = Aimed(np.ones((5, 3)), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     seen = diagnosis(Verdict.NONE)

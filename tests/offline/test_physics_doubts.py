@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,14 @@ def test_a_reader_says_each_doubt_once_and_none_of_a_sound_file(reader: str, fol
         }
         done = run(*(part.format(**places) for part in READERS[reader]))
         assert (done.out + done.err).count(SAID) == count, done
+
+
+def test_the_json_of_a_calibration_has_them(folder: Path) -> None:
+    """As that of a diagnosis has its advice: a program that reads it alone is told."""
+    for name, said in (("doubtful", [SAID]), ("sound", [])):
+        out = folder / "calibration.json"
+        run("calibrate", folder / "RECORDING.toml", "--config", folder / f"{name}-magcal.toml", "--json", out)
+        assert json.loads(out.read_text(encoding="utf-8"))["physics_doubts"] == said
 
 
 def test_the_simulator_says_them_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

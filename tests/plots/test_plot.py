@@ -94,6 +94,13 @@ def test_a_diagnosis_and_a_study_are_shown() -> None:
     fit = {"noise_floor_nt": 300.0, "held_out_rms_nt": {"recalibrated": 318.4, "with_effects": 300.6}}
     held, share = drawn(of_diagnosis({"fit": fit, "effects": [effect]}))
     assert [bar.get_height() for bar in held.patches] == [318.4, 300.6]
+    fit["held_out_rms_nt"] = {"simulation": 320.0, **fit["held_out_rms_nt"]}
+    for said, label in (
+        ("simulation", "simulation"),
+        ("as calibrated on the first half", "as calibrated\non the first\nhalf"),
+    ):
+        held, _ = drawn(of_diagnosis({"fit": fit, "effects": [effect], "compared_with": said}))
+        assert held.get_xticklabels()[0].get_text() == label
     assert share.patches[0].get_width() == pytest.approx(93.0)
     lines = [{"label": "ukf", "x": [1, 2], "y": [3.0, None], "limit": False}]
     lines.append({"label": "least", "x": [1, 2], "y": [2.0, 1.0], "limit": True})

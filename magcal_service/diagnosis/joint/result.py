@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.entry import listed_rivals, plain
+from magcal_service.diagnosis.first import why_first
 from magcal_service.diagnosis.handover import model_term, spin_of
 from magcal_service.diagnosis.joint.catalogue import started
 from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Shared, estimate
@@ -101,6 +102,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
             {"effect": name, "probability": round(p, 6)} for name, p in listed_rivals(believed.rivals, believed.members)
         ],
         "class": list(believed.members),
+        "why_first": why_first(diagnosis.explained, index),
         "separated_by": effect_of(diagnosis, index).separated_by,
         "driver": form.driver,
         "variant": form.variant,

@@ -12,6 +12,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.doubts import SURE, added_noise_nt
+from magcal_service.diagnosis.first import why_first
 from magcal_service.diagnosis.joint.compare import Predicted, Shared
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import OF_CHANGES, JointHypothesis, joint
@@ -162,12 +163,14 @@ def noise_of_one(one: Alone) -> str:
 
 
 def name_in_words(diagnosis: JointDiagnosis, index: int) -> str:
-    """How sure a term's name is; where it is not, with the probabilities of what else it may be."""
+    """How sure a term's name is; where it is not, with the probabilities of what else it may be, and why the likeliest
+    did not take its place where that is another."""
     name, believed = diagnosis.fit.terms[index].hypothesis.effect, posterior(diagnosis.explained, index)
     if believed.own >= SURE:
         return f"probability {chance(believed.own)}"
     others = [pair for pair in alternatives(name, believed.own, believed.rivals, believed.members) if pair[0] != name]
-    return ", ".join([f"name open: {chance(believed.own)} this", *(f"{chance(p)} {other}" for other, p in others)])
+    may_be = ", ".join([f"name open: {chance(believed.own)} this", *(f"{chance(p)} {other}" for other, p in others)])
+    return "; ".join(filter(None, (may_be, why_first(diagnosis.explained, index))))
 
 
 def commonness(diagnosis: JointDiagnosis, index: int) -> str:

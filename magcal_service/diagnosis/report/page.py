@@ -20,11 +20,13 @@ from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import (
     belief,
     chance,
+    compared_with,
     driver_in_words,
     expected,
     members,
     modelled_sentence,
     noise_of,
+    not_borne_out,
     not_told_from,
     odds,
     percent,
@@ -62,7 +64,7 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
         numbers=numbers,
         sentence=verdict_sentence(diagnosis, found, held_out_rms(diagnosis)),
         advice=in_order(advice(diagnosis.reasons, diagnosis.concerned)),
-        levels=_levels(diagnosis, bool(origin.simulation)),
+        levels=_levels(diagnosis),
         pictures=pictures(diagnosis),
         track=track(diagnosis),
         places=_places(numbers["located"]),
@@ -80,11 +82,11 @@ def report(diagnosis: Diagnosis, found: Sequence[Entry], content: str, origin: O
     )
 
 
-def _levels(diagnosis: Diagnosis, given: bool) -> dict[str, Any]:
+def _levels(diagnosis: Diagnosis) -> dict[str, Any]:
     """The three held-out numbers as bars, and the sensor noise as a mark on the same scale."""
     rms, floor = held_out_rms(diagnosis), diagnosis.noise_nt
     words = {
-        "simulation": "simulation as given" if given else "simulation (calibrated on the first half)",
+        "simulation": compared_with(has_simulation=diagnosis.has_simulation),
         "recalibrated": "nine errors fitted anew",
         "with_effects": "with what was left out" if diagnosis.fit.terms else "with effects (none)",
     }
@@ -246,6 +248,8 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         facts.append(("from, to (UTC)", f"{begin} to {end}"))
     facts.append(("samples used", f"{len(scene)}, one every {scene.period_s:.3g} s"))
     facts.append(("noise, 1 sigma per axis", noise_of(diagnosis)))
+    if diagnosis.refused:
+        facts.append(("compared by", not_borne_out(diagnosis)))
     if diagnosis.spin is not None:
         axis = ", ".join(f"{v:.3f}" for v in diagnosis.spin.axis_body.tolist())
         facts.append(("spin", f"{diagnosis.spin.rate_rpm:.4g} rpm about ({axis}) in the body"))

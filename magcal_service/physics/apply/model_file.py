@@ -68,7 +68,7 @@ def _model(top: Table) -> PhysicsModel:
 def text_of(model: PhysicsModel) -> str:
     """The file's content; ``parse_model`` gives every number back to the last bit."""
     lines = [
-        "# What a recording was found to hold beyond its simulation, as numbers.  docs/physics-file.md",
+        "# What a recording was found to hold beyond nine errors, as numbers.  docs/physics-file.md",
         f"version = {VERSION}",
         "",
         "[recording]",

@@ -58,6 +58,13 @@ CHECKS: Final[tuple[Check, ...]] = (
 """In this order: what a later one looks at has no rows that an earlier one is certain of."""
 
 
+_ONLY_DIAGNOSE: Final = (
+    "diagnose also leaves out single spikes, rows at an edge of a recorded command and in a weak field, and thins out "
+    "a long log; it says how many of each"
+)
+"""What becomes of rows only where they are diagnosed (``account.WHY``)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Inspection:
     """What was found on a recording.
@@ -155,7 +162,7 @@ class Inspection:
             if more
             else []
         )
-        return "\n".join([*lines, "diagnose also leaves out single spikes, and says how many"])
+        return "\n".join([*lines, _ONLY_DIAGNOSE])
 
 
 def _is_modelled(recording: Recording) -> bool:
