@@ -259,7 +259,7 @@ def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> No
 def test_a_name_that_is_open_is_said_to_be(found: JointDiagnosis) -> None:
     index = next(k for k, term in enumerate(found.fit.terms) if term.hypothesis.effect == "thermal_bias")
     alike = [
-        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none"))
+        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none", as_well=()))
         for effect, nats in (("thermal_bias", 9.0), ("bias_step", 8.0))
     ]
     rivals: list[Any] = [()] * len(found.fit.terms)
@@ -279,7 +279,7 @@ def test_why_a_likelier_name_did_not_take_the_place_is_said_of_several_recording
     assert {one["why_first"] for one in json.loads(as_json(found))["effects"]} == {""}
     index = next(k for k, term in enumerate(found.fit.terms) if term.hypothesis.effect == "thermal_bias")
     alike = [
-        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none"))
+        SimpleNamespace(nats=nats, hypothesis=SimpleNamespace(effect=effect, odds=0.0, driver="none", as_well=()))
         for effect, nats in (("bias_step", 9.5), ("thermal_bias", 9.0))
     ]
     rivals: list[Any] = [()] * len(found.fit.terms)
