@@ -26,6 +26,7 @@ class Code(StrEnum):
     SHIFTED_COLUMNS = "shifted_columns"
     AXES = "axes"
     GYRO_UNIT = "gyro_unit"
+    TORQUER_UNIT = "torquer_unit"
     FIELD_SCALE = "field_scale"
     START_TRANSIENT = "start_transient"
     REFERENCE_REPEATS = "reference_repeats"

@@ -24,6 +24,7 @@ from magcal_service.recordings.inspect.ranges import saturated, start_transient,
 from magcal_service.recordings.inspect.readings import held_readings, sentinels, zero_rows
 from magcal_service.recordings.inspect.references import field_scale, reference_repeats, shifted_columns
 from magcal_service.recordings.inspect.times import shared_times, time_epoch, time_order, time_unit
+from magcal_service.recordings.inspect.torquer_unit import torquer_unit
 from magcal_service.recordings.recording import Recording, Reference
 from magcal_service.recordings.specs import ModelReference
 from magcal_service.recordings.usable import FEWEST_SAMPLES
@@ -52,6 +53,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     stuck_axis,
     start_transient,
     gyro_unit,
+    torquer_unit,
     axes_by_gyro,
     axes_by_attitude,
 )
