@@ -12,6 +12,7 @@ import numpy as np
 
 from magcal_service.diagnosis.doubts import added_noise_nt, concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
+from magcal_service.diagnosis.expansion import clean_vectors, where_moved
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.misled import Misled
@@ -281,11 +282,13 @@ def _modelled(
 def _other_findings(
     prepared: Prepared, fit: Fit, effects: tuple[Effect, ...], coloured: bool
 ) -> tuple[dict[str, Finding], SpinSolution | None]:
-    """Effects in attitude and noise, with the field's effects subtracted; those in the samples are there already."""
+    """Effects in attitude and noise, with the field's effects subtracted, and the reference where they have moved it;
+    those in the samples are there already."""
     findings = dict(prepared.findings)
     view, scene = prepared.view, prepared.problem.scene
     spin = prepared.spin
     if spin is not None and fit.terms:
+        scene = where_moved(scene, clean_vectors(fit).moved_s)
         length = np.linalg.norm(fit.calibrated_nt, axis=1)
         clean = fit.calibrated_nt * (scene.magnitude_nt / np.maximum(length, 1.0))[:, None]
         spin = solve_spin(replace(scene, calibrated_nt=clean), view.nominal_axis, view.nominal_rate_rad_s) or spin

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term, disturbances
-from magcal_service.model import STATE_SIZE, measure
+from magcal_service.model import STATE_SIZE, Array, measure
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.vectors import Vectors
 
 
@@ -24,6 +25,21 @@ def clean_vectors(fit: Fit) -> Vectors:
             moved_s += term.hypothesis.moves_s(term.amplitudes)
     x = fit.x[:STATE_SIZE]
     return Vectors(clean, measure(x, clean + body), moved_s, measure(x, clean))
+
+
+def where_moved(scene: Scene, moved_s: Array | None) -> Scene:
+    """The same recording with the reference that each sample has so much later along its course (n,) [s].
+
+    Between samples and past the ends it goes on in straight lines; where it is no vector, nothing changes.
+    """
+    reference = scene.reference_eci_nt
+    if reference is None or moved_s is None or not moved_s.any():
+        return scene
+    given = np.asarray(reference, dtype=np.float64)
+    row = np.clip(np.searchsorted(scene.time_s, scene.time_s + moved_s) - 1, 0, len(scene) - 2)
+    share = (scene.time_s + moved_s - scene.time_s[row]) / (scene.time_s[row + 1] - scene.time_s[row])
+    found = given[row] + share[:, None] * (given[row + 1] - given[row])
+    return replace(scene, reference_eci_nt=found, magnitude_nt=np.linalg.norm(found, axis=1))
 
 
 def anew(term: Term, hypothesis: Hypothesis) -> Term:
