@@ -8,10 +8,11 @@ import signal
 import sys
 import threading
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from magcal_service.base.errors import ConfigError, Fault, FileFault
 from magcal_service.watch.diagnosing import of_recording
@@ -32,13 +33,38 @@ SOURCE_HELP: Final = "which magnetometer of a craft that has several, by the sou
 
 
 class Parser(argparse.ArgumentParser):
-    """A command's parser.
+    """A command's parser, which says what was probably meant by what it does not know.
 
     ``examples`` are whole command lines; ``more`` gives the text below them, worked out when the help is asked for.
+    ``others`` are the commands of the same program, by name.
     """
 
     examples: Sequence[str] = ()
     more: Callable[[], str] | None = None
+    others: Mapping[str, Parser] = MappingProxyType({})
+    _given: Sequence[str] = ()
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As argparse's; what is not known is refused by the command that was given it."""
+        self._given = tuple(sys.argv[1:] if args is None else args)
+        options, unknown = super().parse_known_args(self._given, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options, unknown
+
+    def error(self, message: str) -> NoReturn:
+        """As argparse's, with what was probably meant."""
+        from magcal_service.cli.meant import hints
+
+        super().error("\n".join([message, *hints(self, self._given, self.others)]))
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            from magcal_service.base.typed_toml import nearest
+
+            raise argparse.ArgumentError(action, f"{value!r} is refused; {nearest(str(value), action.choices)}")
 
     def format_help(self) -> str:
         """The help of argparse, the examples, and ``more``."""
@@ -67,14 +93,16 @@ def add_quiet(commands: dict[str, Parser]) -> None:
             one.add_argument("--quiet", action="store_true", help="do not show how far it is, on stderr")
 
 
-def described(parser: argparse.ArgumentParser) -> None:
-    """Let the help of every command begin with the line that stands for it in the list of commands."""
+def described(parser: Parser, others: Mapping[str, Parser] | None = None) -> None:
+    """Let the help of every command begin with the line that stands for it in the list of commands, and every command
+    know the ``others`` of its program."""
+    parser.others = others = subparsers(parser) if others is None else others
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for entry in action._choices_actions:
                 command = action.choices[entry.dest]
                 command.description = command.description or entry.help
-                described(command)
+                described(command, others)
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from magcal_service.base.errors import MISSING, Fault, FileFault, InputRefusedError, Lacking
+from magcal_service.base.typed_toml import TomlKind
+from magcal_service.base.typed_toml.kind import refuse_kinds
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
+from magcal_service.offline.json_file import parsed_json, refuse_others, refuse_strange
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.offline.result_head import DIAGNOSIS, SCHEMAS, head, schema_of
 from magcal_service.physics.apply.advice import doubts_of
@@ -111,13 +113,12 @@ def read_given(path: Path) -> Given:
         raise InputRefusedError([Fault(str(path), f"{size} bytes", f"at most {_LARGEST_FILE} bytes; {ACCEPTED}")])
     digest = hashlib.sha256(raw).hexdigest()
     if path.suffix.lower() == ".toml":
+        refuse_kinds(path, TomlKind.MODEL, "so is the .json that calibrate --json or diagnose --out writes")
         return _of_model(path.name, digest, parse_model(raw, path.name))
-    try:
-        content = json.loads(raw)
-    except (ValueError, RecursionError):
-        raise InputRefusedError([Fault(str(path), "no JSON", ACCEPTED)]) from None
-    if not isinstance(content, dict):
-        raise InputRefusedError([Fault(str(path), type(content).__name__, ACCEPTED)])
+    content = parsed_json(raw, str(path), ACCEPTED)
+    refuse_others(content, str(path), ACCEPTED)
+    if not {"fit", "bias_nt", "D", "verdict", "recordings"} & content.keys():
+        refuse_strange(content, str(path), ACCEPTED)
     return _of_result(path, digest, content)
 
 

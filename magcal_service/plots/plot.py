@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,7 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.base.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.typed_toml import TomlKind
+from magcal_service.base.typed_toml.kind import refuse_kinds
 from magcal_service.offline.given import Given, read_given
+from magcal_service.offline.json_file import parsed_json, refuse_others, refuse_strange
 from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
@@ -21,13 +23,7 @@ from magcal_service.recordings.recording import Recording
 
 _ACCEPTED: Final = "a RECORDING.toml, a session .mcap, or the JSON of calibrate, diagnose or study is accepted"
 
-_OTHERS: Final = {
-    frozenset({"usable", "findings"}): "findings of magcal inspect, which are no curve",
-    frozenset({"question", "recordings"}): "the summary of many recordings; give the file in the folder of one of them",
-    frozenset({"estimates", "counters"}): "a replay's last estimate; give its recording",
-    frozenset({"bias_nt", "D", "seed"}): "the truth of a simulation; give the RECORDING.toml beside it",
-}
-"""What else is written as JSON, by the keys that it has, and what to give in its place."""
+_OF_TOML: Final = "a physics.toml is shown on one: RECORDING.toml --with physics.toml"
 
 
 def sheet_of(
@@ -55,6 +51,8 @@ def sheet_of(
     if name not in FIGURES:
         raise InputRefusedError([Fault("--figure", name, f"one of {', '.join(FIGURES)} is accepted")])
     nine = None if given is None else read_given(given)
+    if path.suffix.lower() == ".toml":
+        refuse_kinds(path, TomlKind.RECORDING, _OF_TOML)
     recording = read_recording(path, craft, source=source)
     if nine is not None:
         nine.refuse_other_craft(recording)
@@ -72,15 +70,9 @@ def _doubts(recording: Recording, nine: Given | None) -> tuple[str, ...]:
 
 
 def _of_json(path: Path) -> Sheet:
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputRefusedError([FileFault(str(path), error, "give a readable file")]) from None
-    except (ValueError, RecursionError):
-        raise InputRefusedError([Fault(str(path), "no JSON", _ACCEPTED)]) from None
-    kind = content if isinstance(content, dict) else {}
+    content = parsed_json(_read(path), str(path), _ACCEPTED)
     with _whole(path):
-        sheet = _sheet_of(kind, path)
+        sheet = _sheet_of(content, path)
 
     def draw(figure: Any) -> None:
         with _whole(path):
@@ -101,8 +93,15 @@ def _sheet_of(content: dict[str, Any], path: Path) -> Sheet:
     if "residual_rms_nt" in content:
         given = read_given(path)
         return replace(of_calibration(content, given), doubts=tuple(f"{path.name}: {one}" for one in given.doubts()))
-    found = next((words for keys, words in _OTHERS.items() if keys <= content.keys()), "another JSON")
-    raise InputRefusedError([Fault(str(path), found, _ACCEPTED)])
+    refuse_others(content, str(path), _ACCEPTED)
+    return refuse_strange(content, str(path), _ACCEPTED)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputRefusedError([FileFault(str(path), error, "give a readable file")]) from None
 
 
 @contextmanager

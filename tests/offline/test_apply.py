@@ -268,8 +268,18 @@ def test_what_is_read_is_not_written_over(flight: Path, result: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("[1]", "'list' is refused"),
-        ("{", "'no JSON' is refused"),
+        ("[1]", "this JSON is a list, and no result; what calibrate --json"),
+        ("12", "this JSON is a number"),
+        ("{", "this JSON breaks off in line 1"),
+        ('{"a":\n 1, 2}', "this is no JSON from line 2, column 5 on (Expecting property name"),
+        ("[" * 100_000, "this JSON is nested too deeply"),
+        (" \n", "this file is empty"),
+        ("<!DOCTYPE html>", "this is a page of HTML or XML"),
+        ("t,mx,my,mz\n0,1,2,3", "this is no JSON; what calibrate --json"),
+        ("{}", "this JSON is no result: it is empty"),
+        ('{"a": 1, "b": 2, "c": 3, "d": 4, "e": 5, "f": 6, "g": 7}', "it has a, b, c, d, e, f and 1 more"),
+        ('{"usable": true, "findings": []}', "these are findings of magcal inspect"),
+        ('{"bias_nt": [0, 0, 0], "D": [0, 0, 0], "seed": 1}', "this is the truth of a simulation"),
         ('{"D": [[1]]}', "bias_nt: missing; numbers of shape (3,)"),
         ('{"verdict": "not_started"}', "a result with an estimate is accepted"),
         ('{"recordings": []}', "the result of one recording is accepted"),
@@ -293,6 +303,17 @@ def test_a_matrix_that_is_none_is_refused(result: Path, d: list[list[float]], to
     path = tmp_path / "result.json"
     path.write_text(json.dumps({**json.loads(result.read_text()), "D": d}))
     with pytest.raises(InputRefusedError, match=told):
+        read_given(path)
+
+
+@pytest.mark.parametrize("name", ["RECORDING.toml", "magcal.toml"])
+def test_a_toml_of_another_kind_is_told_what_may_stand_in_its_place(name: str, tmp_path: Path) -> None:
+    """It was told of physics.toml alone."""
+    path = tmp_path / name
+    path.write_text("[samples]" if name == "RECORDING.toml" else "[[craft]]")
+    with pytest.raises(
+        InputRefusedError, match="is refused; a model of physics is accepted, .* so is the .json that calibrate"
+    ):
         read_given(path)
 
 

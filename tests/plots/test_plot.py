@@ -1,6 +1,7 @@
 """Figures show the numbers of what they are made of, and files that cannot be shown are refused in a line."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from magcal_service.plots.of_recording import before_after, errors, shown, spect
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
 from magcal_service.plots.of_study import of_study
 from magcal_service.plots.paper import Sheet, save
+from magcal_service.plots.plot import sheet_of
 from magcal_service.residuals import rms
 from magcal_service.trust.reasons import REMEDIES
 from sim_sensor.recorder import record_simulation
@@ -87,6 +89,22 @@ def test_the_effects_of_a_physics_file_are_subtracted(tmp_path: Path) -> None:
     assert heat.reference_nt == pytest.approx(recorded)
     assert late.reference_nt[:-2] == pytest.approx(recorded[2:])
     assert late.calibrated_nt.tolist() == heat.calibrated_nt.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.json", "{", "this JSON breaks off in line 1; a RECORDING.toml"),
+        ("a.json", '{"bias_nt": 1}', "this JSON is no result: it has bias_nt; a RECORDING.toml"),
+        ("a.json", '{"estimates": 1, "counters": 2}', "this is a replay's last estimate; give its recording"),
+        ("a.toml", "[errors]", "a physics.toml is shown on one: RECORDING.toml --with physics.toml"),
+    ],
+)
+def test_what_has_no_figure_is_refused_by_what_it_is(name: str, content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(InputRefusedError, match=re.escape(told)):
+        sheet_of(path, None, None)
 
 
 def test_a_diagnosis_and_a_study_are_shown() -> None:

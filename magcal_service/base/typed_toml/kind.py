@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.typed_toml.parse import open_toml
 from magcal_service.base.typed_toml.table import Table
 
 
@@ -48,3 +50,20 @@ def refuse_another(top: Table, own: TomlKind, error: type[InputRefusedError]) ->
     found = kind_of(top.content)
     if found not in (None, own):
         raise error([Fault(top.file, str(found), own.accepted)])
+
+
+def refuse_kinds(path: Path, own: TomlKind, more: str) -> None:
+    """Raise ``InputRefusedError`` where a file is of another kind, with what is accepted beside its own.
+
+    Parameters
+    ----------
+    path: of the file; what is too large, no TOML, or of no kind that is known, passes: whoever reads it says so.
+    own: the kind that is taken.
+    more: what else is accepted, or the next step.
+    """
+    try:
+        found = kind_of(open_toml(path, InputRefusedError).content)
+    except InputRefusedError:
+        return
+    if found not in (None, own):
+        raise InputRefusedError([Fault(path.name, str(found), f"{own.accepted}; {more}")])
