@@ -312,7 +312,7 @@ def test_a_toml_of_another_kind_is_told_what_may_stand_in_its_place(name: str, t
     path = tmp_path / name
     path.write_text("[samples]" if name == "RECORDING.toml" else "[[craft]]")
     with pytest.raises(
-        InputRefusedError, match="is refused; a model of physics is accepted, .* so is the .json that calibrate"
+        InputRefusedError, match=r"is refused; a model of physics is accepted, .* so is the .json that calibrate"
     ):
         read_given(path)
 
