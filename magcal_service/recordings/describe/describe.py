@@ -22,6 +22,7 @@ from magcal_service.recordings.describe.sample import read_sample
 from magcal_service.recordings.describe.spin import find_spin
 from magcal_service.recordings.describe.telemetry import find_channels, left_out
 from magcal_service.recordings.describe.times import find_times
+from magcal_service.recordings.describe.untold import tell
 from magcal_service.recordings.descriptor import descriptor_of
 from magcal_service.recordings.specs import DESCRIPTOR_NAME
 
@@ -106,9 +107,7 @@ def _fill(draft: Draft) -> None:
     doubt_model(draft, magnetometers, place, model_nt)
     doubt_order(draft, times, place, magnetometers)
     _leave_out_position(draft, place)
-    platform = draft.answers.get("platform.kind")
-    if platform is not None:
-        draft.put("platform", "kind", platform)
+    tell(draft)
     find_spin(draft, field, times)
     draft.reserved |= find_attitude(draft, field, place)
     find_channels(draft, groups, field, times)

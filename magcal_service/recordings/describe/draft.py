@@ -18,6 +18,7 @@ from magcal_service.recordings.describe.unit_answer import AnsweredUnit, read_un
 KEYS: Final = (
     "samples.delimiter",
     "samples.decimal",
+    "samples.craft",
     "time.column",
     "time.columns",
     "time.format",
@@ -28,6 +29,8 @@ KEYS: Final = (
     "magnetometer.columns",
     "magnetometer.unit",
     "magnetometer.factor",
+    "magnetometer.noise_nt",
+    "magnetometer.range_nt",
     "reference",
     "reference.columns",
     "reference.magnitude",
