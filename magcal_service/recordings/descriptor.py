@@ -154,7 +154,8 @@ def _check_model(top: Table, descriptor: Descriptor) -> None:
     if not isinstance(descriptor.reference, ModelReference):
         return
     if descriptor.position is None and "position" not in top.content:
-        top.lack("position", 'required with model = "igrf"; tle = "FILE" takes element sets of the craft')
+        how = 'columns = ["lat", "lon"] with altitude_km, or three with unit and frame, or tle = "FILE" of element sets'
+        top.lack("position", f'required with model = "igrf": {how}')
     if descriptor.time.clock is not Clock.UTC:
         top.faults.append(Lacking(f"{top.file}: time.start", MISSING, 'required with elapsed_s and model = "igrf"'))
 

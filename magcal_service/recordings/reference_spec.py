@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import StrEnum
+from typing import Final
 
+from magcal_service.base.errors import Lacking
 from magcal_service.base.typed_toml import Table
 from magcal_service.base.typed_toml.keys import choice, special, text, texts
 from magcal_service.base.typed_toml.record import Reading, read_record
@@ -23,12 +26,17 @@ class FieldModel(StrEnum):
 
 
 def _constant_nt(reading: Reading, name: str) -> float:
-    value = reading.table.number(name, required=True)
-    factor = FIELD_NT[reading.table.choice("unit", FieldUnit)]
+    table = reading.table
+    if isinstance(table.content.get(name), str):
+        table.refuse(name, table.content[name], 'a number is accepted, and its unit beside it: unit = "uT"')
+        table.choice("unit", FieldUnit)
+        return 0.0
+    value = table.number(name, required=True)
+    factor = FIELD_NT[table.choice("unit", FieldUnit)]
     if value is None:
         return 0.0
     if not 0.0 < value * factor <= MAX_FIELD_NT:
-        reading.table.refuse(name, value, "a magnitude above 0 and up to 1 mT is accepted")
+        table.refuse(name, value, "a magnitude above 0 and up to 1 mT is accepted")
     return value * factor
 
 
@@ -44,7 +52,7 @@ class VectorReference(FieldCells):
 class MagnitudeReference(FieldCells):
     """A reference magnitude per row."""
 
-    column: str = text(name="magnitude")
+    column: str = text(name="magnitude", accepted="the column of it (of one magnitude for all rows: constant)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +79,44 @@ _FORMS: dict[str, type[ReferenceSpec]] = {
 }
 """The record of each form, by the key that only this form has."""
 
+_ALSO: Final = {"igrf": "model", "vector": "columns", "field": "constant", "value": "constant", "strength": "constant"}
+"""Forms by other words for them; choice: those that a reader of other files brings along."""
+
+
+_HOW: Final = (
+    'model = "igrf" (from [position] and the time), columns = [x, y, z] with unit and frame, magnitude = COLUMN with '
+    "unit, or constant = NUMBER with unit (one place)"
+)
+"""Every form in a line, for whoever wrote none of them."""
+
 
 def read_reference(reading: Reading, name: str) -> ReferenceSpec | None:
     """The reference; None where it is missing or not exactly one of the forms."""
     top = reading.table
-    section = top.table(name, required=True)
-    if section is None:
+    if not isinstance(top.content.get(name), dict):
+        top.has(name)
+        top.refuse_or_lack(name, f"a table [{name}] is required, with one of: {_HOW}")
         return None
+    section = top.table(name)
+    assert section is not None
     forms = [form for form in _FORMS if section.has(form)]
-    if len(forms) != 1:
-        top.refuse(name, " + ".join(forms) or "none", "exactly one of columns, magnitude, model, constant")
+    if len(forms) == 1:
+        return _read_form(section, _FORMS[forms[0]])
+    if forms:
+        top.refuse(name, " + ".join(forms), f"exactly one of these is accepted: {_HOW}")
         return None
-    return _read_form(section, _FORMS[forms[0]])
+    none = f"no form of a reference is there{_meant(section)}"
+    top.faults.append(Lacking(top.where(name), none, f"exactly one of these is accepted: {_HOW}"))
+    return None
+
+
+def _meant(section: Table) -> str:
+    """The form that a key of a section was probably meant to be; empty where none is like one."""
+    for key in section.content:
+        form = _ALSO.get(key.lower()) or next(iter(get_close_matches(key.lower(), _FORMS, n=1)), "")
+        if form:
+            return f" ({key!r}: did you mean {form!r}?)"
+    return ""
 
 
 def _read_form(section: Table, kind: type[ReferenceSpec]) -> ReferenceSpec:

@@ -132,7 +132,6 @@ REFUSED = {
     "version a text": (descriptor().replace("version = 1", 'version = "1"'), "version", "whole number"),
     "no time": (descriptor(time=""), "time", "a table [time]"),
     "no magnetometer": (descriptor(magnetometer=""), "magnetometer", "a table [magnetometer]"),
-    "no reference": (descriptor(reference=""), "reference", "a table [reference]"),
     "mcap with sections": (MCAP + '[time]\ncolumn = "t"\n', "time", "brings its own"),
     "mcap with a reference": (MCAP + "[reference]\n", "reference", "brings its own"),
     "mcap with a position": (MCAP + "[position]\n", "position", "brings its own"),
@@ -194,7 +193,43 @@ REFUSED = {
     "range a text": (descriptor(magnetometer=MAGNETOMETER + 'range_nt = "8 G"\n'), "magnetometer.range_nt", "number"),
     "range elsewhere": (descriptor("[sensor]\nrange_nt = 5e4\n"), "sensor", "unknown"),
     "two references": (descriptor(reference=REFERENCE + 'magnitude = "f"\n'), "reference", "exactly one of"),
-    "empty reference": (descriptor(reference="[reference]\n"), "reference", "exactly one of"),
+    "empty reference": (descriptor(reference="[reference]\n"), "reference", "no form of a reference is there; exactly"),
+    "no reference": (
+        descriptor(reference=""),
+        "reference",
+        'a table [reference] is required, with one of: model = "igrf"',
+    ),
+    "reference a text": (
+        descriptor(reference="").replace("[samples]", 'reference = "igrf"\n[samples]'),
+        "reference",
+        "table",
+    ),
+    "reference a list": (
+        descriptor(reference=IGRF.replace("[reference]", "[[reference]]")),
+        "reference",
+        "columns = [",
+    ),
+    "reference by vector": (
+        descriptor(reference=REFERENCE.replace("columns", "vector")),
+        "reference",
+        "('vector': did you mean 'columns'?)",
+    ),
+    "reference by column": (
+        descriptor(reference='[reference]\nunit = "nT"\ncolumn = "f"\n'),
+        "reference",
+        "('column': did you mean 'columns'?)",
+    ),
+    "reference by igrf": (descriptor(reference="[reference]\nigrf = true\n"), "reference", "did you mean 'model'?"),
+    "magnitude a number": (
+        descriptor(reference='[reference]\nmagnitude = 48.2\nunit = "uT"\n'),
+        "reference.magnitude",
+        "of one magnitude for all rows: constant",
+    ),
+    "constant with its unit": (
+        descriptor(reference='[reference]\nconstant = "48.2 uT"\nunit = "uT"\n'),
+        "reference.constant",
+        'its unit beside it: unit = "uT"',
+    ),
     "no frame": (descriptor(reference=REFERENCE.replace('frame = "eci"\n', "")), "reference.frame", "eci, ecef, ned"),
     "body frame": (descriptor(reference=REFERENCE.replace("eci", "teme")), "reference.frame", "known: ecef, eci, ned"),
     "frame of a magnitude": (
