@@ -27,9 +27,8 @@ from magcal_service.recordings.specs import PlatformKind, PlatformSpec
 _BUILDING_NT: Final = 500.0  # as the module says
 _CRUST_NT: Final = 130.0  # of WMM2020
 
-_LEAST_SEEN: Final = 0.01
-"""Of a direction's square, what nine errors and mounting leave at least of an unknown: a tenth of its size.  Of less,
-what an attitude errs by would be taken for the reference's, ten times as large."""
+_LEAST_SEEN: Final = 0.03**2
+"""Of a direction's square, what nine errors and mounting leave at least of an unknown: as of an effect."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -229,7 +229,8 @@ def _aimed_baseline(scene: Scene, used: _Used, largest_nt: Mapping[str, float], 
     offset = Offset.of(by_axes, reference.axes, used.recording.descriptor.platform, products)
     fit = solve(replace(fit.problem, aimed=replace(aimed, offset=offset)), np.append(fit.x, np.zeros(offset.size)))
     aimed = replace(weighted(aimed, scene, fit.residual, level), offset=offset)
-    return solve(replace(fit.problem, aimed=aimed), fit.x)
+    onto = aimed.weighed(by_axes.reshape(-1, 3)).reshape(-1, 3, 3)
+    return solve(replace(fit.problem, aimed=aimed, field_error=FieldError.of(scene, level, onto)), fit.x)
 
 
 def _quiet(fit: Fit) -> Fit:

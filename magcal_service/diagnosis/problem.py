@@ -61,7 +61,7 @@ class Problem:
     noise_nt: white noise, 1 sigma per axis [nT]; its mean sigma^2 / |H| is subtracted from the scalar residual.
     room_from_body: (n, 3, 3) attitude to a room of uniform field; None: there is none.
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
-    field_error: errors of the field model itself, part of the scalar residual's noise; None: there is none.
+    field_error: errors of the field model itself, part of the residual's noise; None: there is none.
     aimed: reference vectors in the sensor's axes; None, and no room either: the scalar form.
     """
 
@@ -109,7 +109,7 @@ class Problem:
     def white(self, rows: Array) -> Array:
         """Rows (m,) or (m, k) of the residual in which the noise is white."""
         if self.aimed is not None:
-            return self.aimed.weighed(rows)
+            rows = self.aimed.weighed(rows)
         return rows if self.field_error is None else self.field_error.whitened(rows)
 
     def white_products(self, rows: Array, groups: Groups | None = None) -> Array:

@@ -109,7 +109,7 @@ class Screen:
     @property
     def is_symmetric(self) -> bool:
         """Whether the noise's whitening is a symmetric matrix that takes a while, so that products go without it."""
-        return not len(self.whitening) and self.problem.field_error is not None
+        return not len(self.whitening) and self.problem.field_error is not None and not self.problem.is_vector
 
     def products(self, space: Workspace, rows: Array) -> Products:
         """Of what the whitening makes of rows (m, k)."""

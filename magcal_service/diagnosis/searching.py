@@ -143,7 +143,7 @@ def _left_nt(fit: Fit) -> float:
     whole = float(np.sqrt(np.mean(fit.held_out_white**2)))
     if not fit.problem.is_vector:
         return whole
-    along = np.einsum("ni,ni->n", fit.unit, fit.held_out_residual.reshape(-1, 3))
+    along = np.einsum("ni,ni->n", fit.unit, fit.held_out_white.reshape(-1, 3))
     return max(whole, float(np.sqrt(np.mean(along**2))))
 
 
