@@ -10,17 +10,12 @@ import numpy as np
 from magcal_service.physics.saying import measured
 from magcal_service.studies.report import shown
 from tests.benchmarks.results import read
+from tests.figures.forms import forms
+from tests.figures.markdown import table
 
 MOST_SHOWN: Final = 3  # numbers of one parameter in a cell
 MOST_UNSURE: Final = 1000.0  # times itself, the sigma of a number from which on it is not known at all
 MAIN_METHOD: Final = "ukf"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
-    """A Markdown table; the columns in ``numbers`` are set to the right."""
-    rule = ["---:" if i in numbers else "---" for i in range(len(head))]
-    lines = [f"| {' | '.join(head)} |", f"|{'|'.join(rule)}|", *(f"| {' | '.join(row)} |" for row in rows)]
-    return "\n".join(lines)
 
 
 def _nt(value: float | None) -> str:
@@ -301,4 +296,5 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "just-below-over-all": just_below_over_all,
     "new-step": new_step,
     "costs": costs,
+    "forms": forms,
 }
