@@ -46,6 +46,9 @@ the same to a few per cent."""
 FLOOR: Final = 0.3
 """Of the noise stated, the least that evidence is counted in: more is noise, however well a fit follows it."""
 
+LOWER: Final = 0.3
+"""Of that, where the noise is whitened by its memory: what is left of it then may be so much less."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class End:
@@ -200,8 +203,8 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
-    coefficients = _memory(prepared, search.problem, explained.fit)
-    quiet, lower = search.with_noise(problem, coefficients), 0.3 * floor
+    coefficients = memory_of(prepared, search.problem, explained.fit)
+    quiet, lower = search.with_noise(problem, coefficients), LOWER * floor
     if not len(coefficients) or strongest_signal(quiet, explained.fit, lower) is not None:
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, np.zeros(0))
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
@@ -214,7 +217,7 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     return End(quiet, again, again_left, lower, coefficients)
 
 
-def _memory(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
+def memory_of(prepared: Prepared, problem: Problem, fit: Fit) -> Array:
     """Autoregressive coefficients (p,) of the noise, empty where it is white.
 
     What hangs together has to be the noise itself, and its spectrum has to be red: an oscillation, or something slow

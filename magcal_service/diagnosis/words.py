@@ -117,7 +117,7 @@ def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     )
 
 
-def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> str:
+def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0, memory_nt: float | None = None) -> str:
     """The noise that residuals are held against, whose it is, and what rounding has to do with it.
 
     Parameters
@@ -125,18 +125,19 @@ def noise_in_words(noise_nt: float, is_stated: bool, added_nt: float = 0.0) -> s
     noise_nt: 1 sigma per axis [nT].
     is_stated: whether the descriptor states it; else it is the white part of what is left, of which rounding is one.
     added_nt: what rounding that was found adds [nT per axis].
+    memory_nt: its rms with its memory [nT], where it has one.
     """
+    memory = "" if memory_nt is None else f", {memory_nt:.1f} nT with its memory"
     if not is_stated:
-        return f"{noise_nt:.1f} nT estimated{', rounding included' * (added_nt > 0.0)}"
+        return f"{noise_nt:.1f} nT estimated{', rounding included' * (added_nt > 0.0)}{memory}"
     more = f"; rounding adds up to {added_nt:.1f} nT to it" if added_nt > 0.0 else ""
-    return f"{noise_nt:.1f} nT stated{more}"
+    return f"{noise_nt:.1f} nT stated{more}{memory}"
 
 
 def noise_of(diagnosis: Diagnosis) -> str:
     """The same of a diagnosis of one recording."""
-    prepared, memory_nt = diagnosis.prepared, diagnosis.memory_nt
-    said = noise_in_words(diagnosis.noise_nt, prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt)
-    return said if memory_nt is None else f"{said}, {memory_nt:.1f} nT with its memory"
+    is_stated, added_nt = diagnosis.prepared.view.stated_noise_nt is not None, diagnosis.added_noise_nt
+    return noise_in_words(diagnosis.noise_nt, is_stated, added_nt, diagnosis.memory_nt)
 
 
 def compared_with(*, has_simulation: bool) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import magcal_service as magcal
@@ -242,6 +243,29 @@ def test_json_summary_and_page_say_it_in_the_words_of_one_recording(found: Joint
     assert "; each recording has numbers of its own for " in content["sentence"]
     assert content["sentence"].endswith(("of the mismatch is explained.", "is not seen in the noise."))
     assert all(f"{one.name}: rms on held-out rows " in text for one in found.recordings)
+
+
+def _with_memory(number: int, added_nt: Any = None) -> Recording:
+    """A day without physics whose noise of 150 nT keeps 0.8 from sample to sample, and states nothing."""
+    quiet = day(number, NONE, NONE, added_nt=added_nt, stated_nt=None, seed=7340).recording
+    steps = np.random.default_rng(7341 + number).normal(0.0, 150.0 * 0.6, (COUNT, 3))
+    return replace(quiet, field_body_nt=quiet.field_body_nt + lfilter([1.0], [1.0, -0.8], steps, axis=0))
+
+
+def test_noise_with_a_memory_is_no_structure_of_several_recordings_either() -> None:
+    """It was all of the mismatch, without a name; of one recording it is noise.  Structure on top of it stays one."""
+    gathered = gather([_with_memory(number) for number in range(2)])
+    found = diagnose_together(gathered.inspections, gathered.names, EFFECTS)
+    assert diagnose(_with_memory(0), effects=EFFECTS).verdict is found.verdict is Verdict.NONE
+    assert re.search(r"over a noise of 1[01]\d\.\d nT that has a memory and makes 15\d\.\d nT with it", sentence(found))
+    for one, written in zip(found.recordings, json.loads(as_json(found))["recordings"], strict=True):
+        assert one.memory_nt == written["noise_with_memory_nt"] == pytest.approx(158.0, rel=0.1)
+        assert noise_of_one(one).endswith(" nT with its memory")
+    swing = 900.0 * np.outer(np.sin(np.arange(COUNT) / 120.0) ** 3, [1.0, 0.5, -0.5])
+    gathered = gather([_with_memory(number, swing) for number in range(2)])
+    structured = diagnose_together(gathered.inspections, gathered.names, EFFECTS[:1])
+    assert structured.verdict is Verdict.UNKNOWN
+    assert [one.memory_nt for one in structured.recordings] == [None, None]
 
 
 def test_every_reason_comes_with_what_would_lift_it(found: JointDiagnosis) -> None:

@@ -34,7 +34,8 @@ from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rows import made_where
-from magcal_service.diagnosis.searching import FLOOR
+from magcal_service.diagnosis.searching import FLOOR, LOWER, memory_of
+from magcal_service.diagnosis.signals import strongest_signal
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
@@ -58,6 +59,7 @@ class Alone:
     covariance: (9, 9) of those errors.
     left: structures that are left, best first.
     light: channels that show the computed light.
+    has_memory: whether its noise has one, which is looked for where nothing is named.
     """
 
     name: str
@@ -68,6 +70,12 @@ class Alone:
     covariance: Array
     left: tuple[Structure, ...]
     light: tuple[LightSeen, ...] = ()
+    has_memory: bool = False
+
+    @property
+    def memory_nt(self) -> float | None:
+        """rms of its noise with its memory [nT], where that is more than ``noise_nt``; None where it is white."""
+        return self.fit.rms_nt if self.has_memory and self.fit.rms_nt > self.noise_nt else None
 
     @property
     def noise_nt(self) -> float:
@@ -318,9 +326,11 @@ class _Run:
             spin = prepared.spin
             spin_hz = None if spin is None else abs(spin.rate_rad_s) / (2.0 * np.pi)
             search = Search(part.problem, [], self.effects, spin_hz=spin_hz)
-            floor = FLOOR * part.problem.noise_nt
-            left = structures(search, part, None if spin is None else spin.phase_rad, floor)
-            left = with_courses(search, part, left, floor)
+            floor, phase = FLOOR * part.problem.noise_nt, None if spin is None else spin.phase_rad
+            left = with_courses(search, part, structures(search, part, phase, floor), floor)
+            by_memory = None
+            if significant(left[0]) and not part.terms:
+                by_memory = _by_memory(prepared, search, part, phase, LOWER * floor)
             baseline = solve(self.singles[number], prepared.baseline.x)
             found.append(
                 Alone(
@@ -330,11 +340,26 @@ class _Run:
                     baseline,
                     part,
                     fit.covariance[own, own],
-                    tuple(left),
+                    tuple(left if by_memory is None else by_memory),
                     light_seen(prepared.problem.scene, None if spin is None else spin.rate_rad_s),
+                    has_memory=by_memory is not None,
                 )
             )
         return found
+
+
+def _by_memory(
+    prepared: Prepared, search: Search, fit: Fit, phase: Array | None, floor_nt: float
+) -> list[Structure] | None:
+    """What is left in one recording on a residual whitened by the memory of its noise; None where that is white, or
+    follows a channel in spite of it."""
+    coefficients = memory_of(prepared, fit.problem, fit)
+    if not len(coefficients):
+        return None
+    quiet = search.with_noise(fit.problem, coefficients)
+    if strongest_signal(quiet, fit, floor_nt) is not None:
+        return None
+    return with_courses(quiet, fit, structures(quiet, fit, phase, floor_nt), floor_nt)
 
 
 def _parts(fit: Fit) -> list[Fit]:

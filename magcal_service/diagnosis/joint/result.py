@@ -70,6 +70,7 @@ def _recording(one: Alone, levels: Levels, moved_nt: float) -> dict[str, Any]:
         "file": one.prepared.recording.name,
         "rows": account_of(one.inspection, one.prepared).to_dict(),
         **levels.to_dict(),
+        "noise_with_memory_nt": one.memory_nt,
         "bias_nt": one.fit.x[BIAS].tolist(),
         "D": d_matrix(one.fit.x[:STATE_SIZE]).tolist(),
         "sigma": {"bias_nt": sigma[BIAS].tolist(), "D": d_matrix(sigma).tolist()},

@@ -84,7 +84,9 @@ def sentence(diagnosis: JointDiagnosis) -> str:
     if diagnosis.verdict is Verdict.NONE:
         levels = levels_of_all(diagnosis)
         model_nt = _field_model_nt(diagnosis)
-        return agreed(levels.held_out_nt[1], levels.noise_nt, model_nt, diagnosis.reasons, "recordings")
+        left_nt = levels.held_out_nt[1]
+        memory_nt = levels.in_sample_nt[1] if any(one.memory_nt for one in diagnosis.recordings) else None
+        return agreed(left_nt, levels.noise_nt, model_nt, diagnosis.reasons, "recordings", memory_nt)
     terms = list(enumerate(diagnosis.fit.terms))
     if diagnosis.verdict is Verdict.UNKNOWN:
         doubted = [one.name for one in diagnosis.recordings if one.inspection.open]
@@ -159,7 +161,7 @@ def noise_of_one(one: Alone) -> str:
     """The noise of a recording, and whose it is."""
     prepared = one.prepared
     added_nt = added_noise_nt(prepared.findings)
-    return noise_in_words(one.noise_nt, prepared.view.stated_noise_nt is not None, added_nt)
+    return noise_in_words(one.noise_nt, prepared.view.stated_noise_nt is not None, added_nt, one.memory_nt)
 
 
 def name_in_words(diagnosis: JointDiagnosis, index: int) -> str:
