@@ -107,10 +107,14 @@ class _Place:
         left = space.residual - space.projected(rows @ space.gain(rows, sigma).amplitudes)
         return _Place(term.hypothesis, space, left, explained.own_nats(index), sigma)
 
-    def is_own(self, signal: Signal) -> bool:
-        """Whether a signal is only the term's own driver, a little later or smoother."""
+    def is_own(self, signal: Signal, acts_as: str) -> bool:
+        """Whether a signal is only the term's own driver, a little later or smoother, or acts as that does with no lag
+        that the term has found."""
         if self.term is None:
             return False
+        if not signal.made and signal.driver == self.term.driver:
+            is_field = all(block.unit.startswith("nT") for block in self.term.blocks)
+            return acts_as == (_FIELD if is_field else _GAIN)
         inferred = self.term.is_inferred and signal.driver.startswith("inferred")
         return signal.made.startswith(_SLOW) and (inferred or signal.driver == self.term.driver)
 
@@ -226,7 +230,7 @@ def _at_best(search: Search, fit: Fit, places: list[_Place], signal: Signal) -> 
         whole = search.problem.white_products(rows) if search.is_symmetric else None
         columns = rows if whole is not None else search.white(rows)
         for index, place in enumerate(places):
-            if place.is_own(signal):
+            if place.is_own(signal, hypothesis.variant.partition(" ")[0]):
                 continue
             space = place.space
             of = space.products(columns) if whole is None else space.products_before(rows, search.problem, whole)

@@ -13,7 +13,7 @@ from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.signals import against_signals, strongest_signal
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
-from magcal_service.physics.interface import UNLISTED, Hypothesis
+from magcal_service.physics.interface import UNLISTED, Block, Hypothesis
 from magcal_service.physics.scene.scene import Telemetry
 from tests.diagnosis.made_up import FLOOR_NT, OTHER, QUICK, SLOW, TIME_S, along, body_form, flown, searching
 from tests.physics.scenes import scene
@@ -67,6 +67,20 @@ def test_the_own_driver_by_a_lag_is_no_rival() -> None:
     assert (
         unlisted(compared(lagging, other, hull=WARMTH), 0) == "a field that follows the recorded hull by a lag of 60 s"
     )
+
+
+def test_the_own_driver_as_it_is_recorded_is_no_rival() -> None:
+    """Of what follows it with a lag it holds nearly all, and is the same cause; as another effect it is another."""
+    lagging = np.sin((TIME_S - 8.0) / 400.0)
+    own = replace(body_form("one", "", along(0, lagging)), driver="channel:hull")
+
+    def rival(form: Hypothesis) -> str:
+        ranked = compared(along(0, 300.0 * lagging), form, hull=WARMTH).rivals[0]
+        return next(c.hypothesis.variant for c in ranked if c.hypothesis.effect == UNLISTED)
+
+    assert rival(own) != "field"
+    assert rival(replace(own, driver="channel:other")) == "field"
+    assert rival(replace(own, blocks=(Block("per_unit", "1", (1,)),))) == "field"
 
 
 def test_what_a_channel_adds_up_to_is_a_rival() -> None:

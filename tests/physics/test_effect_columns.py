@@ -336,14 +336,35 @@ def test_what_has_no_unit_may_go_along_with_a_current() -> None:
     channels["sun"] = Telemetry("sun", "counts", np.repeat(steps, 3, axis=1))
     found = forms("current_loop", replace(scene(), channels=channels))
     recorded = {key for key in found if key[0].startswith("channel")}
-    wanted = {(f"channel:{kind}", variant) for kind in kinds for variant in ("", "lagging")}
-    of_two = {("channel:two", f"column {number}") for number in (1, 3)}
+    wanted = {(f"channel:{kind}", variant) for kind in kinds for variant in ("", "lagging", "recorded late")}
+    of_two = {("channel:two", f"column {number}{late}") for number in (1, 3) for late in ("", ", recorded late")}
     assert recorded == wanted | of_two
     k = np.array([10.0, -20.0, 5.0])
     assert added(found["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
     assert found["channel:two", "column 3"].constants == {"column_0": 2.0}
     given = replace(scene(), channels=channels, given={"column_0": 2.0})
     assert added(forms("current_loop", given)["channel:two", "column 3"], k) == pytest.approx(np.outer(TIME_S, k))
+
+
+def test_a_current_that_was_recorded_late_has_the_values_of_rows_to_come() -> None:
+    """All circuits of a channel and each by itself: a mean over the time it is held, straight between rows, at the end
+    as the last row has it; and in a stream, where none has come yet, as the row has it."""
+    two = Telemetry("two", "current", np.stack([np.sin(TIME_S / 300.0), np.cos(TIME_S / 170.0)], axis=1))
+    late_s, held_s = 10.0, 20.0  # two rows and a half; five rows
+    k = np.array([10.0, -20.0, 5.0])
+    found = forms("current_loop", replace(scene(), channels={"two": two}))
+    late = {variant for _, variant in found if "late" in variant and "lit" not in variant}
+    assert late == {"recorded late", "circuit 1, recorded late", "circuit 2, recorded late"}
+    ahead = np.mean([np.interp(TIME_S + by, TIME_S, two.values[:, 1]) for by in np.linspace(10.02, 29.98, 500)], axis=0)
+    form = found["channel:two", "circuit 2, recorded late"]
+    assert form.columns(np.array([late_s, held_s])).field(k) == pytest.approx(np.outer(ahead, k), abs=1e-3)
+    at_once = np.interp(TIME_S + late_s, TIME_S, two.values[:, 1])
+    assert form.columns(np.array([late_s, 0.0])).field(k) == pytest.approx(np.outer(at_once, k))
+    both = found["channel:two", "recorded late"].columns(np.array([late_s, held_s]))
+    assert both.field(np.concatenate([0.0 * k, k])) == pytest.approx(np.outer(ahead, k), abs=1e-3)
+    streamed = forms("current_loop", replace(scene(), channels={"two": two}, memory=Memory()))
+    as_it_is = streamed["channel:two", "circuit 2, recorded late"].columns(np.array([late_s, held_s])).field(k)
+    assert as_it_is == pytest.approx(np.outer(two.values[:, 1], k))
 
 
 def followed_by_hand(drive: Array, tau_s: float) -> Array:

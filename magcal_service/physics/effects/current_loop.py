@@ -15,6 +15,7 @@ from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, Telemetry, is_sun_vector
+from magcal_service.physics.scene.smooth import mean_over
 from magcal_service.physics.scene.sunlight import first_order
 
 _LEAST_SWING = 1e-3  # of the channel's largest value
@@ -31,6 +32,11 @@ _MOST_GUESSED_NT: Final = 2000.0
 
 _LAGS: Final = np.array([0.5, 1.0, 2.0, 4.0])
 """Time constants that are tried, in samples: drivers of sensors average over a few."""
+
+_LATE_S: Final = np.array([0.0, 3.0, 10.0, 30.0, 90.0])
+_HELD_S: Final = np.array([0.0, 10.0, 30.0, 60.0])
+"""How long before its row a record was taken at the least, and for how long it is held until the next [s]: housekeeping
+is read out every few seconds to a minute."""
 
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
 """Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
@@ -52,6 +58,17 @@ def _fixed(signals: Array) -> Callable[[Array], Columns]:
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield from _by_channel(scene)
+    yield from _together(scene)
+    yield from _alike(scene)
+    yield from _lagging(scene)
+    yield from _recorded_before(scene)
+    for hypothesis in _inferred(scene):
+        yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
+
+
+def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
+    """The circuits of every current's record, all together and each by itself."""
     for channel in scene.of_quantity("current"):
         moving = _moves(channel)
         chosen = scene.chosen("column", np.flatnonzero(moving).tolist())
@@ -81,11 +98,6 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
                 largest_nt=_largest(signal),
                 constants={"column_0": float(column)},
             )
-    yield from _together(scene)
-    yield from _alike(scene)
-    yield from _lagging(scene)
-    for hypothesis in _inferred(scene):
-        yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
 
 
 def _moves(channel: Telemetry) -> NDArray[np.bool_]:
@@ -138,6 +150,40 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
             largest_nt=_largest(signal) if is_current else _MOST_NT,
             refines=f"current_loop by {driver}",
         )
+
+
+def _recorded_before(scene: Scene) -> Iterator[Hypothesis]:
+    """Every channel whose record was taken before its row, and held: what flows is between its values of rows to come.
+
+    A mean over the time that values are held for is a straight line from one readout to the next.  As it is recorded, a
+    held value is wrong wherever the current has changed since, and the field per ampere comes out small.
+
+    Source: regression on the expected driver, not on its record, has no such bias (Berkson 1950, Journal of the
+    American Statistical Association 45, 164-180).
+    """
+    numbers = (Nonlinear("late_s", "s", _LATE_S), Nonlinear("held_s", "s", _HELD_S))
+    for plain in (*_by_channel(scene), *_alike(scene)):
+        channel = scene.channels[plain.driver.partition(":")[2]]
+        signal = channel.values[:, [int(column) for column in plain.constants.values()]]
+        yield replace(
+            plain,
+            columns=_ahead(scene, signal),
+            variant=", ".join(filter(None, (plain.variant, "recorded late"))),
+            nonlinear=numbers,
+            refines=plain.label,
+        )
+
+
+def _ahead(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
+    """Means of a signal (n, k) over rows to come; in a stream, where none has come yet, as the row has it."""
+
+    def columns(theta: Array) -> Columns:
+        if scene.memory is not None:
+            return along_axes(signal)
+        late_s, held_s = theta.tolist()
+        return along_axes(mean_over(scene.time_s, signal, scene.time_s + late_s, held_s))
+
+    return columns
 
 
 def _lagged(scene: Scene, signal: Array, key: str = "lagging") -> Callable[[Array], Columns]:
@@ -246,7 +292,14 @@ EFFECT = Effect(
     switched="the suspected load or array string",
     two_levels=True,
     equation="d = sum_j c_j I_j(t); arrays not recorded: I_j = lit max(0, n_j . s), at most what is taken of it",
-    units={"nt_per_a": "nT/A", "nt_per_unit": "nT/unit", "nt_full_sun": "nT", "lag_s": "s", "limit": "1"},
+    units={
+        "nt_per_a": "nT/A",
+        "nt_per_unit": "nT/unit",
+        "nt_full_sun": "nT",
+        "lag_s": "s",
+        "late_s": "s",
+        "limit": "1",
+    },
     prior=(1.0, _MOST_NT),
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
@@ -256,6 +309,10 @@ EFFECT = Effect(
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), "
         "{lag_s.signed} late.",
+        "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, read out {late_s.size} before its "
+        "row and held for {held_s.size}.",
+        "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), read "
+        "out {late_s.size} before its row and held for {held_s.size}.",
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}, {lag_s.signed} late.",

@@ -87,3 +87,22 @@ def _inverse_cosine(transform: Array) -> Array:
     spectrum = np.zeros(count + 1, dtype=complex)
     spectrum[:count] = transform * np.exp(0.5j * np.pi * np.arange(count) / count)
     return np.asarray(np.fft.irfft(spectrum, 2 * count)[:count])
+
+
+def mean_over(time_s: Array, values: Array, begin_s: Array, over_s: float) -> Array:
+    """Means (m, k) over so many seconds from each of (m,) instants on, of values (n, k) at rising times (n,), straight
+    between them and constant beyond; over no time the values then.
+    """
+    if over_s <= 0.0:
+        return np.stack([np.interp(begin_s, time_s, one) for one in values.T], axis=1)
+    steps = np.diff(time_s)[:, None]
+    areas = np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * steps * (values[1:] + values[:-1]), axis=0)])
+    slopes = np.concatenate([np.diff(values, axis=0) / steps, np.zeros_like(values[:1])])
+
+    def area(at_s: Array) -> Array:
+        row = np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 1)
+        after = (at_s - time_s[row])[:, None]
+        bent = np.maximum(after, 0.0)  # before the first it is constant
+        return np.asarray(areas[row] + after * values[row] + 0.5 * bent**2 * slopes[row])
+
+    return np.asarray((area(begin_s + over_s) - area(begin_s)) / over_s)

@@ -1,0 +1,50 @@
+"""A load's current that is read out every half minute, and held in the rows between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.explain import Search
+from magcal_service.diagnosis.problem import Problem, Term
+from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.diagnosis.solution import solve
+from magcal_service.model import Array, measure
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.scene.scene import Telemetry
+from tests.physics.scenes import NOISE_NT, X, scene, spoiled
+
+PER_A_NT = np.array([260.0, -180.0, 140.0])
+READ_S = 30.0
+
+
+def load_a(at_s: Array) -> Array:
+    """A heater of 1 A under its thermostat, on for 40 to 80 s at a time."""
+    return (np.sin(at_s / 23.0) + np.sin(at_s / 61.0) > 0.4).astype(np.float64)
+
+
+@pytest.mark.parametrize("age_s", [0.0, 12.0])
+def test_a_held_record_of_a_load_gives_the_field_per_ampere(age_s: float) -> None:
+    """As it is recorded it comes out small by a third and more; between readouts to a few per cent."""
+    of = scene()
+    added = np.outer(load_a(of.time_s), PER_A_NT)
+    noise = np.random.default_rng(8881).normal(0.0, NOISE_NT, (len(of), 3))
+    read_s = np.floor((of.time_s - age_s) / READ_S) * READ_S
+    held = {"heater": Telemetry("heater", "current", load_a(read_s)[:, None])}
+    flown = replace(spoiled(measure(X, of.calibrated_nt + added + noise), of), channels=held)
+    problem, effects = Problem(flown, NOISE_NT), (effect_named("current_loop"),)
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    baseline = solve(problem, X)
+    best = search.screen(search.workspace(baseline), baseline, baseline.rms_nt)[0]
+    assert best.hypothesis.label == "current_loop[recorded late] by channel:heater"
+    plain = next(h for h in search.hypotheses if h.label == "current_loop by channel:heater")
+    late, as_recorded = (
+        solve(problem, baseline.x, [Term(form, theta, np.zeros(3))])
+        for form, theta in ((best.hypothesis, best.theta), (plain, np.zeros(0)))
+    )
+    shares = [fit.terms[0].amplitudes @ PER_A_NT / (PER_A_NT @ PER_A_NT) for fit in (late, as_recorded)]
+    assert shares[0] == pytest.approx(1.0, abs=0.06)
+    assert shares[1] < 0.7
+    assert late.terms[0].theta[0] + 0.5 * late.terms[0].theta[1] == pytest.approx(age_s + 0.5 * READ_S, abs=3.0)
