@@ -201,7 +201,7 @@ def test_held_out_blocks_have_to_gain_a_third_of_what_the_fit_gains(
         return SimpleNamespace(sensor_residual=np.sqrt([squares]), sensor_held_out=np.sqrt([held_out]))
 
     search, _ = searching(flown(np.zeros((COUNT, 3))))
-    assert search._agrees(standing_for(1000.0, 1100.0), standing_for(1000.0 - inside, 1100.0 - outside)) is agrees
+    assert search.agrees(standing_for(1000.0, 1100.0), standing_for(1000.0 - inside, 1100.0 - outside)) is agrees
 
 
 def test_a_form_that_foretells_no_block_from_the_others_is_not_taken() -> None:

@@ -298,6 +298,7 @@ EFFECT = Effect(
         "nt_full_sun": "nT",
         "lag_s": "s",
         "late_s": "s",
+        "held_s": "s",
         "limit": "1",
     },
     prior=(1.0, _MOST_NT),
