@@ -128,7 +128,7 @@ def left_jacobian(phi: Array) -> Array:
 
 
 class InBody(NamedTuple):
-    """A reference by a recorded attitude: (n, 3) in the body [nT], and (n, 3, 3) body from the axes it is given in."""
+    """A reference by a recorded attitude: (n, 3) in the body [nT], and (n, 3, 3) body from axes that are its own."""
 
     reference_nt: Array
     body_from_axes: Array
@@ -146,7 +146,21 @@ def in_body(recording: Recording, scene: Scene, attitude: tuple[Axes, Array] | N
     reference = _in_axes(recording, scene, attitude[0])
     if reference is None:
         return None
-    return InBody(np.asarray(np.einsum("nij,nj->ni", attitude[1], reference)), attitude[1], attitude[0])
+    return InBody(np.asarray(np.einsum("nij,nj->ni", attitude[1], reference)), *_on_ground(scene, *attitude))
+
+
+def _on_ground(scene: Scene, axes: Axes, body_from_axes: Array) -> tuple[Array, Axes]:
+    """(n, 3, 3) body from the axes that what is around a place near the ground stays in, and which these are: north,
+    east, down where time and place tell, else as the attitude has them."""
+    place = scene.position_ecef_km
+    if axes not in (Axes.ECI, Axes.ECEF) or not scene.utc or place is None:
+        return body_from_axes, axes
+    latitude, longitude, height_km = geomagnetic.geodetic_from_ecef(place)
+    if float(np.median(height_km)) > geomagnetic.LOWEST_ORBIT_KM:  # a coil that plays an orbit
+        return body_from_axes, axes
+    fixed = [geomagnetic.ecef_from_ned(latitude, longitude, np.tile(one, (len(place), 1))) for one in np.eye(3)]
+    given = [geomagnetic.eci_from_ecef(scene.time_ns, one) for one in fixed] if axes is Axes.ECI else fixed
+    return np.asarray(body_from_axes @ np.stack(given, axis=2)), Axes.NED
 
 
 def _in_axes(recording: Recording, scene: Scene, axes: Axes) -> Array | None:

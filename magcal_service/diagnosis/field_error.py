@@ -108,6 +108,8 @@ class FieldError:
             return None
         altitude_km = COMMON_KM if given is None else float(np.median(np.linalg.norm(given, axis=1))) - IGRF_RADIUS_KM
         high = altitude_km > LOWEST_ORBIT_KM
+        if high and not scene.in_orbit:  # a coil that plays an orbit
+            return None
         at = _knots(scene) if high or given is None else _knots_on_the_way(scene, given)
         place = common_orbit(scene.time_s[at]) if given is None else given[at]
         alike = _alignment(scene, at) if onto is None else 1.0

@@ -122,6 +122,13 @@ def test_who_does_not_move_has_none() -> None:
     assert FieldError.of(scene, NOISE_NT) is None
 
 
+def test_a_coil_that_plays_an_orbit_has_none() -> None:
+    """Its places are not where it is."""
+    scene = scene_of(recording(5, 0.0, vectors=False))
+    assert scene.position_ecef_km is not None
+    assert FieldError.of(replace(scene, position_ecef_km=1.08 * scene.position_ecef_km), NOISE_NT) is None
+
+
 @pytest.mark.parametrize("vectors", [False, True])
 def test_a_crust_along_the_track_is_no_physics(vectors: bool) -> None:
     """It was structure without a name."""

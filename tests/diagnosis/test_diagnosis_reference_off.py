@@ -14,8 +14,10 @@ from magcal_service.diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from magcal_service.diagnosis.offset import Offset
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.reference_off import ReferenceOff, reference_off_of
+from magcal_service.earth.geomagnetic import ecef_from_geodetic, ecef_from_ned, eci_from_ecef
 from magcal_service.recordings.channels import Axes
-from tests.diagnosis.turntable import Bench, course
+from magcal_service.recordings.recording import Recording
+from tests.diagnosis.turntable import Bench, course, turned
 
 OFF_NT = np.array([180.0, -120.0, 90.0])
 STEADY_NT = np.array([20e3, -1e3, 30e3])
@@ -89,6 +91,33 @@ def test_heat_is_named_beside_a_reference_that_is_off() -> None:
     assert (term.hypothesis.effect, found.trusted) == ("thermal_bias", True)
     assert np.abs(term.amplitudes - [20.0, -10.0, 15.0]).max() < 2.0
     assert off_of(found).off_nt == pytest.approx(2.0 * OFF_NT, abs=25.0)
+
+
+def test_on_the_ground_it_stays_north_east_and_down_while_the_earth_turns() -> None:
+    """Over two hours, beside an attitude in inertial axes, which turn by 30 degrees meanwhile."""
+    bench = Bench(47, with_attitude=True)
+    inertial = bench.recording()
+    time_ns = 1_700_000_000_000_000_000 + 4 * inertial.time_ns
+    place = np.tile(ecef_from_geodetic(np.array([40.0]), np.array([33.0]), np.array([0.9])), (bench.count, 1))
+    latitude, longitude = np.full(bench.count, 40.0), np.full(bench.count, 33.0)
+    local = np.stack(
+        [20e3 + 5e3 * np.sin(bench.time_s / 300.0), 0.0 * bench.time_s - 9e3, 0.0 * bench.time_s + 30e3], 1
+    )
+    field = eci_from_ecef(time_ns, ecef_from_ned(latitude, longitude, local + OFF_NT))
+    attitude = inertial.channels["attitude"].values
+    made = Recording.from_arrays(
+        time=time_ns.astype("datetime64[ns]"),
+        B=turned(attitude, field) + np.random.default_rng(471).normal(0.0, 100.0, (bench.count, 3)),
+        H=local,
+        frame="ned",
+        position_ecef_km=place,
+        noise_nt=100.0,
+        attitude=attitude,
+    )
+    found = diagnose(made)
+    off = off_of(found)
+    assert (found.verdict, off.axes) == (Verdict.NONE, Axes.NED)
+    assert np.abs(off.seen.T @ (off.off_nt - OFF_NT)).max() < 25.0
 
 
 def test_derivatives_by_turn_and_offset_are_those_of_the_target() -> None:
