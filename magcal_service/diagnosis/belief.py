@@ -285,11 +285,12 @@ def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...
 
 
 def unlisted(explained: Explained, index: int) -> str:
-    """What is no effect and does as well as a term, in words: a signal of a recorded channel, or a change that takes
-    minutes; empty where nothing does."""
+    """What is no effect and does as well as a term, in words: a signal of a channel, what acts exactly so, or a change
+    that takes minutes; empty where nothing does."""
     ranked, own = explained.rivals[index], explained.own_nats(index)
     near = (c for c in ranked if c.hypothesis.effect == UNLISTED and c.nats > own - CLASS_NATS)
-    return next((said(c.hypothesis) for c in near), _SLOW if _may_be_slow(explained, index) else "")
+    alike = explained.fit.terms[index].hypothesis.imitated_by
+    return next((said(c.hypothesis) for c in near), alike or (_SLOW if _may_be_slow(explained, index) else ""))
 
 
 def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt: float) -> Explained:

@@ -74,7 +74,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         measure=separations(diagnosis, index, believed.members),
         drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
         unlisted=unlisted(diagnosis.explained, index),
-        as_well=term.hypothesis.as_well,
+        as_well=term.hypothesis.exactly_alike,
         why_first=why_first(diagnosis.explained, index),
         # of several in one residual; these need not add up to what all of them explain
         extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch comes back in a fit without it",

@@ -36,8 +36,8 @@ def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
     completes its form, where nothing else of it stands out."""
     hypothesis = fit.terms[index].hypothesis
     if not hypothesis.if_completed or _stands_out(fit, index):
-        return hypothesis.as_well
-    return tuple(dict.fromkeys((*hypothesis.as_well, *hypothesis.if_completed)))
+        return hypothesis.exactly_alike
+    return tuple(dict.fromkeys((*hypothesis.exactly_alike, *hypothesis.if_completed)))
 
 
 def _stands_out(fit: Fit, index: int) -> bool:

@@ -133,6 +133,7 @@ class Hypothesis:
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
     at_once: effect of the same change at an instant, for one that takes a while.
     as_well: other effects that act exactly so, and are met as often: the field alone never tells them apart.
+    imitated_by: what in no catalogue acts exactly so, in words; empty: nothing that is known.
     needs_vectors: whether only whole vectors show it, beside a recorded attitude.
     inexact: of its evidence, what its form leaves for others to take, as where its course is guessed.
     if_completed: other effects that it may as well be where only blocks that complete its form stand out.
@@ -160,6 +161,7 @@ class Hypothesis:
     in_place: bool = False
     at_once: str = ""
     as_well: tuple[str, ...] = ()
+    imitated_by: str = ""
     needs_vectors: bool = False
     inexact: float = 0.0
     if_completed: tuple[str, ...] = ()
@@ -171,6 +173,11 @@ class Hypothesis:
         """Effect, form and driver in one text, unique in a recording."""
         form = f"{self.effect}[{self.variant}]" if self.variant else self.effect
         return form if self.driver == "none" else f"{form} by {self.driver}"
+
+    @property
+    def exactly_alike(self) -> tuple[str, ...]:
+        """``as_well``, and ``UNLISTED`` where something in no catalogue acts so."""
+        return (*self.as_well, UNLISTED) if self.imitated_by else self.as_well
 
     @property
     def size(self) -> int:

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import are_rather_unlisted, posterior, with_left
+from magcal_service.diagnosis.belief import are_rather_unlisted, posterior, unlisted, with_left
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.doubts import reasons, stands_out
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
@@ -23,7 +23,7 @@ from magcal_service.diagnosis.sized import has_size, may_as_well_be
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import catalogue, effect_named
-from magcal_service.physics.interface import Block, Finding, Hypothesis, Nonlinear, value_of
+from magcal_service.physics.interface import UNLISTED, Block, Finding, Hypothesis, Nonlinear, value_of
 from tests.diagnosis.made_up import QUICK, SLOW, along, body_form, searching
 from tests.diagnosis.made_up import flown as made_of
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
@@ -232,6 +232,7 @@ def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[floa
     [
         ("torquer", "regular duty", True, ("torquer", "current_loop")),
         ("torquer", "sign of dB/dt", True, ("torquer",)),
+        ("torquer", "momentum dumped at intervals", True, ("torquer", UNLISTED)),
         ("bias_step", "switched at 2 instants", False, ("bias_step", "current_loop")),
         ("bias_step", "switched at 2 instants", True, ("bias_step",)),
         ("bias_step", "steps at 2 instants", False, ("bias_step",)),
@@ -549,3 +550,12 @@ def test_a_class_counts_as_a_whole_against_what_is_in_no_catalogue() -> None:
     alike = replace(explained([("bias_drift", 100.0)]), lasting_nats=100.0)
     assert posterior(alike, 0).own == pytest.approx(0.25)
     assert not are_rather_unlisted(alike)
+
+
+def test_what_acts_exactly_so_in_no_catalogue_is_said() -> None:
+    """A gain on a beat, where momentum may be dumped on it."""
+    dumped = next(h for h in effect_named("torquer").hypotheses(scene()) if h.variant == "momentum dumped at intervals")
+    named = explained([])
+    fit = replace(named.fit, terms=(Term(dumped, np.array([500.0, 0.3, 0.1]), np.ones(6)),))
+    assert unlisted(replace(named, fit=fit), 0) == "a gain that changes on the same beat, by a cause in no catalogue"
+    assert unlisted(named, 0) == ""

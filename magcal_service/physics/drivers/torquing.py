@@ -77,6 +77,9 @@ _COILS: Final = ("coil x", "coil y", "coil z")
 _ALONG: Final = ("field along x", "field along y", "field along z")
 """What the rows of an amplitude belong to."""
 
+_IMITATED: Final = "a gain that changes on the same beat, by a cause in no catalogue"
+"""What a dipole along B x h leaves as well: parts of the field itself, while it fires, or for as long as it is held."""
+
 _SYMMETRIC: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Elements of a symmetric matrix."""
 
@@ -232,6 +235,7 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
         {"middle_s": middle_s},
         largest_nt=LARGEST_NT,
         proposals=tried(),
+        imitated_by=_IMITATED,
     )
     whole = replace(
         plain,
@@ -243,7 +247,14 @@ def _dumping(scene: Scene, effect: str) -> Iterator[Hypothesis]:
     yield replace(whole, variant=f"{variant}, in any direction", needs_vectors=True)
     if len(holds):
         held, name = Nonlinear("hold_s", "s", holds, role="held"), f"{variant}, held"
-        yield replace(whole, variant=name, nonlinear=(*numbers, held), refines=plain.label, proposals=tried(held.grid))
+        yield replace(
+            whole,
+            variant=name,
+            nonlinear=(*numbers, held),
+            refines=plain.label,
+            proposals=tried(held.grid),
+            imitated_by="",
+        )
 
 
 def _symmetric(field_nt: Array) -> Array:
