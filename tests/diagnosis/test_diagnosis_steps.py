@@ -25,7 +25,7 @@ from magcal_service.diagnosis.doubts import reasons as reasons_of
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.prepare import _room, _room_field, _usable, _white, baseline_start, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate
-from magcal_service.diagnosis.searching import _memory
+from magcal_service.diagnosis.searching import memory_of
 from magcal_service.diagnosis.shapes import Shape
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
@@ -181,23 +181,23 @@ def remembering(correlation: float, seed: int = 3) -> Array:
     return found
 
 
-def memory_of(noise: Array) -> Array:
+def coefficients_of(noise: Array) -> Array:
     of = spoiled(measure(X, scene().calibrated_nt + noise), scene())
     fit = solve(Problem(of, NOISE_NT), X)
     prepared: Any = SimpleNamespace(view=view(of))
-    return _memory(prepared, fit.problem, fit)
+    return memory_of(prepared, fit.problem, fit)
 
 
 def test_noise_with_a_memory_has_coefficients_and_white_noise_none() -> None:
-    found = memory_of(remembering(0.8))
+    found = coefficients_of(remembering(0.8))
     assert float(found[0]) == pytest.approx(0.8, abs=0.15)
-    assert len(memory_of(remembering(0.0))) == 0
+    assert len(coefficients_of(remembering(0.0))) == 0
 
 
 def test_an_oscillation_is_no_memory() -> None:
     coming = np.exp(-(((TIME_S - 3000.0) / 1500.0) ** 2))[:, None]
     swing = 6.0 * NOISE_NT * coming * np.outer(np.sin(2.0 * np.pi * 0.045 * TIME_S), [0.5, -0.7, 0.5])
-    assert len(memory_of(remembering(0.0) + swing)) == 0
+    assert len(coefficients_of(remembering(0.0) + swing)) == 0
 
 
 # What it is compared with
