@@ -13,6 +13,7 @@ from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.diagnose import Verdict, diagnose
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.prepare import Form
+from magcal_service.diagnosis.result import entries
 from magcal_service.model import measure
 from tests.diagnosis.turntable import Bench
 from tests.physics.scenes import X, scene, spoiled
@@ -105,6 +106,7 @@ def test_samples_tagged_apart_from_the_attitude_are_a_clock_s_offset() -> None:
     (term,) = found.fit.terms
     assert (term.hypothesis.effect, term.hypothesis.variant) == ("time_offset", "ahead of the attitude")
     assert posterior(found.explained, 0).members == ("time_offset",)
+    assert "more as the sensor answers late, if it does" in entries(found)[0].says
     assert float(term.amplitudes[0]) == pytest.approx(late_s, rel=0.02)
 
 

@@ -75,7 +75,8 @@ EFFECT = Effect(
         "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
         "{drift_ppm.signed}.",
         "The samples match the reference {offset_s.signed} later than tagged.",
-        "The samples match the recorded attitude {ahead_s.signed} later than tagged.",
+        "The samples match the recorded attitude {ahead_s.signed} later than tagged; by as much more as the sensor "
+        "answers late, if it does.",
         "The samples match the recorded attitude {behind_s.signed} earlier than tagged.",
         "The samples match the reference {late_s.signed} later than tagged, and later by {late_s_per_h.signed}.",
     ),
