@@ -11,13 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magcal_service.diagnosis.cycle import CYCLE, cycle
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.linear import Products, Workspace
-from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.lines import Spectrum, body_spectrum, strongest
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
-from magcal_service.diagnosis.shapes import Shape, body_shape, plain_shape, products_of_two, shapes
+from magcal_service.diagnosis.shapes import Shape, body_shape, in_groups, plain_shape, products_of_two, shapes
 from magcal_service.diagnosis.signals import Followed, strongest_signal
 from magcal_service.diagnosis.sweeps import tracks
 from magcal_service.diagnosis.wander import (
@@ -134,12 +135,14 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
     """Every family's part in the residual of a fit, the best first."""
     beside, sigma = _beside(search, fit, floor_nt)
     space = beside.space
-    line_hz = _line(search, fit, space, sigma)
-    families = [(shape, beside.products(shape)) for shape in shapes(search.problem, phase, line_hz)]
+    spectrum = body_spectrum(search.problem.scene, space.residual, fit.unit)
+    line_hz = _line(search, fit, space, spectrum, sigma)
+    families = [(shape, beside.products(shape), 0.0) for shape in shapes(search.problem, phase, line_hz)]
+    families += _repeating(beside, spectrum, sigma) if line_hz is not None else []
     cost = math.log(max(len(families), 1))
     found = []
     for _ in range(2):
-        found = [_structure(shape, products, beside, sigma, cost) for shape, products in families]
+        found = [_structure(shape, products, beside, sigma, cost + own) for shape, products, own in families]
         found.sort(key=lambda structure: -structure.nats)
         left = (beside.whole.squares - found[0].squares) / space.count
         better = max(math.sqrt(max(left, 0.0)), floor_nt)
@@ -148,6 +151,19 @@ def structures(search: Search, fit: Fit, phase: Array | None, floor_nt: float) -
         sigma = better
     sudden = _transients(beside, sigma, cost)
     return found if sudden is None else sorted([*found, sudden], key=lambda structure: -structure.nats)
+
+
+def _repeating(
+    beside: _Beside, spectrum: Spectrum, sigma: float
+) -> list[tuple[Shape, tuple[Products, Products], float]]:
+    """A course that repeats, with its products and what its search costs [nats]."""
+    search, problem = beside.search, beside.search.problem
+    rows = search.seen(along_axes(np.ones(len(problem.scene))), beside.fit)
+    found = cycle(problem.scene, rows, beside.space.residual, spectrum, sigma, search.spin_hz)
+    if found is None:
+        return []
+    shape = in_groups(problem, CYCLE, found.says, found.levels)
+    return [(shape, beside.products(shape), found.cost)]
 
 
 def _transients(beside: _Beside, sigma: float, cost: float) -> Structure | None:
@@ -279,10 +295,10 @@ def largest_product(search: Search, fit: Fit, floor_nt: float, axes: int = 1) ->
     return max(space.gain(rows[:, at : at + axes], sigma).squares for at in range(0, rows.shape[1], axes))
 
 
-def _line(search: Search, fit: Fit, space: Workspace, sigma: float) -> float | None:
+def _line(search: Search, fit: Fit, space: Workspace, spectrum: Spectrum, sigma: float) -> float | None:
     """The strongest line, where it is one [Hz]; its neighbourhood may hold more than a steady tone."""
     scene = search.problem.scene
-    found = strongest(scene, space.residual, fit.unit, 1, search.spin_hz)
+    found = strongest(scene, spectrum, 1, search.spin_hz)
     if not len(found):
         return None
     rows = search.seen(oscillation(scene.time_s, float(found[0])), fit)

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import Structure, structures
-from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.lines import body_spectrum, strongest
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.physics.columns import along_axes, oscillation
 
@@ -51,6 +51,7 @@ class Place:
 
 _KINDS: Final = {
     "line": "frequency",
+    "cycle": "frequency",
     "wandering": "frequency",
     "slow": "time",
     "time": "time",
@@ -114,7 +115,8 @@ def _frequencies(search: Search, fit: Fit, excess: float) -> list[Place]:
     scene, space = problem.scene, search.workspace(fit)
     sigma = max(math.sqrt(space.squares / space.count), 1e-6)
     found = []
-    for frequency in strongest(scene, space.residual, fit.unit, _LINES, search.spin_hz, all_lines=True).tolist():
+    spectrum = body_spectrum(scene, space.residual, fit.unit)
+    for frequency in strongest(scene, spectrum, _LINES, search.spin_hz, all_lines=True).tolist():
         rows = search.white(oscillation(scene.time_s, frequency).along(fit.unit))
         gain = space.gain(rows, sigma)
         words = f"a line at {frequency:.5g} Hz in the body{_coincidence(frequency, search.spin_hz, scene.period_s)}"

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.cycle import CYCLE
 from magcal_service.diagnosis.doubts import stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_level import is_as_smooth, is_trifle
 from magcal_service.diagnosis.grids import OF_LINES
-from magcal_service.diagnosis.leftover import largest_product, significant, structures
+from magcal_service.diagnosis.leftover import Structure, largest_product, significant, structures
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term, free_numbers
 from magcal_service.diagnosis.rivals import is_recorded
@@ -37,12 +39,17 @@ _CLEARLY: Final = 100.0
 they hold: of a strong one in a few turns they hold more than half by chance, yet far from all.  A tone does not: the
 Sun's turn in the body is one, and none of these functions."""
 
+_HARDLY_BENT: Final = 0.9
+"""Of what a course that repeats holds, from which on a line or a duty stands for it: a wheel's further waves a third of
+its first, edges that take a tenth of a pulse.  A tone held 0.6 to 0.7 of five levels, and what is left is said."""
+
 _BY_REFIT: Final = 0.5
 """Of a name's evidence to first order, what it has to hold by a fit without it: true ones hold 0.98 to 1.06, two false
 ones held 0.001 and 0.05."""
 
 _BY_NINE: Final = "a fit without it leaves hardly more, for the nine errors do the same"
 _BY_SHAPE: Final = "shapes without a name do more in its place"
+_BY_CYCLE: Final = "a field that repeats in another shape is likelier in its place"
 _BY_ATTITUDE: Final = "functions of the attitude hold half as much or more in its place"
 """Why a family without a name, or none, does as well as a name."""
 
@@ -222,9 +229,10 @@ def _first_outdone(
     if any(one < least for one, least in zip(held, needed, strict=True)):
         return _Less(without[int(np.argmin(held))], _BY_NINE)
     weakest = int(np.argmin(explained.nats))
+    lines = [index for index, term in enumerate(fit.terms) if _is_of_lines(term)]
     for index, term in enumerate(fit.terms):
         is_weakest = several and index == weakest
-        is_line = any(number.role in OF_LINES for number in term.hypothesis.nonlinear)
+        is_line = index in lines
         if not (is_weakest or is_line or term.hypothesis.is_free):
             continue
         beside = replace(search)
@@ -241,11 +249,47 @@ def _first_outdone(
             return replace(outdone, why=_BY_ATTITUDE)
         if is_weakest and own <= NEEDED_SHARES[0] * best.squares / less.noise_gain**2:
             return outdone
+        if is_line and _is_rather_a_cycle(search, explained, [index], less, families):
+            return replace(outdone, why=_BY_CYCLE)
+        best = next(family for family in families if not (is_line and family.shape.name == CYCLE))
         # to first order beside the nine errors, or by how much more the nine errors alone leave
         likely = max(explained.nats[index], held[index]) * explained.gains[index].dispersion
         if term.hypothesis.is_free and likely < best.nats:
             return outdone
-    return None
+    if len(lines) < 2:
+        return None
+    # a duty and a tone of its second wave are nearly a saw tooth
+    beside, none = replace(search), solve(search.problem, fit.x, [t for t in fit.terms if not _is_of_lines(t)])
+    less = beside.refreshed(none)
+    is_cycle = _is_rather_a_cycle(search, explained, lines, less, structures(beside, less, phase, floor_nt))
+    return _Less(none, _BY_CYCLE, beside, less) if is_cycle else None
+
+
+def _is_of_lines(term: Term) -> bool:
+    """Whether a term is a line or a duty."""
+    return any(number.role in OF_LINES for number in term.hypothesis.nonlinear)
+
+
+def _is_rather_a_cycle(
+    search: Search, explained: Explained, lines: Sequence[int], less: Fit, families: Sequence[Structure]
+) -> bool:
+    """Whether a course that repeats, free within its cycle, is likelier than lines and duties in their place, at the
+    noise that it leaves: than one tone by what an effect counts from, for that has a form; of one that hardly bends a
+    tone or a duty is told."""
+    cycle = next((family for family in families if family.shape.name == CYCLE), None)
+    if cycle is None:
+        return False
+    before, after = _squares(search, less), _squares(search, explained.fit)
+    held = cycle.squares / less.noise_gain**2
+    if len(lines) == 1 and before - after > _HARDLY_BENT * held:
+        return False
+    beside_cycle = max(before - held, 1e-300)
+    first_order = [explained.nats[index] * explained.gains[index].dispersion for index in lines]
+    cost = sum(explained.gains[index].nats for index in lines) - sum(first_order)
+    by_refit = (before - after) * len(less.residual) / (2.0 * beside_cycle) - cost
+    likely = max(sum(first_order) * max(after / beside_cycle, 1.0), by_refit)
+    has_form = len(lines) == 1 and not explained.fit.terms[lines[0]].hypothesis.is_free
+    return likely + ACCEPTED_NATS * has_form < cycle.nats
 
 
 def _others(fit: Fit, index: int) -> list[Term]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
+from magcal_service.diagnosis.cycle import CYCLE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
 from magcal_service.diagnosis.first import why_first
@@ -130,7 +131,7 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     shape = "; ".join(f"{name}: {size:.1f} nT" for name, size in terms)
     separated_by = "record more telemetry beside the magnetometer, and switch one suspect at a time"
     says = f"Something without a name is left, most like {structure.shape.says}."
-    alike = _of_two_levels(diagnosis)
+    alike = _unrecorded(diagnosis)
     if alike:
         separated_by = "record what every load draws and every coil is commanded, and switch one suspect at a time"
         says += f" It may be {' or '.join(alike)}, driven by what is not recorded."
@@ -175,9 +176,10 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
     )
 
 
-def _of_two_levels(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """The effects that what is left may be without its driver, where it goes between two levels; else none."""
-    if diagnosis.inspection.open or diagnosis.left[0].shape.name != TWO_LEVELS:
+def _unrecorded(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """The effects that what is left may be without its driver, where it goes between two levels or repeats; else
+    none."""
+    if diagnosis.inspection.open or diagnosis.left[0].shape.name not in (CYCLE, TWO_LEVELS):
         return ()
     named = {term.hypothesis.effect for term in diagnosis.fit.terms}
     return tuple(effect.name for effect in diagnosis.effects if effect.two_levels and effect.name not in named)

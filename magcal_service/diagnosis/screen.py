@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from magcal_service.diagnosis.grids import OF_LINES, combinations, tried_first
 from magcal_service.diagnosis.linear import Gain, Products, Workspace
-from magcal_service.diagnosis.lines import strongest
+from magcal_service.diagnosis.lines import body_spectrum, strongest
 from magcal_service.diagnosis.plausible import WHOLE, above_least
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.refine import refined as refined_numbers
@@ -192,7 +192,7 @@ class Screen:
 
     def _lines(self, space: Workspace, fit: Fit) -> Array:
         scene = self.problem.scene
-        found = strongest(scene, space.residual, fit.unit, _LINES, self.spin_hz)
+        found = strongest(scene, body_spectrum(scene, space.residual, fit.unit), _LINES, self.spin_hz)
         if not len(found):
             return found
         enough = (

@@ -96,10 +96,7 @@ def shapes(problem: Problem, phase: Array | None, line_hz: float | None = None) 
             if ranges is not None:
                 name = f"channel {channel.name}" + (f" {index + 1}" if channel.values.shape[1] > 1 else "")
                 says = f"a body-fixed field that follows {channel.name}"
-                if problem.is_vector:
-                    yield _body(problem, name, says, partial(ranges.columns, _ones(scene.time_s)))
-                else:
-                    yield _grouped(name, says, ranges, np.asarray)
+                yield in_groups(problem, name, says, ranges)
 
 
 def products_of_two(problem: Problem) -> Columns:
@@ -111,6 +108,13 @@ def products_of_two(problem: Problem) -> Columns:
 def body_shape(problem: Problem, name: str, says: str, signals: Array, terms: tuple[str, ...] = ()) -> Shape:
     """A family of signals (n, s), each along each axis of the body."""
     return _body(problem, name, says, lambda: signals, terms)
+
+
+def in_groups(problem: Problem, name: str, says: str, groups: Groups) -> Shape:
+    """A family of a field fixed in the body in each of some groups of rows."""
+    if problem.is_vector:
+        return _body(problem, name, says, partial(groups.columns, _ones(problem.scene.time_s)))
+    return _grouped(name, says, groups, np.asarray)
 
 
 def _body(problem: Problem, name: str, says: str, make: Callable[[], Array], terms: tuple[str, ...] = ()) -> Shape:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis import lines as module
-from magcal_service.diagnosis.lines import body_spectrum, is_red, strongest
+from magcal_service.diagnosis.lines import Spectrum, body_spectrum, is_red, strongest
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 from tests.physics.scenes import RATE_RAD_S, scene
@@ -28,18 +28,23 @@ def line(frequency_hz: float, size: float) -> Array:
     return swing * (scene().unit @ np.array([0.5, -0.7, 0.5]))
 
 
+def of(residual: Array) -> Spectrum:
+    """A residual's spectrum in the body."""
+    return body_spectrum(scene(), residual, scene().unit)
+
+
 @pytest.mark.parametrize("frequency_hz", [0.0071, 0.0213, 0.0587, 0.1119])
 def test_the_strongest_line_is_the_one_that_is_there(frequency_hz: float) -> None:
     """A line of half the noise is found to a quarter of a turn over the recording."""
     residual = noise(1) + line(frequency_hz, 0.7)
-    found = strongest(scene(), residual, scene().unit, 3, SPIN_HZ)
+    found = strongest(scene(), of(residual), 3, SPIN_HZ)
     assert float(found[0]) == pytest.approx(frequency_hz, abs=0.25 / SPAN_S)
 
 
 @pytest.mark.parametrize(("weak_hz", "strong_hz"), [(0.0213, 0.0871), (0.0871, 0.0213)])
 def test_the_stronger_of_two_lines_comes_first(weak_hz: float, strong_hz: float) -> None:
     """Twice as strong is enough, whichever of the two it is."""
-    found = strongest(scene(), noise(2) + line(weak_hz, 1.0) + line(strong_hz, 2.0), scene().unit, 2, SPIN_HZ)
+    found = strongest(scene(), of(noise(2) + line(weak_hz, 1.0) + line(strong_hz, 2.0)), 2, SPIN_HZ)
     assert float(found[0]) == pytest.approx(strong_hz, abs=0.25 / SPAN_S)
 
 
@@ -52,14 +57,16 @@ def test_a_line_is_found_across_a_gap() -> None:
         magnitude_nt=scene().magnitude_nt[keep],
     )
     residual = (noise(3) + line(0.0587, 0.8))[keep]
-    assert float(strongest(part, residual, part.unit, 1)[0]) == pytest.approx(0.0587, abs=0.25 / SPAN_S)
+    assert float(strongest(part, body_spectrum(part, residual, part.unit), 1)[0]) == pytest.approx(
+        0.0587, abs=0.25 / SPAN_S
+    )
 
 
 def test_the_spins_own_lines_are_left_out_unless_asked_for() -> None:
     """At the spin and its double sit the nine errors; ``all_lines`` shows them."""
     residual = 0.1 * noise(4) + 5.0 * np.cos(RATE_RAD_S * scene().time_s)[:] * scene().unit[:, 0]
-    quiet = strongest(scene(), residual, scene().unit, 4, SPIN_HZ)
-    loud = strongest(scene(), residual, scene().unit, 4, SPIN_HZ, all_lines=True)
+    quiet = strongest(scene(), of(residual), 4, SPIN_HZ)
+    loud = strongest(scene(), of(residual), 4, SPIN_HZ, all_lines=True)
     assert np.abs(quiet[:, None] - np.array([SPIN_HZ, 2.0 * SPIN_HZ])).min() > 1e-3
     assert abs(float(loud[0]) - SPIN_HZ) < 1.2e-3
 
@@ -109,7 +116,6 @@ STEP_HZ = 1e-4
 
 
 def found_in(
-    monkeypatch: pytest.MonkeyPatch,
     peaks: dict[int, float],
     span_s: float,
     count: int = 9,
@@ -119,11 +125,12 @@ def found_in(
     power = np.zeros(2600)
     for number, size in peaks.items():
         power[number] = size
-    monkeypatch.setattr(module, "body_spectrum", lambda *_: (STEP_HZ * np.arange(2600.0), power))
     time_s = np.arange(0.0, span_s + 1.0, 2.0)
     field = np.ones((len(time_s), 3))
-    of = Scene(time_s, 0, True, field, field, field, field[:, 0])
-    return [round(line / STEP_HZ) for line in strongest(of, time_s, field, count, spin_hz).tolist()]
+    made = Scene(time_s, 0, True, field, field, field, field[:, 0])
+    return [
+        round(line / STEP_HZ) for line in strongest(made, (STEP_HZ * np.arange(2600.0), power), count, spin_hz).tolist()
+    ]
 
 
 @pytest.mark.parametrize(("span_s", "slowest"), [(2000.0, 40.0), (1000.0, 80.0), (20_000.0, 1e4 / 900.0)])
@@ -131,20 +138,20 @@ def test_a_line_has_eight_periods_and_fifteen_minutes_at_most(
     monkeypatch: pytest.MonkeyPatch, span_s: float, slowest: float
 ) -> None:
     below, above = math.ceil(slowest) - 1, math.floor(slowest) + 1
-    assert found_in(monkeypatch, {below: 5.0}, span_s) == []
-    assert found_in(monkeypatch, {above: 5.0}, span_s) == [above]
+    assert found_in({below: 5.0}, span_s) == []
+    assert found_in({above: 5.0}, span_s) == [above]
 
 
 @pytest.mark.parametrize(("number", "found"), [(2469, True), (2471, False)])
 def test_a_line_keeps_three_bins_off_half_the_rate(monkeypatch: pytest.MonkeyPatch, number: int, found: bool) -> None:
     """Of 1000 s: 0.003 Hz below 0.25."""
-    assert bool(found_in(monkeypatch, {number: 5.0}, 1000.0)) is found
+    assert bool(found_in({number: 5.0}, 1000.0)) is found
 
 
 def test_lines_come_by_their_size_and_not_within_four_bins_of_a_larger_one(monkeypatch: pytest.MonkeyPatch) -> None:
     peaks = {500: 9.0, 504: 8.0, 496: 8.0, 505: 7.0, 495: 6.0, 900: 8.5}
-    assert found_in(monkeypatch, peaks, 2000.0) == [500, 900, 505, 495]
-    assert found_in(monkeypatch, peaks, 2000.0, count=2) == [500, 900]
+    assert found_in(peaks, 2000.0) == [500, 900, 505, 495]
+    assert found_in(peaks, 2000.0, count=2) == [500, 900]
 
 
 @pytest.mark.parametrize(("span_s", "width"), [(20_000.0, 12.0), (2000.0, 30.0)])
@@ -155,10 +162,10 @@ def test_lines_at_the_spin_and_its_double_are_left_out_with_the_orbits_side_line
     near, far = int(width) - 1, int(width) + 1
     for spin, line in ((1000, 1000), (1000, 2000), (4200, 800), (4200, 1600)):
         for sign in (1, -1):
-            assert found_in(monkeypatch, {line + sign * near: 5.0}, span_s, spin_hz=spin * STEP_HZ) == []
+            assert found_in({line + sign * near: 5.0}, span_s, spin_hz=spin * STEP_HZ) == []
             beyond = line + sign * far
-            assert found_in(monkeypatch, {beyond: 5.0}, span_s, spin_hz=spin * STEP_HZ) == [beyond]
-    assert found_in(monkeypatch, {1000: 5.0}, span_s) == [1000]
+            assert found_in({beyond: 5.0}, span_s, spin_hz=spin * STEP_HZ) == [beyond]
+    assert found_in({1000: 5.0}, span_s) == [1000]
 
 
 def red_with(monkeypatch: pytest.MonkeyPatch, power: Array) -> bool:

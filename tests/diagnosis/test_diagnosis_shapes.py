@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.cycle import CYCLE
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.leftover import (
     Structure,
@@ -229,7 +230,10 @@ def worked_out(
         columns = shape.columns(fit.unit)
         gain = space.gain(columns, sigma_nt)
         squares = max(gain.squares - gain.effective * sigma_nt**2, 0.0)
-        known[shape.name] = gain.nats - math.log(len(families)), squares, space.projected(columns) @ gain.amplitudes
+        cost = math.log(len(families))
+        if shape.name == CYCLE:  # its period, and where each of its levels ends
+            cost += math.log(COUNT) + columns.shape[1] // 3 * math.log(48)
+        known[shape.name] = gain.nats - cost, squares, space.projected(columns) @ gain.amplitudes
     return known
 
 
@@ -331,6 +335,7 @@ def test_every_family_has_its_kind_of_place() -> None:
     search, fit = searched(flown())
     kinds = {
         "line": "frequency",
+        "cycle": "frequency",
         "wandering": "frequency",
         "slow 40": "time",
         "time 24": "time",
