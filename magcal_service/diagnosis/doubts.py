@@ -103,7 +103,7 @@ def of_noise_and_reference(
     return {
         "rough_residual": named and not stated and is_rough(fit),
         "noisier_than_stated": stated and not has_own_noise and is_noisier(fit, added_noise_nt),
-        "field_model_doubtful": is_beyond_model(fit),
+        "field_model_doubtful": is_beyond_model(fit) or errs_clearly(fit),
     }
 
 
@@ -195,8 +195,23 @@ def is_beyond_model(fit: Fit) -> bool:
     error = fit.problem.field_error
     if error is None or error.scale.is_within(_FIELD_MODELS):
         return False
-    if likelier_by(fit, _FIELD_MODELS) > _BEYOND_NATS:
-        return True
+    return likelier_by(fit, _FIELD_MODELS) > _BEYOND_NATS or _leaves_more_than_usual(fit)
+
+
+def errs_clearly(fit: Fit) -> bool:
+    """Whether the reference errs by more than is usual, in degrees that no loud night changes, and that much is left:
+    old coefficients, whose error no random field is like, move nine errors by more than their sigma."""
+    error = fit.problem.field_error
+    if error is None or error.scale.coarse <= 1.0:
+        return False
+    usual = Scale(1.0, error.scale.fine)
+    return likelier_by(fit, usual) > _BEYOND_NATS and _leaves_more_than_usual(fit)
+
+
+def _leaves_more_than_usual(fit: Fit) -> bool:
+    """Whether held-out rows are left with more than noise and a field model's usual errors."""
+    error = fit.problem.field_error
+    assert error is not None
     return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, error.usual_nt))
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.doubts import is_beyond_model
+from magcal_service.diagnosis.doubts import errs_clearly, is_beyond_model
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import (
@@ -126,6 +126,18 @@ def test_a_reference_that_errs_beyond_field_models_is_doubted(drawn: float, scal
     """Where the recording is likeliest with more than twice the usual errors, and what is left shows them."""
     fit = solve(at_scale(problem(drawn, 11), usual(), Scale(scale, scale)), X)
     assert is_beyond_model(fit) is doubtful
+
+
+@pytest.mark.parametrize(
+    ("drawn", "scale", "doubtful"), [(2.5, 2.0, True), (0.7, 2.0, False), (2.5, 1.0, False), (0.7, 1.0, False)]
+)
+def test_a_reference_that_clearly_errs_by_more_than_is_usual_is_doubted(
+    drawn: float, scale: float, doubtful: bool
+) -> None:
+    """As one of old coefficients does: likelier so by more than 6 nats, and that much is left."""
+    fit = solve(at_scale(problem(drawn, 11), usual(), Scale(scale, 1.0)), X)
+    assert errs_clearly(fit) is doubtful
+    assert not is_beyond_model(fit)
 
 
 @pytest.mark.parametrize(("drawn", "doubtful"), [(3.0, True), (1.5, False)])

@@ -56,7 +56,7 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         "state the noise that the sensor has on board; switch wheels, converters and transmitters off one by one",
     ),
     "field_model_doubtful": (
-        "the reference seems to err by more than twice what a field model does, smoothly along the orbit, which other"
+        "the reference seems to err by clearly more than a field model does, smoothly along the orbit, which other"
         " slow causes do as well: names and nine errors may hold a part of it",
         "check coefficients, places and frames of the reference; record whole orbits",
     ),
