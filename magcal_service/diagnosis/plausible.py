@@ -37,7 +37,7 @@ def within_physics(fit: Fit, index: int) -> bool:
         return False
     sizes = [block.size for block in term.hypothesis.blocks]
     most = np.repeat([block.most for block in term.hypothesis.blocks], sizes)
-    return bool((np.abs(term.amplitudes) <= most).all()) and above_least(term.hypothesis, term.amplitudes)
+    return bool((np.abs(term.amplitudes) <= most).all()) and has_its_sign(term.hypothesis, term.amplitudes)
 
 
 def all_within_physics(fit: Fit) -> bool:
@@ -45,7 +45,11 @@ def all_within_physics(fit: Fit) -> bool:
     return all(within_physics(fit, index) for index in range(len(fit.terms)))
 
 
-def above_least(hypothesis: Hypothesis, amplitudes: Array) -> bool:
-    """Whether amplitudes (k,) are no less than what the physics of their blocks has at least."""
-    least = np.repeat([block.least for block in hypothesis.blocks], [block.size for block in hypothesis.blocks])
-    return bool((amplitudes >= least).all())
+def has_its_sign(hypothesis: Hypothesis, amplitudes: Array) -> bool:
+    """Whether amplitudes (k,) are within what the physics of their blocks has at least and at the most."""
+    sizes = [block.size for block in hypothesis.blocks]
+    least, highest = (
+        np.repeat(values, sizes)
+        for values in ([block.least for block in hypothesis.blocks], [block.highest for block in hypothesis.blocks])
+    )
+    return bool(((amplitudes >= least) & (amplitudes <= highest)).all())

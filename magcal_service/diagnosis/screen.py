@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.grids import OF_LINES, combinations, tried_first
 from magcal_service.diagnosis.linear import Gain, Products, Workspace
 from magcal_service.diagnosis.lines import body_spectrum, strongest
-from magcal_service.diagnosis.plausible import WHOLE, above_least
+from magcal_service.diagnosis.plausible import WHOLE, has_its_sign
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.diagnosis.term_columns import columns_of
@@ -322,7 +322,7 @@ class Screen:
             return False
         if candidate.hypothesis.is_whole and abs(float(candidate.gain.amplitudes[0]) - 1.0) > 2.0 * WHOLE:
             return False
-        if not above_least(candidate.hypothesis, candidate.gain.amplitudes):
+        if not has_its_sign(candidate.hypothesis, candidate.gain.amplitudes):
             return False
         rows = self.rows_of(candidate.hypothesis, candidate.theta, fit)
         assert rows is not None

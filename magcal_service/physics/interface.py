@@ -49,7 +49,7 @@ class Block:
     Parameters
     ----------
     most: absolute value that one of them has at most by its physics, in the unit; what goes beyond is no such effect.
-    least: value that each of them has at least by its physics.
+    least, highest: values that each of them has at least, and at the most, by its physics.
     labels: names along each dimension, where they are not the axes.
     completes: whether it only completes what another block of its form says: alone it is no evidence for the name.
     each: name of the block that has a number for each axis, in another form, where this one stands for all of them.
@@ -60,6 +60,7 @@ class Block:
     shape: tuple[int, ...] = (3,)
     most: float = math.inf
     least: float = -math.inf
+    highest: float = math.inf
     labels: tuple[tuple[str, ...], ...] = ()
     completes: bool = False
     each: str = ""

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.plausible import has_its_sign
 from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue, effect_named
@@ -812,3 +813,11 @@ def test_circuits_have_a_direct_form_each_and_together() -> None:
 
 def replace_amplitudes(of: SimpleNamespace, amplitudes: Array, constants: dict[str, float]) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(of), "amplitudes": {"nt_per_a": amplitudes}, "constants": constants})
+
+
+@pytest.mark.parametrize(("mean_nt", "possible"), [(-400.0, True), (49.0, True), (51.0, False)])
+def test_currents_above_add_little_to_the_north(mean_nt: float, possible: bool) -> None:
+    """The ring current's field is southward, however large; how it changes has either sign."""
+    for form in (h for (driver, _), h in forms("external_field", scene()).items() if driver == "none"):
+        course = 200.0 * np.where(np.arange(form.size - 1) % 2, 1.0, -1.0)
+        assert has_its_sign(form, np.concatenate([[mean_nt], course])) is possible

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.plausible import above_least
+from magcal_service.diagnosis.plausible import has_its_sign
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.drivers.late import by_low_pass, longer_by_low_pass
@@ -122,8 +122,8 @@ def test_noise_of_the_step_is_smoothed() -> None:
 
 def test_less_than_no_memory_is_no_average() -> None:
     average = form(scene_of(turned(0.05 * np.arange(float(COUNT)))))
-    assert above_least(average, np.array([0.0]))
-    assert not above_least(average, np.array([-0.01]))
+    assert has_its_sign(average, np.array([0.0]))
+    assert not has_its_sign(average, np.array([-0.01]))
 
 
 def test_the_share_of_a_new_sample_follows_from_the_memory() -> None:

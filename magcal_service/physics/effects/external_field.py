@@ -18,6 +18,10 @@ INDUCED: Final = 0.27
 """Induced over inducing field at the Earth's surface and the dipole's equator, both to the north there: Q1 of Olsen et
 al. 2006 (CHAOS).  A perfect conductor up to the surface, which no field enters, has 0.5."""
 
+_NORTHWARD_NT: Final = 50.0
+"""Most that currents above add along the dipole's axis to the north, as a mean [nT].  The ring current's field is to
+the south; a magnetopause pressed inwards adds some tens for an hour or two, in hardly any hour more than 50 of Dst."""
+
 _GUESSED: Final = 0.3
 """Of the evidence, what a polynomial course leaves of a storm's: beside three concealed ones of a sine, places were
 found wrong by 0.16, 0.27 and 0.3 of it."""
@@ -67,7 +71,7 @@ def _courses(scene: Scene, column: Array, form: str) -> Iterator[Hypothesis]:
     for order, variant in ((0, ""), (1, "changing"), (2, "curved"), (4, "storm")):
         powers = np.polynomial.legendre.legvander(share, order).T
         made = Columns(magnitude=powers * column[None])
-        blocks: tuple[Block, ...] = (Block("mean_nt", "nT", ()),)
+        blocks: tuple[Block, ...] = (Block("mean_nt", "nT", (), highest=_NORTHWARD_NT),)
         if order:
             blocks = (*blocks, Block("course_nt", "nT", (order,)))
         yield Hypothesis(
