@@ -54,6 +54,10 @@ _OF_A_RECORD: Final = 0.01
 """Of a name's evidence that follows no record, what a recorded driver loses by its own noise and lag; choice: a tenth
 of a course, squared.  A relaxing drift was 3 % before a thermometer that had recorded what caused it."""
 
+_OF_A_RAMP: Final = 0.02
+"""Of the evidence for a change over a while, what its two free ends take up of the field model's errors over short ways
+beside a jump: of two true jumps among such errors they had 2 and 5 % more."""
+
 _OF_A_FORM: Final = 0.3
 """Probability that a name within that leaves to a larger one's other form; choice: enough for it not to be acted on."""
 
@@ -158,11 +162,14 @@ def _is_rather_unlisted(believed: Posterior) -> bool:
 
 def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
     """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true, or the
-    rival's is a record of it, which is not either.
+    rival's is a record of it, which is not either; or a change's ends are free to follow what a field model errs by.
 
     A rival by the same driver errs along with it.
     """
-    mine = explained.fit.terms[index].hypothesis
+    fit = explained.fit
+    mine = fit.terms[index].hypothesis
+    if rival.effect == mine.at_once and fit.problem.field_error is not None:
+        return 1.0 + _OF_A_RAMP * max(explained.own_nats(index), 0.0)
     if rival.driver == mine.driver:
         return 1.0
     by_record = _OF_A_RECORD if _is_name_of_record(rival) and not is_recorded(mine) else 0.0

@@ -14,6 +14,7 @@ from magcal_service.diagnosis.belief import are_rather_unlisted, posterior, unli
 from magcal_service.diagnosis.blocks import Gain as BlockGain
 from magcal_service.diagnosis.doubts import reasons, stands_out
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained, Search
+from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.instants import has_other_course
 from magcal_service.diagnosis.linear import Gain
 from magcal_service.diagnosis.problem import Fit, Problem, Term
@@ -559,3 +560,25 @@ def test_what_acts_exactly_so_in_no_catalogue_is_said() -> None:
     fit = replace(named.fit, terms=(Term(dumped, np.array([500.0, 0.3, 0.1]), np.ones(6)),))
     assert unlisted(replace(named, fit=fit), 0) == "a gain that changes on the same beat, by a cause in no catalogue"
     assert unlisted(named, 0) == ""
+
+
+@pytest.mark.parametrize(
+    ("errs", "behind", "members"), [(True, 75.0, True), (True, 300.0, False), (False, 75.0, False)]
+)
+def test_among_a_field_models_errors_a_change_over_a_while_is_hardly_told_from_a_jump(
+    errs: bool, behind: float, members: bool
+) -> None:
+    """Its ends follow them: of 1600 nats 75 more are no odds of 10^32."""
+    ramp = next(h for h in effect_named("scale_drift").hypotheses(scene()) if h.variant == "over a while")
+    idle = Gain(0.0, 0.0, 0.0, np.zeros(0))
+    ranked = [
+        Candidate(ramp, np.zeros(2), idle, 1600.0),
+        Candidate(form("scale_step"), np.zeros(1), idle, 1600.0 - behind),
+    ]
+    named = explained([])
+    error = FieldError.of(scene(), NOISE_NT) if errs else None
+    terms = (Term(ramp, np.array([3000.0, 3120.0]), np.full(3, 1e-3)),)
+    fit = replace(named.fit, terms=terms, problem=replace(named.fit.problem, field_error=error))
+    found = posterior(replace(named, fit=fit, rivals=(tuple(ranked),), nats=(1600.0,)), 0)
+    assert found.members == (("scale_drift", "scale_step") if members else ("scale_drift",))
+    assert dict(found.rivals).get("scale_step", 0.0) == pytest.approx(0.087 if members else 0.0, abs=0.01)
