@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.explain import LIKELIER, OF_BLOCKS, Explained, held_out
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.physics.interface import UNLISTED
+
+_NO_NUMBERS: Final = "a cause in no catalogue, which is likelier, has none"
 
 
 def why_first(explained: Explained, index: int) -> str:
-    """Why the likeliest of a term's class did not take its place, in words; empty where that is the term itself.
+    """Why what is likelier than a term did not take its place, in words; empty where nothing is.
 
     A cause in no catalogue has no numbers, and takes no place.
     """
@@ -21,7 +26,7 @@ def why_first(explained: Explained, index: int) -> str:
     rivals = [c for c in explained.rivals[index] if c.hypothesis.effect in set(believed.members) - {mine}]
     best = max(rivals, key=lambda c: probability.get(c.hypothesis.effect, 0.0), default=None)
     if best is None or probability.get(best.hypothesis.effect, 0.0) <= believed.own:
-        return ""
+        return _NO_NUMBERS if probability.get(UNLISTED, 0.0) > believed.own else ""
     name = best.hypothesis.effect
     if best.nats < own + LIKELIER:
         return f"{name} is likelier by less than 3 to 1, and {mine} was found first"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,14 @@ def test_held_out_blocks_speak_against_what_is_likelier_inside() -> None:
 
 def test_one_that_would_do_as_well_had_the_place_before() -> None:
     assert why_first(fitted(SAME, 2.0), 0) == "rival had that place before, and gave it up"
+
+
+def test_a_cause_in_no_catalogue_has_no_numbers_to_give() -> None:
+    """Three times what the name holds lasts beside it: something else is likelier."""
+    alone = fitted(SAME, -30.0)
+    assert why_first(alone, 0) == ""
+    lasts = replace(alone, lasting_nats=3.0 * OWN_NATS)
+    assert why_first(lasts, 0) == "a cause in no catalogue, which is likelier, has none"
 
 
 def test_what_physics_does_not_allow_takes_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
