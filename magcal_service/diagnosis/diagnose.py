@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.diagnosis.doubts import added_noise_nt, concerned, reasons
+from magcal_service.diagnosis.doubts import STANDS_OUT, added_noise_nt, concerned, reasons
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.expansion import clean_vectors, where_moved
 from magcal_service.diagnosis.explain import Explained, Search
@@ -309,12 +309,13 @@ def _other_findings(
 
 
 def _is_coning(findings: Mapping[str, Finding]) -> bool:
-    """Whether a steady rate differs from the stated one by no more than coning makes of it."""
+    """Whether a steady rate differs from the stated one by no more than coning makes of it, or its sigma allows."""
     rate, angle = findings[SPIN_RATE].parameters, findings[NUTATION].parameters["angle_deg"].value
     if "nominal_rpm" not in rate:
         return False
-    nominal, found = float(rate["nominal_rpm"].value), float(rate["rate_rpm"].value)
-    return bool(abs(found - nominal) < 2.0 * (1.0 - np.cos(np.radians(float(angle)))) * abs(nominal))
+    nominal, found = float(rate["nominal_rpm"].value), rate["rate_rpm"]
+    made = 2.0 * (1.0 - np.cos(np.radians(float(angle)))) * abs(nominal)
+    return bool(abs(float(found.value) - nominal) < made + STANDS_OUT * float(found.sigma))
 
 
 def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolution | None) -> bool:

@@ -134,6 +134,12 @@ def test_a_rate_that_coning_makes_slower_is_coning(found_rpm: float, coning: boo
     assert _is_coning(findings) is coning
     unstated = {SPIN_RATE: finding(rate_rpm=found_rpm), NUTATION: finding(angle_deg=5.0)}
     assert not _is_coning(unstated)
+    rate = findings[SPIN_RATE].parameters["rate_rpm"]
+    unsure = replace(
+        findings[SPIN_RATE],
+        parameters={**findings[SPIN_RATE].parameters, "rate_rpm": replace(rate, sigma=np.array(0.01))},
+    )
+    assert _is_coning({**findings, SPIN_RATE: unsure})  # within three of its sigma besides
 
 
 @pytest.mark.parametrize(("angle_deg", "imitated"), [(0.55, True), (0.60, False)])

@@ -69,16 +69,22 @@ def test_size_and_rate_come_from_the_line(size: float, line_hz: float) -> None:
 
 
 def test_sigmas_are_those_of_the_noise_and_of_what_the_halves_differ_by() -> None:
-    """White noise moves the size by s sqrt(2 / power); halves of 1 and 3 per cent differ by a hundred times that."""
+    """White noise moves the size by s sqrt(2 / power); halves of 1 and 1.8 per cent differ by forty times that."""
     told = numbers(flown(0.02, 0.0123))
     white = math.degrees(30.0 * math.sqrt(2.0 / (COUNT * ACROSS_NT**2))) / math.cos(math.asin(0.04))
     assert 0.99 * white < told["angle_deg"][1] < 4.0 * white
     assert told["frequency_hz"][1] == pytest.approx(
         math.radians(told["angle_deg"][1]) * math.cos(math.asin(0.04)) / 0.02 / TIME_S[-1], rel=0.02
     )
-    grown = numbers(flown(0.01, 0.0123, grown=0.02))
-    assert grown["angle_deg"][0] == pytest.approx(math.degrees(0.5 * math.asin(0.04)), rel=0.02)
-    assert math.radians(grown["angle_deg"][1]) == pytest.approx(0.01, rel=0.05)
+    grown = numbers(flown(0.01, 0.0123, grown=0.008))
+    assert grown["angle_deg"][0] == pytest.approx(math.degrees(0.5 * math.asin(0.028)), rel=0.02)
+    assert math.radians(grown["angle_deg"][1]) == pytest.approx(0.004, rel=0.05)
+
+
+@pytest.mark.parametrize(("grown", "found"), [(0.009, True), (0.03, False)])
+def test_a_line_that_one_half_hardly_has_is_no_nutation(grown: float, found: bool) -> None:
+    """A steady coning is in both: half of what they differ by is its sigma, of which it needs three."""
+    assert (flown(0.01, 0.0123, grown=grown) is not None) is found
 
 
 @pytest.mark.parametrize(("of_noise", "found"), [(0.09, False), (0.11, True)])

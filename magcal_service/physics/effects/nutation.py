@@ -25,6 +25,9 @@ Choice: higher than for named physics (12), because any disturbance that turns w
 _LEAST_SIGMAS: Final = 0.1
 """Motion of the field, in noise sigmas, below which it is neglected: one percent of the variance."""
 
+_STANDS_OUT: Final = 3.0
+"""Of its own sigma, what the angle has to have, as all effects' numbers do."""
+
 _STEEPEST: Final = 0.999
 """Largest sine of twice the angle: beyond 44 degrees both sides of 45 coincide, and the derivative has a pole."""
 
@@ -73,6 +76,8 @@ def _find(view: View) -> Finding | None:
         for part in (slice(None, len(scene) // 2), slice(len(scene) // 2, None))
     ]
     sigma = math.hypot(view.noise_nt * math.sqrt(2.0 / power), 0.5 * (halves[0] - halves[1]))
+    if amplitude < _STANDS_OUT * sigma:
+        return None  # a line that one half hardly has is no steady coning
     angle = 0.5 * math.asin(min(2.0 * amplitude, _STEEPEST))
     parameters = {
         "angle_deg": value_of(math.degrees(angle), math.degrees(sigma / math.cos(2.0 * angle)), "deg"),
