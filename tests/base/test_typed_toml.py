@@ -26,6 +26,7 @@ from magcal_service.base.typed_toml.keys import (
     whole,
 )
 from magcal_service.base.typed_toml.record import REQUIRED, Limits, Reading, declared, read_record
+from magcal_service.base.typed_toml.table import nearest
 
 
 class Colour(StrEnum):
@@ -265,3 +266,9 @@ def test_a_text_that_no_file_of_ours_is_is_refused(raw: bytes, said: str) -> Non
 @pytest.mark.parametrize("raw", [b"a" + b".a" * 30 + b" = 1", b"a = " + b"[" * 31 + b"]" * 31, b"a = " + b"9" * 308])
 def test_what_is_just_within_those_bounds_is_read(raw: bytes) -> None:
     assert parse_toml(raw, "place", "file", ConfigError).keys() == ("a",)
+
+
+@pytest.mark.parametrize("micro", ["\u00b5", "\u03bc"])
+def test_the_sign_for_micro_means_the_letter_that_units_have(micro: str) -> None:
+    """A tesla is a million times as much."""
+    assert nearest(f"{micro}T", ["nT", "uT", "T"]).startswith("did you mean 'uT'?")

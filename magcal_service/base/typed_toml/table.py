@@ -21,11 +21,16 @@ _LONGEST_NAME: Final = 60
 """Characters of a name that are shown; choice: half a line."""
 
 
+_MICRO: Final = str.maketrans("\u00b5\u03bc", "uu")
+"""The sign for micro and the Greek letter, as units here have it: ``uT``."""
+
+
 def nearest(value: str, known: Iterable[str]) -> str:
     """Name the known name that is probably meant: ``"did you mean 'unit'? known: ..."``."""
     names = sorted(filter(None, known))
     by_lower = {name.lower(): name for name in names}
-    close = difflib.get_close_matches(value.lower(), by_lower, n=1)
+    plain = value.translate(_MICRO).lower()
+    close = [plain] if plain in by_lower else difflib.get_close_matches(plain, by_lower, n=1)
     listing = _listed(names)
     return f"did you mean {by_lower[close[0]]!r}? known: {listing}" if close else f"known: {listing}"
 
