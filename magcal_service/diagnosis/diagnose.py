@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
@@ -18,7 +18,7 @@ from magcal_service.diagnosis.leftover import Structure, unexplained_share
 from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import FEWEST_ROWS, Form, Prepared
-from magcal_service.diagnosis.problem import Fit, disturbances, evaluate
+from magcal_service.diagnosis.problem import Fit, Term, disturbances, evaluate
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.searching import End, in_form, with_memory, without_names, without_unlikely
@@ -39,6 +39,10 @@ COLOURED_NOISE, NUTATION, SPIN_RATE = (module.EFFECT.name for module in (coloure
 
 UNKNOWN_SHARE: Final = 0.2
 """Of the mismatch: as long as less is left unexplained, the named effects are the explanation."""
+
+
+_OF_A_PATTERN: Final = 0.5
+"""What noise with a memory leaves to a guessed pattern beside it, for what that is not exact in has one, too."""
 
 
 class Verdict(StrEnum):
@@ -303,9 +307,17 @@ def _other_findings(
             finding = effect.find(view)
             if finding is not None and not (effect.name == NUTATION and _imitated(finding, prepared, fit, spin)):
                 findings[effect.name] = finding
+    if COLOURED_NOISE in findings:
+        findings[COLOURED_NOISE] = _beside_a_pattern(findings[COLOURED_NOISE], fit.terms)
     if NUTATION in findings and SPIN_RATE in findings and _is_coning(findings):
         del findings[SPIN_RATE]
     return findings, spin
+
+
+def _beside_a_pattern(noise: Finding, terms: Sequence[Term]) -> Finding:
+    """Noise with a memory, which may as well be what a free form by a guessed driver leaves."""
+    patterns = [term.hypothesis for term in terms if term.hypothesis.is_free and term.hypothesis.is_inferred]
+    return replace(noise, rivals=((patterns[0].effect, _OF_A_PATTERN),)) if patterns else noise
 
 
 def _is_coning(findings: Mapping[str, Finding]) -> bool:

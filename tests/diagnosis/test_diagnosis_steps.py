@@ -15,6 +15,7 @@ from magcal_service.diagnosis.diagnose import (
     NUTATION,
     SPIN_RATE,
     Verdict,
+    _beside_a_pattern,
     _doubts,
     _imitated,
     _is_coning,
@@ -292,3 +293,15 @@ def test_a_rooms_field_is_the_mean_vector_brought_to_its_length() -> None:
     seen = np.einsum("nij,j->ni", attitude, field)
     of = replace(scene(), calibrated_nt=2.0 * seen, magnitude_nt=np.full(COUNT, float(np.linalg.norm(field))))
     assert _room_field(of, np.transpose(attitude, (0, 2, 1))) == pytest.approx(field)
+
+
+@pytest.mark.parametrize(
+    ("driver", "is_free", "doubt"),
+    [("inferred:detumbling", True, 0.5), ("channel:one", True, 0.0), ("none", False, 0.0)],
+)
+def test_noise_beside_a_guessed_pattern_may_be_what_that_leaves(driver: str, is_free: bool, doubt: float) -> None:
+    """A pattern of torquers that is nearly right leaves something that hangs together."""
+    form = replace(body_form("torquer", "", np.zeros((COUNT, 3))), driver=driver, is_free=is_free)
+    noise = _beside_a_pattern(finding(correlation=0.1), [Term(form, np.zeros(0), np.ones(1))])
+    assert noise.doubt == doubt
+    assert [name for name, _ in noise.rivals] == ["torquer"] * (doubt > 0.0)
