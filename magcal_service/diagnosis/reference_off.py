@@ -14,6 +14,10 @@ from magcal_service.recordings.channels import Axes
 _SEEN_SIGMA: Final = 4.0
 """Of its own sigma, from which on it is said that a reference is off: by chance in one of 16 000."""
 
+_FARTHEST: Final = 3.0
+"""Times its usual size, beyond which a reference is off by something else: 1500 nT, or 390 in the air.  An attitude
+whose axes are turned by 8 degrees against the reference's takes 3000 nT, and half a per cent of all gains."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceOff:
@@ -42,7 +46,7 @@ class ReferenceOff:
     def __str__(self) -> str:
         return (
             f"The reference vector is off by {_numbers(self.off_nt)} nT, 1 sigma {_numbers(self.sigma_nt)} nT, in its "
-            f"own frame ({self.axes}){self._hidden}."
+            f"own frame ({self.axes}){self._hidden}; or the attitude's axes are turned against it by as much."
         )
 
     @property
@@ -78,6 +82,14 @@ def reference_off_of(fit: Fit) -> ReferenceOff | None:
     sigma = np.sqrt(np.maximum(np.diagonal(offset.seen @ covariance @ offset.seen.T), 0.0))
     squares = float(found @ np.linalg.solve(covariance, found))
     return ReferenceOff(offset.seen @ found, sigma, offset.axes, offset.seen, squares)
+
+
+def is_too_far_off(fit: Fit) -> bool:
+    """Whether a reference would have to be off by more than a building or the crust makes it."""
+    off = reference_off_of(fit)
+    if off is None or fit.problem.aimed is None or fit.problem.aimed.offset is None:
+        return False
+    return float(np.linalg.norm(off.off_nt)) > _FARTHEST * fit.problem.aimed.offset.usual_nt
 
 
 def _numbers(values: Array, places: int = 0) -> str:

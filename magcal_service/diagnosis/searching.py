@@ -6,6 +6,7 @@ whitened by the memory of its noise where it has one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,6 +25,7 @@ from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.prepare import Form, Prepared, prepare
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.records import from_records
+from magcal_service.diagnosis.reference_off import is_too_far_off
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, hypotheses_of
@@ -125,10 +127,11 @@ def in_form(
     """A search in the form of residual that says most, and the forms that the attitude does not bear out.
 
     Whole vectors show what the attitude errs by, magnitudes nothing of that.  So where vectors are left with more than
-    noise, magnitudes are searched too, and stand where they are left with clearly less.
+    noise, magnitudes are searched too, and stand where they are left with clearly less; or where the reference would be
+    off by more than it ever is, as beside an attitude in other axes than the reference's.
     """
     prepared, search, explained = _searched(prepare(recording, effects), effects, progress)
-    left_nt = _left_nt(explained.fit)
+    left_nt = math.inf if is_too_far_off(explained.fit) else _left_nt(explained.fit)
     if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
         return prepared, search, explained, ()
     others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects, progress)

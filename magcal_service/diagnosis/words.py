@@ -152,8 +152,8 @@ def not_borne_out(diagnosis: Diagnosis) -> str:
     """
     if not diagnosis.refused:
         return ""
-    why = "the recorded attitude errs, or samples are tagged apart from it"
-    return f"{diagnosis.prepared.form}, as whole vectors leave more: {why}"
+    why = "the recorded attitude errs, its axes are turned, or samples are tagged apart from it"
+    return f"{diagnosis.prepared.form}, as whole vectors leave more, or need a reference far off: {why}"
 
 
 def explained_share(unexplained: float) -> str:

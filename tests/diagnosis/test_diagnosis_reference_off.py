@@ -143,3 +143,12 @@ def test_a_part_and_a_continuation_keep_the_offset_s_columns() -> None:
     longer = aimed.continued(turns).offset
     assert longer is not None
     assert longer.columns == pytest.approx(np.concatenate([turns, turns @ turns]))
+
+
+def test_an_attitude_in_turned_axes_is_no_reference_that_is_off() -> None:
+    """By 15 degrees it would have to be off by thousands of nT, which the nine errors follow: magnitudes are taken."""
+    apart = Rotation.from_euler("z", 15.0, degrees=True).apply(STEADY_NT) - STEADY_NT
+    found = diagnose(Bench(44, with_attitude=True, steady=True, reference_off_nt=apart).recording())
+    assert (found.verdict, found.prepared.form, found.refused) == (Verdict.NONE, Form.SCALAR, (Form.AIMED,))
+    sigma = np.sqrt(np.diagonal(found.fit.covariance)[:3])
+    assert np.abs((found.fit.x[:3] - BIAS_NT) / sigma).max() < 4.0
