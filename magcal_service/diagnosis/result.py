@@ -177,12 +177,14 @@ def _unknown(diagnosis: Diagnosis) -> Entry:
 
 
 def _unrecorded(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """The effects that what is left may be without its driver, where it goes between two levels or repeats; else
-    none."""
-    if diagnosis.inspection.open or diagnosis.left[0].shape.name not in (CYCLE, TWO_LEVELS):
+    """The effects that what is left may be without its driver, where it goes between two levels or repeats, and what
+    repeats in any shape where there are several of it; else none."""
+    shape = diagnosis.left[0].shape.name
+    if diagnosis.inspection.open or shape not in (CYCLE, TWO_LEVELS):
         return ()
     named = {term.hypothesis.effect for term in diagnosis.fit.terms}
-    return tuple(effect.name for effect in diagnosis.effects if effect.two_levels and effect.name not in named)
+    may_be = (one for one in diagnosis.effects if one.two_levels or (shape == CYCLE and one.is_line))
+    return tuple(effect.name for effect in may_be if effect.name not in named)
 
 
 def moved_bias(diagnosis: Diagnosis) -> tuple[float, float]:

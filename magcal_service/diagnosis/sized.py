@@ -26,9 +26,12 @@ def has_size(fit: Fit, index: int) -> bool:
     alike in every direction, is met of other causes too.
 
     A time constant that ended where the search did is only a bound, and what follows so slowly may be any drift; a
-    change that ends beside the last sample may be going on.
+    change that ends beside the last sample may be going on.  An amplitude beside the most that its physics has may be
+    another cause, which has more.
     """
-    return not (_at_an_end(fit.terms[index]) or _is_cut_off(fit, index)) and _stands_out(fit, index)
+    if _at_an_end(fit.terms[index]) or _is_cut_off(fit, index) or _at_its_most(fit, index):
+        return False
+    return _stands_out(fit, index)
 
 
 def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
@@ -52,6 +55,14 @@ def _at_an_end(term: Term) -> bool:
     """Whether a number of a term that a fit moves is the largest that was searched; the smallest may be none at all."""
     numbers = zip(term.hypothesis.nonlinear, term.theta, strict=True)
     return any(not n.role and len(n.grid) > 1 and value >= _END * float(n.grid.max()) for n, value in numbers)
+
+
+def _at_its_most(fit: Fit, index: int) -> bool:
+    """Whether an amplitude is within its own sigma of the most that its physics has with that sign."""
+    blocks = fit.terms[index].hypothesis.blocks
+    highest = np.repeat([block.highest for block in blocks], [block.size for block in blocks])
+    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 0.0))
+    return bool((fit.terms[index].amplitudes + sigma > highest).any())
 
 
 def _is_cut_off(fit: Fit, index: int) -> bool:

@@ -303,6 +303,7 @@ class Effect:
     in_orbit_only: it does not occur anywhere else.
     switched: what one switches off to make it go away, with its article; empty where nobody can.
     two_levels: it may go on and off at no regular times, by what is often not recorded.
+    is_line: it is one line of a spectrum, of which several together repeat in any shape.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
     outdated: why a file's form with these constants is one of before, that is computed otherwise today; empty where it
@@ -330,6 +331,7 @@ class Effect:
     in_orbit_only: bool = False
     switched: str = ""
     two_levels: bool = False
+    is_line: bool = False
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
     outdated: Callable[[str, Mapping[str, float]], str] = lambda _form, _constants: ""

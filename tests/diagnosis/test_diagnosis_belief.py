@@ -582,3 +582,13 @@ def test_among_a_field_models_errors_a_change_over_a_while_is_hardly_told_from_a
     found = posterior(replace(named, fit=fit, rivals=(tuple(ranked),), nats=(1600.0,)), 0)
     assert found.members == (("scale_drift", "scale_step") if members else ("scale_drift",))
     assert dict(found.rivals).get("scale_step", 0.0) == pytest.approx(0.087 if members else 0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("highest", "sized"), [(math.inf, True), (1000.0, True), (890.0, False)])
+def test_an_amplitude_beside_the_most_that_its_physics_has_is_no_size(highest: float, sized: bool) -> None:
+    """It may be another cause, which has more: 900 nT, known to a few."""
+    own = replace(body_form("one", "", along(0, SLOW)), blocks=(Block("nt", "nT", (1,), highest=highest),))
+    search, alone = searching(made_of(900.0 * along(0, SLOW)), own)
+    fit = solve(search.problem, alone.x, [Term(search.hypotheses[0], np.zeros(0), np.zeros(1))])
+    assert fit.terms[0].amplitudes[0] == pytest.approx(900.0, abs=25.0)
+    assert has_size(fit, 0) is sized

@@ -5,12 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from magcal_service.diagnosis import cycle as module
+from magcal_service.diagnosis import result
 from magcal_service.diagnosis.cycle import CYCLE, Cycle, cycle
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.leftover import Structure, structures
@@ -19,8 +22,9 @@ from magcal_service.diagnosis.nameless import standing
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.wander import TWO_LEVELS
 from magcal_service.model import Array
-from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.catalogue import catalogue, effect_named
 from tests.diagnosis.made_up import FLOOR_NT, TIME_S, flown
 from tests.physics.scenes import COUNT, NOISE_NT, RATE_RAD_S, X, scene
 
@@ -177,3 +181,13 @@ def test_noise_does_not_repeat() -> None:
         explained, left = stands(10.0 * np.random.default_rng([9165, seed]).normal(size=(COUNT, 3)))
         assert explained.fit.terms == ()
         assert all(one.nats < 0.0 for one in left if one.shape.name == CYCLE)
+
+
+@pytest.mark.parametrize(("name", "tones"), [(CYCLE, True), (TWO_LEVELS, False)])
+def test_what_repeats_may_be_several_tones_or_what_nobody_recorded(name: str, tones: bool) -> None:
+    """Two lines repeat as their common period does; what goes between two levels has no line."""
+    inspection, left = SimpleNamespace(open=()), [SimpleNamespace(shape=SimpleNamespace(name=name))]
+    fit = SimpleNamespace(terms=())
+    of: Any = SimpleNamespace(inspection=inspection, left=left, fit=fit, effects=catalogue())
+    assert ("tone" in result._unrecorded(of)) is tones
+    assert {"bias_step", "current_loop", "torquer"} <= set(result._unrecorded(of))

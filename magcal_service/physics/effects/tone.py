@@ -39,6 +39,7 @@ EFFECT = Effect(
     watched=((Watched.LINE, ""),),
     title="a line at a fixed frequency, fixed in the body",
     switched="the suspected converter, wheel or heater",
+    is_line=True,
     equation="d = p cos(2 pi f t) + q sin(2 pi f t), f as sampled: |f_true - n f_s|",
     units={"cosine_nt": "nT", "sine_nt": "nT", "frequency_hz": "Hz", "amplitude_nt": "nT"},
     prior=(1.0, 1000.0),
