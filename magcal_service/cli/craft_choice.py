@@ -34,7 +34,7 @@ def craft_from(config: Path | None, name: str | None, what: str) -> CraftConfig 
     if len(crafts) > 1 and name is not None:
         crafts = tuple(craft for craft in crafts if craft.name == name)
         if not crafts:
-            raise ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])
+            raise _unknown(name, config, known)
     if len(crafts) != 1:
         accepted = f"{what} takes exactly one [[craft]], or the one that --craft names; known: {known}"
         raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
@@ -43,7 +43,20 @@ def craft_from(config: Path | None, name: str | None, what: str) -> CraftConfig 
 
 
 def craft_to_read(recording: Path, config: Path | None, name: str | None) -> str | None:
-    """Which craft to read: of a session the one that is named; rows have none to choose, but the configuration may."""
+    """Which craft to read: of a session the one that is named; rows have none to choose, but the configuration may.
+
+    Raises ``ConfigError`` where rows are to be read and the configuration has no craft of the name.
+    """
+    from magcal_service.config.reader import load_config
     from magcal_service.recordings.reader import is_session
 
-    return name if config is None or is_session(recording) else None
+    if config is None or is_session(recording):
+        return name
+    known = [craft.name for craft in load_config(config).crafts]
+    if name is not None and name not in known:
+        raise _unknown(name, config, ", ".join(known))
+    return None
+
+
+def _unknown(name: str, config: Path, known: str) -> ConfigError:
+    return ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])

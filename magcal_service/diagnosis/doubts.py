@@ -82,14 +82,17 @@ def reasons(
             fit,
             named=named,
             stated=stated,
-            has_own_noise=any("level_nt" in one.parameters for one in findings.values()),
+            own_noise_nt=max(
+                (float(one.parameters["level_nt"].value) for one in findings.values() if "level_nt" in one.parameters),
+                default=0.0,
+            ),
             added_noise_nt=added_noise_nt(findings),
         ),
     )
 
 
 def of_noise_and_reference(
-    fit: Fit, *, named: bool, stated: bool, has_own_noise: bool = False, added_noise_nt: float = 0.0
+    fit: Fit, *, named: bool, stated: bool, own_noise_nt: float = 0.0, added_noise_nt: float = 0.0
 ) -> dict[str, bool]:
     """Which doubts hold about the noise and the reference of one recording, by itself or among several.
 
@@ -97,13 +100,15 @@ def of_noise_and_reference(
     ----------
     fit: of the recording, with its effects.
     named: whether there are any; ``stated`` as of ``reasons``.
-    has_own_noise: whether a level of noise beside the stated one was found and said.
+    own_noise_nt: level of noise with a memory that was found and said, 0 where it has none [nT]; it hangs together as
+        the field model's errors do, which then have to show in how much is left.
     added_noise_nt: noise that was found on top of the stated one, as by a lattice of values [nT per axis].
     """
+    reference_errs = is_beyond_model(fit) or errs_clearly(fit)
     return {
         "rough_residual": named and not stated and is_rough(fit),
-        "noisier_than_stated": stated and not has_own_noise and is_noisier(fit, added_noise_nt),
-        "field_model_doubtful": is_beyond_model(fit) or errs_clearly(fit),
+        "noisier_than_stated": stated and not own_noise_nt and is_noisier(fit, added_noise_nt),
+        "field_model_doubtful": reference_errs and (not own_noise_nt or _leaves_more_than_usual(fit, own_noise_nt)),
     }
 
 
@@ -208,11 +213,12 @@ def errs_clearly(fit: Fit) -> bool:
     return likelier_by(fit, usual) > _BEYOND_NATS and _leaves_more_than_usual(fit)
 
 
-def _leaves_more_than_usual(fit: Fit) -> bool:
-    """Whether held-out rows are left with more than noise and a field model's usual errors."""
+def _leaves_more_than_usual(fit: Fit, own_noise_nt: float = 0.0) -> bool:
+    """Whether held-out rows are left with more than noise, its memory included, and a field model's usual errors."""
     error = fit.problem.field_error
     assert error is not None
-    return fit.held_out_rms_nt > _NOISIER * float(np.hypot(max(fit.noise_gain, 1.0) * error.noise_nt, error.usual_nt))
+    noise_nt = max(max(fit.noise_gain, 1.0) * error.noise_nt, own_noise_nt)
+    return fit.held_out_rms_nt > _NOISIER * float(np.hypot(noise_nt, error.usual_nt))
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

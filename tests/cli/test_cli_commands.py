@@ -186,6 +186,14 @@ def test_a_replay_takes_exactly_one_craft(short: Path, tmp_path: Path) -> None:
     assert (done.code, "a replay takes exactly one [[craft]]" in done.err) == (2, True)
 
 
+@pytest.mark.parametrize("command", ["replay", "calibrate"])
+def test_a_craft_that_the_configuration_has_not_is_refused(command: str, short: Path, tmp_path: Path) -> None:
+    """It has one alone, and the misspelt name was ignored."""
+    (tmp_path / "one.toml").write_text('version = 1\n[[craft]]\nname = "lisbon"\n')
+    done = run(command, short, "--config", tmp_path / "one.toml", "--craft", "lisbom")
+    assert (done.code, "--craft: 'lisbom' is refused" in done.err, "known: lisbon" in done.err) == (2, True, True)
+
+
 def test_a_replay_takes_the_crafts_name_from_the_configuration(short: Path, tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text('version = 1\n[[craft]]\nname = "lisbon"\n')
     run("replay", short, "--config", tmp_path / "one.toml", "--out", tmp_path / "rows.csv")

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.doubts import errs_clearly, is_beyond_model
+from magcal_service.diagnosis.doubts import errs_clearly, is_beyond_model, of_noise_and_reference
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, FieldError, Scale
 from magcal_service.diagnosis.field_level import (
@@ -138,6 +138,16 @@ def test_a_reference_that_clearly_errs_by_more_than_is_usual_is_doubted(
     fit = solve(at_scale(problem(drawn, 11), usual(), Scale(scale, 1.0)), X)
     assert errs_clearly(fit) is doubtful
     assert not is_beyond_model(fit)
+
+
+@pytest.mark.parametrize(("own_noise_nt", "doubtful"), [(0.0, True), (NOISE_NT, True), (400.0, False)])
+def test_beside_noise_with_a_memory_a_reference_is_doubted_by_how_much_is_left(
+    own_noise_nt: float, doubtful: bool
+) -> None:
+    """Such noise hangs together as the field model's errors do, and would be taken for them."""
+    fit = solve(at_scale(problem(2.5, 11), usual(), Scale(2.0, 1.0)), X)
+    found = of_noise_and_reference(fit, named=False, stated=True, own_noise_nt=own_noise_nt)
+    assert found["field_model_doubtful"] is doubtful
 
 
 @pytest.mark.parametrize(("drawn", "doubtful"), [(3.0, True), (1.5, False)])
