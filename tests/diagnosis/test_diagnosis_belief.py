@@ -592,3 +592,15 @@ def test_an_amplitude_beside_the_most_that_its_physics_has_is_no_size(highest: f
     fit = solve(search.problem, alone.x, [Term(search.hypotheses[0], np.zeros(0), np.zeros(1))])
     assert fit.terms[0].amplitudes[0] == pytest.approx(900.0, abs=25.0)
     assert has_size(fit, 0) is sized
+
+
+@pytest.mark.parametrize("in_orbit", [True, False])
+def test_on_the_ground_one_gain_that_steps_may_be_the_field_itself(in_orbit: bool) -> None:
+    """A magnitude does not tell them apart; in orbit nothing moves the field at an instant."""
+    of = replace(scene(), in_orbit=in_orbit)
+    one = next(h for h in effect_named("scale_step").hypotheses(of) if h.variant == "one gain")
+    named = explained([])
+    fit = replace(named.fit, terms=(Term(one, np.array([4100.0]), np.full(1, 0.01)),))
+    found = posterior(replace(named, fit=fit, rivals=((),)), 0)
+    assert found.members == (("scale_step",) if in_orbit else ("scale_step", UNLISTED))
+    assert found.own == pytest.approx(0.97 if in_orbit else 0.97 / 2.0)
