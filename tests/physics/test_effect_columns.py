@@ -821,3 +821,17 @@ def test_currents_above_add_little_to_the_north(mean_nt: float, possible: bool) 
     for form in (h for (driver, _), h in forms("external_field", scene()).items() if driver == "none"):
         course = 200.0 * np.where(np.arange(form.size - 1) % 2, 1.0, -1.0)
         assert has_its_sign(form, np.concatenate([[mean_nt], course])) is possible
+
+
+@pytest.mark.parametrize(
+    ("course", "warmth"),
+    [(np.sin(TIME_S / 900.0), True), (np.sign(np.sin(TIME_S / 900.0)), False), (np.sin(TIME_S / 40.0), False)],
+)
+def test_what_changes_as_slowly_as_warmth_in_counts_may_be_warmth(course: Array, warmth: bool) -> None:
+    """A load switches, and a panel turns through the Sun; counts tell no heat from a current, ampere do."""
+    for kind, expected in (("counts", warmth), ("current", False)):
+        channels = {"one": Telemetry("one", kind, 500.0 + 80.0 * course[:, None])}
+        found = forms("current_loop", replace(scene(), channels=channels))
+        recorded = [form for (driver, _), form in found.items() if driver == "channel:one"]
+        assert {form.as_well == ("thermal_bias",) for form in recorded} == {expected}
+        assert {form.variant for form in recorded} == {"", "lagging", "recorded late"}

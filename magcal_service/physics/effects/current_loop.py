@@ -38,6 +38,10 @@ _HELD_S: Final = np.array([0.0, 10.0, 30.0, 60.0])
 """How long before its row a record was taken at the least, and for how long it is held until the next [s]: housekeeping
 is read out every few seconds to a minute."""
 
+_SLOW_S, _SLOW_SHARE = 60.0, 0.2
+"""Time over which a record changes by less than so much of its range, if it is warmth [s]: parts take two minutes and
+more for most of a change, a load or a panel in the Sun of a craft that turns takes none."""
+
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
 """Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
 the point of most power tens; a sensor's warmth takes at least 120 (``TIME_CONSTANTS_S``)."""
@@ -127,7 +131,17 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
                 (Block("nt_per_unit", "nT/unit"),),
                 f"column {column + 1}" if several else "",
                 constants={"column_0": float(column)},
+                as_well=("thermal_bias",) if _may_be_warmth(scene, channel.values[:, column]) else (),
             )
+
+
+def _may_be_warmth(scene: Scene, values: Array) -> bool:
+    """Whether a record (n,) in the unit of neither heat nor a current changes as slowly as warmth does."""
+    rows = max(round(_SLOW_S / scene.period_s), 1)
+    if scene.is_given or len(values) <= rows:
+        return False
+    changes = np.abs(values[rows:] - values[:-rows])
+    return float(np.quantile(changes, 0.99)) < _SLOW_SHARE * float(np.ptp(values))
 
 
 def _lagging(scene: Scene) -> Iterator[Hypothesis]:
@@ -149,6 +163,7 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
             (number,),
             largest_nt=_largest(signal) if is_current else _MOST_NT,
             refines=f"current_loop by {driver}",
+            as_well=("thermal_bias",) if not is_current and _may_be_warmth(scene, signal[:, 0]) else (),
         )
 
 
