@@ -25,7 +25,7 @@ from magcal_service.cli.common import (
     verdict_text,
     write_json,
 )
-from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
@@ -95,10 +95,10 @@ def _calibrate_one(options: argparse.Namespace) -> int:
         raise ConfigError([Fault("number of recordings", len(options.recordings), accepted)])
     refuse_executor(options, accepted)
     refuse_unwritable(options.json, *options.recordings, options.prior, options.config)
-    configured = craft_from(options.config, options.craft, "a calibration")
-    method = options.method and find_method(options.method).name
     path = options.recordings[0]
-    recording = read_recording(path, craft_to_read(path, options.config, options.craft), source=options.source)
+    configured, to_read = craft_from(path, options.config, options.craft, "a calibration")
+    method = options.method and find_method(options.method).name
+    recording = read_recording(path, to_read, source=options.source)
     if configured is not None and method:
         configured = replace(configured, filter=replace(configured.filter, method=method))
     result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s, prior=options.prior)

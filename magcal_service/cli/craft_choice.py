@@ -14,49 +14,41 @@ if TYPE_CHECKING:
 CONFIG_HELP = "configuration of exactly one craft, or of --craft"
 
 
-def craft_from(config: Path | None, name: str | None, what: str) -> CraftConfig | None:
-    """The one craft of a configuration file, or the one of a name; None without a file.
+def craft_from(
+    recording: Path, config: Path | None, name: str | None, what: str
+) -> tuple[CraftConfig | None, str | None]:
+    """The one craft of a configuration file, or the one of a name, None without a file; and which craft to read: of a
+    session the one that is named, while rows have none to choose.
 
     Parameters
     ----------
+    recording: what is to be read beside it.
     config: TOML file of the daemon.
-    name: of the craft, where the file has several.
+    name: of the craft, where the file or the recording has several.
     what: the command in words, for its refusal ("a replay").
 
-    Raises ``ConfigError`` for a file that is refused, and where no single craft is meant.
-    """
-    from magcal_service.config.reader import load_config
-
-    if config is None:
-        return None
-    crafts = load_config(config).crafts
-    known = ", ".join(craft.name for craft in crafts)
-    if len(crafts) > 1 and name is not None:
-        crafts = tuple(craft for craft in crafts if craft.name == name)
-        if not crafts:
-            raise _unknown(name, config, known)
-    if len(crafts) != 1:
-        accepted = f"{what} takes exactly one [[craft]], or the one that --craft names; known: {known}"
-        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
-    check_method(config, crafts[0].filter.method)
-    return crafts[0]
-
-
-def craft_to_read(recording: Path, config: Path | None, name: str | None) -> str | None:
-    """Which craft to read: of a session the one that is named; rows have none to choose, but the configuration may.
-
-    Raises ``ConfigError`` where rows are to be read and the configuration has no craft of the name.
+    Raises ``ConfigError`` for a file that is refused, where no single craft is meant, and where rows are to be read and
+    the file has no craft of the name.
     """
     from magcal_service.config.reader import load_config
     from magcal_service.recordings.reader import is_session
 
-    if config is None or is_session(recording):
-        return name
-    known = [craft.name for craft in load_config(config).crafts]
-    if name is not None and name not in known:
-        raise _unknown(name, config, ", ".join(known))
-    return None
-
-
-def _unknown(name: str, config: Path, known: str) -> ConfigError:
-    return ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])
+    if config is None:
+        return None, name
+    crafts = load_config(config).crafts
+    known = ", ".join(craft.name for craft in crafts)
+    refusal = ConfigError([Fault("--craft", name, f"a [[craft]] of {config.name} is accepted; known: {known}")])
+    named = tuple(craft for craft in crafts if craft.name == name)
+    if len(crafts) > 1 and name is not None:
+        crafts = named
+        if not crafts:
+            raise refusal
+    if len(crafts) != 1:
+        accepted = f"{what} takes exactly one [[craft]], or the one that --craft names; known: {known}"
+        raise ConfigError([Fault(f"{config.name}: craft", len(crafts), accepted)])
+    check_method(config, crafts[0].filter.method)
+    if is_session(recording):
+        return crafts[0], name
+    if name is not None and not named:
+        raise refusal
+    return crafts[0], None

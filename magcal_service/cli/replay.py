@@ -18,7 +18,7 @@ from magcal_service.cli.common import (
     source_lines,
     verdict_text,
 )
-from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from
 
 if TYPE_CHECKING:
     from magcal_service.offline.replay import Replay
@@ -51,8 +51,7 @@ def _replay(options: argparse.Namespace) -> int:
     from magcal_service.recordings.usable import refuse_hopeless
 
     refuse_unwritable(options.out, options.recording, options.config)
-    configured = craft_from(options.config, options.craft, "a replay")
-    to_read = craft_to_read(options.recording, options.config, options.craft)
+    configured, to_read = craft_from(options.recording, options.config, options.craft, "a replay")
     recording = read_recording(options.recording, to_read, source=options.source)
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())

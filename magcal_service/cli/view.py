@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.asking import add_link, whom
 from magcal_service.cli.common import DONE, REPLAY_SPEED, SOURCE_HELP, Parser, port_number
-from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, craft_to_read
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from
 
 if TYPE_CHECKING:
     from magcal_service.views.sources import ReplaySource, Source
@@ -123,8 +123,7 @@ def replayed(options: argparse.Namespace) -> ReplaySource:
     from magcal_service.views.sources import Flight, ReplaySource
 
     def flight(name: str | None) -> Flight:
-        configured = craft_from(options.config, name, "a view")
-        to_read = craft_to_read(options.recording, options.config, name)
+        configured, to_read = craft_from(options.recording, options.config, name, "a view")
         inspection = inspect(read_recording(options.recording, to_read, source=options.source))
         refuse_hopeless(inspection.usable, inspection.lines())
         return Flight(inspection, configured or craft_of(inspection.to_replay))
