@@ -48,7 +48,7 @@ _BY_REFIT: Final = 0.5
 ones held 0.001 and 0.05."""
 
 _BY_NINE: Final = "a fit without it leaves hardly more, for the nine errors do the same"
-_BY_SHAPE: Final = "shapes without a name do more in its place"
+BY_SHAPE: Final = "shapes without a name do more in its place"
 _BY_CYCLE: Final = "a field that repeats in another shape is likelier in its place"
 _BY_ATTITUDE: Final = "functions of the attitude hold half as much or more in its place"
 """Why a family without a name, or none, does as well as a name."""
@@ -99,7 +99,7 @@ def spoken_against(search: Search, baseline: Fit, explained: Explained, phase: A
     if outdone is not None and all(term.hypothesis.effect != name for term in outdone.fit.terms):
         return outdone.why
     if len(_all_together(search, baseline, explained, phase, floor_nt, is_left=True).fit.terms) <= last:
-        return _BY_SHAPE
+        return BY_SHAPE
     failing = _weakest_failing(baseline, against_signals(search, explained, floor_nt), floor_nt)
     return failing[1] if failing is not None and failing[0] == last else ""
 
@@ -237,7 +237,7 @@ def _first_outdone(
             continue
         beside = replace(search)
         less = beside.refreshed(without[index])
-        outdone = _Less(without[index], _BY_SHAPE, beside, less)
+        outdone = _Less(without[index], BY_SHAPE, beside, less)
         families = structures(beside, less, phase, floor_nt)
         best = families[0]
         own = _squares(search, less) - _squares(search, fit)

@@ -8,7 +8,7 @@ from typing import Any, Final
 from magcal_service.diagnosis.belief import are_rather_unlisted, with_left
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.leftover import significant, structures
-from magcal_service.diagnosis.nameless import NEEDED_SHARES, spoken_against
+from magcal_service.diagnosis.nameless import BY_SHAPE, NEEDED_SHARES, spoken_against
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.rest import Rest
@@ -65,7 +65,7 @@ def _against(diagnosis: Diagnosis, best: Candidate, share: float) -> str:
     if not search.agrees(fit, trial):
         return "held-out blocks gain too little by it"
     if share < NEEDED_SHARES[0]:
-        return "shapes without a name do more in its place"
+        return BY_SHAPE
     floor_nt = FLOOR * prepared.problem.noise_nt
     explained = search.compared(search.refreshed(trial), floor_nt)
     if len(explained.fit.terms) < len(trial.terms):

@@ -206,9 +206,9 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
-    coefficients = memory_of(prepared, search.problem, explained.fit)
-    quiet, lower = search.with_noise(problem, coefficients), LOWER * floor
-    if not len(coefficients) or strongest_signal(quiet, explained.fit, lower) is not None:
+    lower = LOWER * floor
+    quiet = quieted(prepared, search, problem, explained.fit, lower)
+    if quiet is None:
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, np.zeros(0))
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
     again = from_records(quiet, again, lower, progress)
@@ -217,7 +217,17 @@ def with_memory(prepared: Prepared, search: Search, explained: Explained, progre
         explained, left = _standing(search, baseline, explained, phase, floor)
         if not _drivers(explained) <= _drivers(again):
             return End(search, explained, left, floor, np.zeros(0))
-    return End(quiet, again, again_left, lower, coefficients)
+    return End(quiet, again, again_left, lower, quiet.whitening)
+
+
+def quieted(prepared: Prepared, search: Search, problem: Problem, fit: Fit, floor_nt: float) -> Search | None:
+    """A search over a problem whose noise is whitened by the memory that it has beside a fit; None where that is white,
+    or follows a channel in spite of it."""
+    coefficients = memory_of(prepared, search.problem, fit)
+    if not len(coefficients):
+        return None
+    quiet = search.with_noise(problem, coefficients)
+    return None if strongest_signal(quiet, fit, floor_nt) is not None else quiet
 
 
 def memory_of(prepared: Prepared, problem: Problem, fit: Fit) -> Array:

@@ -34,8 +34,7 @@ from magcal_service.diagnosis.prepare import Form, Prepared, prepare, stride_for
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rows import made_where
-from magcal_service.diagnosis.searching import FLOOR, LOWER, memory_of
-from magcal_service.diagnosis.signals import strongest_signal
+from magcal_service.diagnosis.searching import FLOOR, LOWER, quieted
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
@@ -353,13 +352,8 @@ def _by_memory(
 ) -> list[Structure] | None:
     """What is left in one recording on a residual whitened by the memory of its noise; None where that is white, or
     follows a channel in spite of it."""
-    coefficients = memory_of(prepared, fit.problem, fit)
-    if not len(coefficients):
-        return None
-    quiet = search.with_noise(fit.problem, coefficients)
-    if strongest_signal(quiet, fit, floor_nt) is not None:
-        return None
-    return with_courses(quiet, fit, structures(quiet, fit, phase, floor_nt), floor_nt)
+    quiet = quieted(prepared, search, fit.problem, fit, floor_nt)
+    return None if quiet is None else with_courses(quiet, fit, structures(quiet, fit, phase, floor_nt), floor_nt)
 
 
 def _parts(fit: Fit) -> list[Fit]:
