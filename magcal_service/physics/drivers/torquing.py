@@ -78,7 +78,7 @@ _ALONG: Final = ("field along x", "field along y", "field along z")
 """What the rows of an amplitude belong to."""
 
 _IMITATED: Final = "a gain that changes on the same beat, by a cause in no catalogue"
-"""What a dipole along B x h leaves as well: parts of the field itself, while it fires, or for as long as it is held."""
+"""What a dipole along B x h, as it follows the field, leaves as well: parts of the field itself, while it fires."""
 
 _SYMMETRIC: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Elements of a symmetric matrix."""
