@@ -35,9 +35,6 @@ _AT_A_KINK: Final = 0.1
 """The same where the model bends sharply with a number, as with the width of a hysteresis, and no step leads nearer: a
 third of a sigma.  Of 18 faint ones two stalled at an eighth and a fourth of one, however they were sought."""
 
-_CANCELS: Final = 1e-4
-"""Of what the unknowns' own steps change, what they may change together, to cancel one another: a hundredth, by rms."""
-
 _FIRST_DAMPING: Final = 1e-3  # of the diagonal: shortens the step hardly, Marquardt's own
 _LEAST_DAMPING: Final = 1e-9  # below it the step is that of Gauss and Newton
 _MOST_DAMPING: Final = 1e9  # above it a step moves nothing in double precision
@@ -97,12 +94,6 @@ class _Step:
         full = whole if free.all() else step.damped(0.0)
         return replace(step, to_go=float(full @ normal @ full))
 
-    @property
-    def cancels(self) -> bool:
-        """Whether what is left to go lies along unknowns that cancel one another."""
-        whole = self.damped(0.0)
-        return self.to_go < _CANCELS * float(whole**2 @ np.diagonal(self.normal))
-
     def damped(self, damping: float) -> Array:
         """The scaled step (p,) with so much of the diagonal added; what is blocked stays."""
         free = np.ix_(self.free, self.free)
@@ -155,8 +146,7 @@ def ended(fit: Fit) -> Fit:
     longer small, and their step leads nowhere.  So that derivative is taken by differences first.  Where even that
     leads nowhere, the number known least is held at values to either side, all others solved for, and the one with the
     least left to go is taken.  The period of a duty, at which the model jumps, has to leave least instead.
-    Where a model bends sharply with a number, a third of a sigma is near enough; and where unknowns cancel one another,
-    as a dipole across the field that no magnitude shows: what they do together has arrived.
+    Where a model bends sharply with a number, a third of a sigma is near enough.
     """
     fit = _between_jumps(fit, _variance(fit))
     here = _Step.of(fit, _variance(fit))
@@ -164,8 +154,6 @@ def ended(fit: Fit) -> Fit:
         return fit
     fit = _by_differences(fit, here)
     here = _Step.of(fit, here.sigma2)
-    if here.to_go < _AT_A_KINK * here.sigma2 and here.cancels:
-        return replace(fit, converged=True)
     numbers = [(index, number) for index, term in enumerate(fit.terms) for number in free_numbers(term)]
     if fit.converged or not numbers:
         return fit
