@@ -13,6 +13,7 @@ from magcal_service.daemon.checkpoints.files import config_digest
 from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.model_file import parse_model, text_of
+from tests.cli.cli_inputs import run
 
 DOC = (Path(__file__).resolve().parents[2] / "docs/physics-file.md").read_text(encoding="utf-8")
 EXAMPLE = re.findall(r"```toml\n(.*?)```", DOC, flags=re.DOTALL)[0]
@@ -39,6 +40,28 @@ def test_its_faults_are_the_configurations(tmp_path: Path) -> None:
     """An unknown effect is refused with the nearest name."""
     with pytest.raises(ConfigError, match=r"physics.toml: effect\[0\].name: .*did you mean 'thermal_bias'"):
         load_config(written(tmp_path, EXAMPLE.replace('"thermal_bias"', '"thermal_bais"')))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        (
+            'driver = "ch',
+            'variant = "recorded lat"\ndriver = "ch',
+            "variant: 'recorded lat' is refused; of thermal_bias",
+        ),
+        ("zero_degc = 20.0", "", "constants.zero_degc: missing; it is required of thermal_bias by channel:temperature"),
+    ],
+)
+def test_a_form_that_the_catalogue_does_not_have_is_the_configurations_fault(
+    tmp_path: Path, old: str, new: str, where: str
+) -> None:
+    """``run --check`` says it, before any sample: a number that is missing would have been taken for another."""
+    assert EXAMPLE.count(old) == 1
+    done = run("run", "--check", "--config", written(tmp_path, EXAMPLE.replace(old, new)))
+    assert done.code == 2
+    assert f"physics.toml: effect[0].{where}" in done.err
+    assert "have the file made again by magcal diagnose" in done.err
 
 
 @pytest.mark.parametrize("value", ["1", '""', '"no such.toml"'])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -282,3 +283,134 @@ def test_an_external_field_of_before_its_induced_part_was_right_is_refused_with_
         parse_model(old.encode())
     uniform = old.replace('driver = "none"\n', 'driver = "none"\nvariant = "uniform"\n')
     assert parse_model(uniform.encode()).terms[0].variant == "uniform"
+
+
+# A term that is no form of the catalogue is refused where it is read
+
+
+def refused(term: ModelTerm) -> list[str]:
+    with pytest.raises(ModelError) as caught:
+        parse_model(text_of(model(term)).encode())
+    return str(caught.value).splitlines()
+
+
+_MAY_BE_MISSING = {"turns_between", "smoothed_over", "induced"}
+"""Not there stands for 0; and what is refused with words of its own."""
+
+
+def _is_last(name: str, numbers: Mapping[str, object]) -> bool:
+    numbered = [one for one in numbers if re.search(r"_\d+$", one)]
+    return bool(numbered) and name == numbered[-1]
+
+
+@pytest.mark.parametrize("hypothesis", forms(), ids=ids)
+def test_a_number_that_a_form_needs_is_missed(hypothesis: Hypothesis) -> None:
+    """Each amplitude, nonlinear number and constant by its name, with the effect and the next step.
+
+    Of numbered ones, the columns or faces that a form is of, the last may be missing: it is then a form of fewer.
+    """
+    term = model_term(hypothesis, theta_of(hypothesis), np.ones(hypothesis.size))
+    parts = {"amplitudes": term.amplitudes, "nonlinear": term.nonlinear, "constants": term.constants}
+    for part, numbers in parts.items():
+        for name in numbers.keys() - _MAY_BE_MISSING:
+            left = {one: value for one, value in numbers.items() if one != name}
+            if (part == "amplitudes" and not left) or _is_last(name, numbers):
+                continue  # a file without any amplitudes is refused before
+            lines = refused(replace(term, **{part: left}))
+            lacked = [line for line in lines if line.startswith(f"physics.toml: effect[0].{part}.{name}: missing; ")]
+            assert lacked or re.search(r"_\d+$", name), lines
+            assert all(term.effect in line and line.endswith("made again by magcal diagnose") for line in lines)
+
+
+@pytest.mark.parametrize("hypothesis", [h for h in forms() if h.variant], ids=ids)
+def test_a_form_that_is_not_there_is_refused_with_the_nearest(hypothesis: Hypothesis) -> None:
+    """A sign too many stands in its middle."""
+    term = model_term(hypothesis, theta_of(hypothesis), np.ones(hypothesis.size))
+    half = len(term.variant) // 2
+    wrong = f"{term.variant[:half]}~{term.variant[half:]}"
+    if wrong == "uni~form":  # what is not uniform needs what it induces, which is asked for first
+        term = replace(term, constants={"induced": 0.27})
+    (line,) = refused(replace(term, variant=wrong))
+    assert line.startswith(f"physics.toml: effect[0].variant: {wrong!r} is refused; of {term.effect}")
+    assert "did you mean" in line
+    assert term.variant in line
+
+
+LATE = ModelTerm(
+    "current_loop",
+    "channel:bus",
+    "recorded late",
+    {"nt_per_a": np.ones(3)},
+    {},
+    {"late_s": 1.0, "held_s": 30.0},
+    {"column_0": 0.0},
+)
+SETTLES = ModelTerm(
+    "thermal_bias", "inferred:temperature", "settling", {"start_nt_swing": np.ones(3)}, {}, {"time_constant_s": 900.0}
+)
+
+NO_FORMS = {
+    "a number below those that are sought": (
+        replace(LATE, nonlinear={"late_s": 1.0, "held_s": -1.0}),
+        "nonlinear.held_s: -1.0 is refused; of current_loop by channel:bus, form 'recorded late', 0 or more is ",
+    ),
+    "a time constant of 0": (
+        replace(SETTLES, nonlinear={"time_constant_s": 0.0}),
+        "nonlinear.time_constant_s: 0.0 is refused; of thermal_bias by inferred:temperature, form 'settling', more ",
+    ),
+    "a number of another form": (
+        replace(LATE, variant=""),
+        "nonlinear.late_s: 1.0 is refused; of current_loop by channel:bus, none is accepted",
+    ),
+    "a constant that nobody reads": (
+        replace(LATE, constants={"column_0": 0.0, "colour": 1.0}),
+        "constants.colour: 1.0 is refused; of current_loop by channel:bus, form 'recorded late', column_0 is accepted",
+    ),
+    "another shape": (
+        replace(LATE, amplitudes={"nt_per_a": np.ones(4)}),
+        "amplitudes.nt_per_a: [1.0, 1.0, 1.0, 1.0] is refused; of current_loop by channel:bus, form 'recorded late', "
+        "an array of 3 numbers is accepted",
+    ),
+    "a sigma of another shape": (
+        replace(LATE, sigma={"nt_per_a": np.ones(2)}),
+        "sigma.nt_per_a: [1.0, 1.0] is refused; of current_loop by channel:bus, form 'recorded late', an array of 3",
+    ),
+    "a negative sigma": (
+        replace(LATE, sigma={"nt_per_a": -np.ones(3)}),
+        "sigma.nt_per_a: [-1.0, -1.0, -1.0] is refused; of current_loop by channel:bus, form 'recorded late', a sigma",
+    ),
+    "a column that no channel has": (
+        replace(LATE, constants={"column_0": 16.0}),
+        "constants.column_0: 16.0 is refused; a whole number from 0 to 15 is accepted",
+    ),
+    "a column that is not the form's": (
+        replace(LATE, effect="thermal_bias", variant="column 2", nonlinear={}, amplitudes={"nt_per_k": np.ones(3)},
+                constants={"zero_degc": 20.0, "column": 0.0}),
+        "constants.column: 0.0 is refused; of thermal_bias by channel:bus, form 'column 2', 1 is accepted",
+    ),
+    "a plain form that is not there": (
+        replace(SETTLES, variant=""),
+        "variant: missing; of thermal_bias by inferred:temperature, known: answer to light, settling",
+    ),
+    "a driver that it does not follow": (
+        replace(LATE, driver="none"),
+        "driver: 'none' is refused; current_loop follows channel:NAME or inferred:array_current",
+    ),
+    "an effect that is no field": (
+        ModelTerm("nutation", "none", "", {"angle_deg": np.array(1.0)}),
+        "name: 'nutation' is refused; an effect that acts as a field is accepted; nutation can be a [[note]]",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", NO_FORMS)
+def test_what_is_no_form_is_refused_with_what_is(case: str) -> None:
+    term, said = NO_FORMS[case]
+    (line,) = [line for line in refused(term) if line.startswith(f"physics.toml: effect[0].{said}")]
+    assert line.endswith("; correct it, or have the file made again by magcal diagnose")
+
+
+@pytest.mark.parametrize("term", [LATE, SETTLES], ids=["late", "settles"])
+def test_the_forms_that_those_faults_are_made_of_are_accepted(term: ModelTerm) -> None:
+    (again,) = parse_model(text_of(model(term)).encode()).terms
+    assert again.nonlinear == term.nonlinear

@@ -36,8 +36,10 @@ def nearest(value: str, known: Iterable[str]) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    """The first of them, however many and however long they are: some lines on a terminal."""
+    """The first of them, however many and however long they are: some lines on a terminal; quoted where a name has
+    what stands between them."""
     shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names[:_MOST_NAMES]]
+    shown = [repr(name) for name in shown] if any(", " in name for name in shown) else shown
     more = [f"and {len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
     return ", ".join(shown + more) or "none"
 

@@ -11,7 +11,7 @@ from magcal_service.diagnosis.joint.scene import offsets_s, under
 from magcal_service.diagnosis.problem import Problem
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.physics.interface import Effect, Hypothesis
-from magcal_service.physics.scene.scene import MOST_WARMED, Scene, Warmed
+from magcal_service.physics.scene.scene import MOST_WARMED, SKIN_START, Scene, Warmed
 
 _OF_ONE_RECORDING: Final = ("middle_s", "span_s")
 """Constants of a course in time: they have no meaning in another recording."""
@@ -111,7 +111,7 @@ def started(scene: Scene, constants: Mapping[str, float]) -> Mapping[str, float]
     """Constants with those of a recording's start: what light heats first begins in the light of the first sample."""
     if "mean_light" not in constants or scene.lit is None:
         return constants
-    return {**constants, "skin_start": float(scene.lit[0]) - constants["mean_light"]}
+    return {**constants, SKIN_START: float(scene.lit[0]) - constants["mean_light"]}
 
 
 def _effect_of(label: str) -> str:

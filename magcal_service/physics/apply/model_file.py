@@ -15,6 +15,7 @@ import numpy as np
 from magcal_service.base.typed_toml import Table, TomlKind, open_toml, parse_toml, refuse_another
 from magcal_service.base.typed_toml.record import read_record
 from magcal_service.model import BIAS, D_ALL
+from magcal_service.physics.apply.accepted import check_forms
 from magcal_service.physics.apply.empirical import Empirical
 from magcal_service.physics.apply.physics_model import (
     MOST_EFFECTS,
@@ -60,6 +61,8 @@ def _model(top: Table) -> PhysicsModel:
     if top.number("version", required=True) not in (None, float(VERSION)):
         top.refuse("version", top.content["version"], f"{VERSION} is accepted")
     sections = read_record(top, ModelSections)
+    if not top.faults:  # what is refused has no meaning to be held against a form
+        check_forms(top.tables("effect"), sections.terms)
     if top.faults:
         raise ModelError(top.faults)
     return sections.model()

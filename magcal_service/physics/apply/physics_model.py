@@ -46,6 +46,8 @@ _LEAST_EIGENVALUE: Final = 0.1
 _FASTEST_RAD_S: Final = 320.0  # just above the 3000 rpm that a configuration accepts
 
 
+_A_SIGMA: Final = "numbers of 0 or more are accepted"
+
 _LEVEL: Final = "level_nt"
 """What an effect on the noise calls the level of the whole."""
 
@@ -234,8 +236,8 @@ class ErrorsSection:
         3, minimum=-_LARGEST_NT, maximum=_LARGEST_NT, accepted="numbers from -1e6 to 1e6 are accepted", unit="nT"
     )
     D: tuple[float, ...] = numbers(6, check=_check_distortion)
-    bias_sigma_nt: Vector = numbers(3, (0.0,) * 3, unit="nT")
-    D_sigma: tuple[float, ...] = numbers(6, (0.0,) * 6)
+    bias_sigma_nt: Vector = numbers(3, (0.0,) * 3, minimum=0.0, accepted=_A_SIGMA, unit="nT")
+    D_sigma: tuple[float, ...] = numbers(6, (0.0,) * 6, minimum=0.0, accepted=_A_SIGMA)
     noise_nt: float = number(0.0, 0.0, _LARGEST_NT, unit="nT")
 
 

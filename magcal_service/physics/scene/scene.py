@@ -44,6 +44,9 @@ KEPT = (
 SUN_AHEAD: Final = "sun_ahead_deg"
 """Constant of a model that was found under a Sun other than the date's: see ``Scene.sun_ahead_deg``."""
 
+SKIN_START: Final = "skin_start"
+"""Constant of a model of several recordings: what light heats first, at the origin, over the mean light."""
+
 BEND_S: Final = 120.0
 """Width over which a derivative is derived again [s]: an eighth of a radian of a low orbit, which loses 0.1 % of it."""
 
@@ -330,7 +333,7 @@ class Scene:
         assert self.lit is not None
         drive = lit = self.lit - self.mean_light
         if skin_s > 0.0:
-            start = self.begin("skin", self.constant("skin_start", 0.0))
+            start = self.begin("skin", self.constant(SKIN_START, 0.0))
             drive = self._skins.once(skin_s, lambda: sunlight.first_order(self.time_s, lit, skin_s, start))
             self.keep("skin", drive)
         answer = sunlight.first_order(self.time_s, drive, tau_s, self.begin("answer", 0.0))
