@@ -69,6 +69,7 @@ def _apply(options: argparse.Namespace) -> int:
 
 def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> list[str]:
     from magcal_service.offline.apply import residual_rms
+    from magcal_service.offline.compensated import account_lines
 
     vectors = applied.vectors
     lines = [
@@ -76,14 +77,13 @@ def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> 
         f"sha256 {given.sha256[:12]}"
     ]
     if given.model is not None and not applied.stopped:
-        curves = ["what has no name"] if given.model.empirical else []
-        names = [*dict.fromkeys(term.effect for term in given.model.terms), *curves]
-        lines += [f"compensated before that: {', '.join(names)}"] if names else []
+        lines += [f"{given.name}: {one}" for one in account_lines(applied.accounts, given.model)]
     before, after = residual_rms(given, inspection, applied)
     lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
     if not given.whole:
         lines.append("covariance: of the sigmas alone, for the file has no covariance")
-    lines += [f"{count} vectors are doubtful: {name} has no driver then" for name, count in applied.missing.items()]
+    if applied.partly:
+        lines.append(f"{applied.partly} vectors are doubtful: not every effect was subtracted from them")
     if applied.strayed:
         lines.append(f"{applied.strayed} vectors are doubtful: they are not as long as the reference")
     if inspection.open:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from magcal_service.config.settings import PhysicsConfig
 from magcal_service.daemon.outbox import calibrated_vector
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import Array
+from magcal_service.offline.compensated import EffectAccount, Tally
 from magcal_service.offline.given import Given
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.physics.apply.compensation import Compensation
@@ -49,7 +49,8 @@ class Applied:
     ----------
     vectors: one of each usable row, in its order.
     strayed: those that are not as long as the field was: doubtful, whatever the result.
-    missing: vectors that an effect was not subtracted from for want of its driver, by effect: doubtful as well.
+    accounts: what was done with each effect of a ``physics.toml``; none where no effect was subtracted from any.
+    partly: how many vectors an effect was not subtracted from, whatever kept it: doubtful as well.
     remark: what kept the model from being used as it is, empty where nothing did.
     references: time [ns] and length [nT] of each reference, as the effects that act on it leave it, in the order of
         the recording.
@@ -58,7 +59,8 @@ class Applied:
 
     vectors: tuple[CalibratedVector, ...]
     strayed: int
-    missing: Counter[str]
+    accounts: tuple[EffectAccount, ...]
+    partly: int
     remark: str = ""
     references: tuple[tuple[int, float], ...] = ()
     stopped: str = ""
@@ -198,7 +200,7 @@ def _compensation(given: Given, recording: Recording, inspection: Inspection) ->
 def _applied(
     recording: Recording, given: Given, state: StateEstimate, compensation: Compensation | None, remark: str
 ) -> Applied:
-    vectors, missing, strayed = list[CalibratedVector](), Counter[str](), 0
+    vectors, tally, partly, strayed = list[CalibratedVector](), Tally(), 0, 0
     newest: tuple[int, float, Clock] | None = None
     references: list[tuple[int, float]] = []
     trust = Trust(given.verdict, (), "", given.protection_nt, given.protection_by)
@@ -209,7 +211,8 @@ def _applied(
         corrected, unknown = sample, None
         if compensation is not None:
             corrected, unknown = compensation.correct(sample), compensation.start_variance
-            missing.update(compensation.missing)
+            tally.corrected(compensation.missing)
+            partly += bool(compensation.missing)
         vector = calibrated_vector(corrected, state, given.covariance, trust, unknown)
         doubt = bool(remark) or (compensation is not None and bool(compensation.missing))
         if newest is not None and newest[2] is vector.clock:
@@ -217,7 +220,9 @@ def _applied(
             strayed += stray
             doubt |= stray
         vectors.append(replace(vector, verdict=Verdict.DOUBTFUL) if doubt else vector)
-    return Applied(tuple(vectors), strayed, missing, remark, tuple(references), stopped=remark)
+    model = None if compensation is None else compensation.model
+    accounts = () if model is None else tally.accounts(model, recording.channels, "")
+    return Applied(tuple(vectors), strayed, accounts, partly, remark, tuple(references), stopped=remark)
 
 
 def _samples(

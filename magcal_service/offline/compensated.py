@@ -36,22 +36,31 @@ class EffectAccount:
     effect, drivers: which, and what it follows in the file.
     samples: of the craft that were answered, by what was done with the effect in them.
     why: why it was not compensated in some, in words; empty where it was in all.
+    instead: what was subtracted in place of its form, which no single moment determines; empty where it was the form.
     """
 
     effect: str
     drivers: tuple[str, ...]
     samples: Mapping[str, int]
     why: str
+    instead: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; every fate that occurred with its samples."""
-        return {"effect": self.effect, "drivers": list(self.drivers), "samples": dict(self.samples), "why": self.why}
+        return {
+            "effect": self.effect,
+            "drivers": list(self.drivers),
+            "samples": dict(self.samples),
+            "why": self.why,
+            "instead": self.instead,
+        }
 
     def __str__(self) -> str:
         count = sum(self.samples.values())
         driven = "" if self.drivers == ("none",) else f" ({', '.join(self.drivers)})"
         done = self.samples.get(Fate.COMPENSATED, 0)
         says = f"{self.effect}{driven}: compensated in {done} of {count} samples"
+        says += f", by {self.instead}" if self.instead and done else ""
         return says + (f"; {self.why}" if self.why else "")
 
 
@@ -72,16 +81,19 @@ class Tally:
 
     def sample(self, craft: CompensatingCraft) -> None:
         """Take the sample that a craft has just corrected, or left as it is."""
-        self.samples += 1
         if craft.compensation is None:
-            return
-        if craft.stopped:
-            self.states[Fate.STOPPED] += 1
-        elif craft.settling is not None:
-            self.states[Fate.START_UNKNOWN] += 1
+            self.samples += 1
+        elif craft.stopped or craft.settling is not None:
+            self.samples += 1
+            self.states[Fate.STOPPED if craft.stopped else Fate.START_UNKNOWN] += 1
         else:
-            missing = set(craft.compensation.missing)
-            self.missing.update(missing - ({OUTSIDE} if NAME in missing else set()))
+            self.corrected(craft.compensation.missing)
+
+    def corrected(self, missing: Iterable[str]) -> None:
+        """Take a sample that was corrected for all effects but those of some names."""
+        self.samples += 1
+        names = set(missing)
+        self.missing.update(names - ({OUTSIDE} if NAME in names else set()))
 
     def accounts(self, model: PhysicsModel, channels: Iterable[str], stopped: str) -> tuple[EffectAccount, ...]:
         """One account for each effect of a model that is compensated, and one for its curves without a name.
@@ -114,7 +126,9 @@ class Tally:
         says = [f"not in {count}: {why[fate]}" for fate, count in counts.items() if count]
         done = self.samples - sum(counts.values())
         samples = {str(fate): count for fate, count in {Fate.COMPENSATED: done, **counts}.items() if count}
-        return EffectAccount(effect, drivers, samples, "; ".join(says))
+        forms = [term.variant for term in model.terms if term.effect == effect]
+        instead = dict.fromkeys(effect_named(effect).live_as(form) for form in forms)
+        return EffectAccount(effect, drivers, samples, "; ".join(says), " and ".join(filter(None, instead)))
 
     @staticmethod
     def _missing_driver(effect: str, drivers: tuple[str, ...], channels: set[str], model: PhysicsModel) -> str:
@@ -122,6 +136,8 @@ class Tally:
         forms = {part for term in model.terms if term.effect == effect for part in (term.driver, term.variant)}
         if forms and forms & set(effect_named(effect).not_live):
             return "this form cannot be followed live"
+        if forms and effect_named(effect).needs_rate and model.spin is None:
+            return "it needs to know how the craft turns: a gyro's channel, or [spin] in the file"
         absent = [one.removeprefix(_CHANNEL) for one in drivers if one.startswith(_CHANNEL)]
         absent = [name for name in absent if name not in channels]
         if absent:
@@ -131,6 +147,11 @@ class Tally:
 
 def compensation_lines(accounts: Iterable[EffectAccount], model: PhysicsModel) -> list[str]:
     """What ``magcal replay`` prints: why not to act on the file, an effect a line, and what it only states."""
-    lines = [f"physics.toml: {one}" for one in (*doubts_of(model.doubts), *accounts)]
+    return [f"physics.toml: {one}" for one in (*doubts_of(model.doubts), *account_lines(accounts, model))]
+
+
+def account_lines(accounts: Iterable[EffectAccount], model: PhysicsModel) -> list[str]:
+    """What was done with each effect, a line each, and what the file only states."""
+    lines = list(map(str, accounts))
     noted = ", ".join(note.effect for note in model.notes)
-    return [*lines, f"physics.toml: stated, and no field that is compensated: {noted}"] if noted else lines
+    return [*lines, f"stated, and no field that is compensated: {noted}"] if noted else lines

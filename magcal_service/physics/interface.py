@@ -306,6 +306,8 @@ class Effect:
     is_line: it is one line of a spectrum, of which several together repeat in any shape.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
+    live_as: what is subtracted live in place of a form, which no single moment determines, in words; empty where it is
+        the form itself.
     outdated: why a file's form with these constants is one of before, that is computed otherwise today; empty where it
         is not.
     """
@@ -334,6 +336,7 @@ class Effect:
     is_line: bool = False
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
+    live_as: Callable[[str], str] = lambda _form: ""
     outdated: Callable[[str, Mapping[str, float]], str] = lambda _form, _constants: ""
 
     def sentence(self, parameters: Values, driver: str) -> str:

@@ -96,10 +96,15 @@ def test_effects_are_subtracted_as_they_are_live(tmp_path: Path) -> None:
     assert residual_rms(given, inspect(recording), applied) == pytest.approx(rms)
     done = run("apply", recording.descriptor.path, "--with", path, "--out", tmp_path / "v.csv")
     assert f"residual rms: {rms[0]:.1f} nT before, {rms[1]:.1f} nT after\n" in done.out
-    assert "compensated before that: thermal_bias, thermal_scale\n" in done.out
+    for effect in ("thermal_bias", "thermal_scale"):
+        assert f"physics.toml: {effect} (channel:temperature): compensated in 600 of 600 samples\n" in done.out
     np.testing.assert_array_equal(given.x, HOT_X)
     blind = apply(given, inspect(replace(recording, channels={})))
-    assert blind.missing == {"thermal_bias": 600, "thermal_scale": 600}
+    assert [(one.effect, dict(one.samples), one.why) for one in blind.accounts] == [
+        (effect, {"no_driver": 600}, "not in 600: the recording has no channel temperature")
+        for effect in ("thermal_bias", "thermal_scale")
+    ]
+    assert blind.partly == 600
     assert {str(one.verdict) for one in blind.vectors} == {"doubtful"}
 
 

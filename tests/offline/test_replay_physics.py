@@ -183,6 +183,32 @@ def test_curves_without_a_name_are_one_account() -> None:
     assert "not in 4: a driver was beyond the range of its curve" in str(account)
 
 
+@pytest.mark.parametrize(
+    ("effect", "form", "instead"),
+    [
+        ("current_loop", "circuit 2, recorded late", ", by the record as its row has it, for later rows have not come"),
+        ("response_lag", "by the steps", ", by what its turn alone shortens, without its delay"),
+        ("current_loop", "circuit 2", ""),
+    ],
+)
+def test_what_stands_live_in_a_forms_place_is_said(effect: str, form: str, instead: str) -> None:
+    """Where it was subtracted at all."""
+    model = replace(parse_model(physics(origin_ns=0).text.encode()), terms=(ModelTerm(effect, "none", form, {}),))
+    done, gone = Tally(), Tally()
+    done.corrected(())
+    gone.corrected((effect,))
+    assert str(done.accounts(model, [], "")[0]) == f"{effect}: compensated in 1 of 1 samples{instead}"
+    assert "compensated in 0 of 1 samples; not in 1" in str(gone.accounts(model, [], "")[0])
+
+
+def test_an_effect_that_needs_the_crafts_turn_is_said_to_lack_it() -> None:
+    skew = ModelTerm("axis_skew", "none", "", {"after_x_s": np.ones(2)})
+    model = replace(parse_model(physics(origin_ns=0).text.encode()), terms=(skew,))
+    tally = Tally()
+    tally.corrected(("axis_skew",))
+    assert "not in 1: it needs to know how the craft turns" in str(tally.accounts(model, [], "")[0])
+
+
 def test_a_form_that_no_single_moment_determines_is_said_to_be_none_for_the_daemon() -> None:
     late = ModelTerm("time_offset", "none", "by minutes", {"s": np.array([200.0])})
     model = replace(

@@ -42,6 +42,9 @@ _SLOW_S, _SLOW_SHARE = 60.0, 0.2
 """Time over which a record changes by less than so much of its range, if it is warmth [s]: parts take two minutes and
 more for most of a change, a load or a panel in the Sun of a craft that turns takes none."""
 
+_RECORDED_LATE: Final = "recorded late"
+"""Ends the form of a record that was read out before its row, and held until the next readout."""
+
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
 """Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
 the point of most power tens; a sensor's warmth takes at least 120 (``TIME_CONSTANTS_S``)."""
@@ -183,7 +186,7 @@ def _recorded_before(scene: Scene) -> Iterator[Hypothesis]:
         yield replace(
             plain,
             columns=_ahead(scene, signal),
-            variant=", ".join(filter(None, (plain.variant, "recorded late"))),
+            variant=", ".join(filter(None, (plain.variant, _RECORDED_LATE))),
             nonlinear=numbers,
             refines=plain.label,
         )
@@ -338,4 +341,5 @@ EFFECT = Effect(
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=_direct,
+    live_as=lambda form: "the record as its row has it, for later rows have not come" if _RECORDED_LATE in form else "",
 )

@@ -385,5 +385,6 @@ EFFECT = Effect(
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    live_as=lambda form: "what its turn alone shortens, without its delay" if form else "",
     absorbed="at a constant spin rate the nine errors take up gain and angle of the lag; its delay is a late clock's",
 )
