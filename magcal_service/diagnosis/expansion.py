@@ -43,7 +43,5 @@ def where_moved(scene: Scene, moved_s: Array | None) -> Scene:
 
 
 def anew(term: Term, hypothesis: Hypothesis) -> Term:
-    """A term with its form made anew; a number that is held at one value now takes it."""
-    numbers = zip(hypothesis.nonlinear, term.theta, strict=True)
-    theta = [float(n.grid[0]) if n.role == "held" and len(n.grid) == 1 else float(value) for n, value in numbers]
-    return replace(term, hypothesis=hypothesis, theta=np.array(theta))
+    """A term with its form made anew."""
+    return replace(term, hypothesis=hypothesis, theta=hypothesis.anew(term.theta))

@@ -248,7 +248,7 @@ class Screen:
         if not afresh and not any(number.role in OF_LINES for number in hypothesis.nonlinear):
             own = [term.theta for term in fit.terms if term.hypothesis is hypothesis]
             if known := [*self._known.get(hypothesis.label, []), *own]:
-                return known
+                return [hypothesis.anew(theta) for theta in known]
         if hypothesis.proposals is None:
             return combinations(grids)
         each = self.problem.rows_per_sample

@@ -199,6 +199,11 @@ class Hypothesis:
         numbers = (replace(one, role="held") if index in held else one for index, one in enumerate(self.nonlinear))
         return replace(self, nonlinear=tuple(numbers))
 
+    def anew(self, theta: Array) -> Array:
+        """Nonlinear numbers (m,) of this form as it was made before; one that has one value only now takes it."""
+        numbers = zip(self.nonlinear, theta, strict=True)
+        return np.array([n.grid[0] if n.role == "held" and len(n.grid) == 1 else value for n, value in numbers])
+
     def is_quickest(self, theta: Array) -> bool:
         """Whether, with numbers (m,), it is a change over a while as quick as any that is tried: that is a jump.
 
@@ -339,10 +344,18 @@ class Effect:
     live_as: Callable[[str], str] = lambda _form: ""
     outdated: Callable[[str, Mapping[str, float]], str] = lambda _form, _constants: ""
 
-    def sentence(self, parameters: Values, driver: str) -> str:
-        """What was found, in one sentence with its numbers."""
+    def sentence(self, parameters: Values, driver: str, others: Sequence[str] = ()) -> str:
+        """What was found, in one sentence with its numbers.
+
+        Parameters
+        ----------
+        driver: as of a hypothesis; ``others``: those that drive it as well as can be told.
+        """
         kind, _, name = driver.partition(":")
-        words = {"driver": f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"}
+        drives = f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"
+        if others:
+            drives += f" (or {', '.join(other.partition(':')[2] for other in others)})"
+        words = {"driver": drives}
         said = {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}
         for text in self.says:
             fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]

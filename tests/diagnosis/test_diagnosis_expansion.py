@@ -15,6 +15,7 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.earth import geomagnetic
 from magcal_service.model import measure
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import solve_spin
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, NOISE_NT, ORIGIN_NS, X, orbit_eci_km, scene, spoiled, turning
@@ -39,6 +40,30 @@ def test_a_strong_cube_has_the_numbers_of_the_field_without_it() -> None:
     other = next(h for h in hypotheses_of(effects, of_measured) if not h.variant)
     (term,) = solve(of_measured, fit.x, [Term(other, np.zeros(0), found)]).terms
     assert np.max(np.abs(term.amplitudes - PER_NT2) / sigma) > 3.0
+
+
+def test_a_form_made_anew_is_not_tried_as_it_was_before() -> None:
+    """A lag that is known is expanded there alone: at the 4 s that it was first tried at, a lag of 40 ms was 56 ms."""
+    late_s, of = 4.0, scene(NOISE_NT)  # a lag, and not of 40 ms
+    before = of.magnitude_nt - late_s * of.magnitude_slope
+    late = replace(of, magnitude_nt=of.magnitude_nt**2 / before)  # the samples are as long as the field was
+    effects = (effect_named("response_lag"),)
+    problem = Problem(late, NOISE_NT)
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    fit = solve(problem, X)
+    (found,) = search.screen(search.workspace(fit), fit, NOISE_NT)
+    assert float(found.theta[0]) != 0.04
+    search.look_at(*moved(search, 0.04))
+    form = next(one for one in search.hypotheses if one.label == found.hypothesis.label)
+    again = search.screen(search.workspace(fit), fit, NOISE_NT, among=[form])
+    assert {float(one.theta[0]) for one in again} == {0.04}
+
+
+def moved(search: Search, late_s: float) -> tuple[Problem, list[Hypothesis]]:
+    """A problem whose fit has found a lag, with its forms."""
+    of = replace(search.problem.scene, moved_s=np.full(len(search.problem.scene), -late_s))
+    problem = replace(search.problem, scene=of)
+    return problem, hypotheses_of(search.effects, problem)
 
 
 def test_a_turn_is_counted_against_the_reference_where_the_fit_has_moved_it() -> None:
