@@ -61,10 +61,14 @@ def of_each_axis(fit: Fit, index: int, effect: Effect) -> Values:
 
 
 def _number_sigma(fit: Fit, term: Term, number: int, sigma: Array) -> float:
-    """1 sigma of a nonlinear number of a term, from those of the numbers (m,) that its refit moves; NaN: none."""
+    """1 sigma of a nonlinear number of a term, from those of the numbers (m,) that its refit moves; NaN: none.
+
+    What a number is searched between is the most that it may be off by.
+    """
     moving = free_numbers(term)
     if number in moving:
-        return float(sigma[moving.index(number)])
+        between = _searched(term.hypothesis.nonlinear[number])
+        return min(float(sigma[moving.index(number)]), math.inf if between is None else between[1] - between[0])
     role = term.hypothesis.nonlinear[number].role
     if role == "edge":
         return _edge_sigma(fit, term, number)

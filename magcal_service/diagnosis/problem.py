@@ -38,6 +38,8 @@ PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5
 """1 sigma of each element of D [-], as weak."""
 
+_ROUNDING: Final = 1e-14  # of the largest eigenvalue of scaled products: below it they are rounding
+
 _NOT_MOVED: Final = 1e6
 """Times a column's square, what ties its amplitude to where it is: it moves by a millionth."""
 
@@ -258,7 +260,9 @@ class Fit:
         """
         sigma2 = max(self.white_rms_nt**2, 1e-12)
         scale, products, _ = self.normal_equations
-        inverse = np.linalg.pinv(products + np.diag(sigma2 * self.tie / scale**2), rcond=1e-12)
+        values, vectors = np.linalg.eigh(products + np.diag(sigma2 * self.tie / scale**2))
+        # what nothing tells is as wide as its prior, not known exactly
+        inverse = (vectors / np.maximum(values, _ROUNDING * values[-1])) @ vectors.T
         white = sigma2 * inverse
         score = self.white_columns / scale * self.white_residual[:, None]
         count = max(30, len(score) // 400)

@@ -16,7 +16,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, disturbances, e
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array, measure
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.columns import Columns
+from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.interface import Block, Hypothesis
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -150,6 +150,25 @@ def test_a_collapsed_sensor_is_told() -> None:
     shrunk[D_ALL][0] = -0.67
     assert is_collapsed(shrunk)
     assert not is_collapsed(X)
+
+
+def test_what_nothing_tells_is_as_wide_as_its_prior() -> None:
+    """Of two columns that are one, each amplitude is unknown; only their sum is known."""
+    late, largest_nt = (scene().time_s >= AT_S).astype(np.float64), 5000.0
+    twice = Hypothesis(
+        "torquer",
+        "none",
+        lambda _: along_axes(np.stack([late, late], axis=1)),
+        (Block("both", "nT", (2, 3)),),
+        largest_nt=largest_nt,
+    )
+    once = replace(twice, columns=lambda _: along_axes(late[:, None]), blocks=(Block("one", "nT"),))
+    pair, single = (solve(stepped(), X, [Term(one, np.zeros(0), np.zeros(one.size))]) for one in (twice, once))
+    sigma = np.sqrt(np.diagonal(pair.covariance)[STATE_SIZE:])
+    assert sigma == pytest.approx(largest_nt / np.sqrt(np.mean(late**2)) / np.sqrt(2.0), rel=0.1)
+    added = np.kron([1.0, 1.0], np.eye(3))
+    known = np.sqrt(np.diagonal(added @ pair.covariance[STATE_SIZE:, STATE_SIZE:] @ added.T))
+    assert known == pytest.approx(np.sqrt(np.diagonal(single.covariance)[STATE_SIZE:]), rel=0.1)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])

@@ -130,16 +130,25 @@ def test_lines_need_sixteen_samples(count: int, told: int) -> None:
 # Parameters
 
 
-def numbered(*names: tuple[str, str]) -> Hypothesis:
+def numbered(*names: tuple[str, str], most: float = 5000.0) -> Hypothesis:
     """Two blocks, and nonlinear numbers of these names and roles."""
     return Hypothesis(
         "one",
         "none",
         lambda _: along_axes(np.zeros((COUNT, 4))),
         (Block("matrix", "nT", (2, 3)), Block("vector", "1/K"), Block("one", "s", ())),
-        nonlinear=tuple(Nonlinear(name, "s", np.array([1.0, 2.0]), role) for name, role in names),
+        nonlinear=tuple(Nonlinear(name, "s", np.array([1.0, most]), role) for name, role in names),
         constants={"zero_degc": 20.0, "held_s": 7.0},
     )
+
+
+def test_a_number_is_off_by_no_more_than_it_was_searched_over() -> None:
+    form = numbered(("a_s", ""), most=3.0)
+    term = Term(form, np.array([2.5]), np.arange(10.0))
+    fit: Any = SimpleNamespace(
+        terms=[term], covariance=np.diag(np.full(20, 1e12)), problem=SimpleNamespace(size=9), linear_size=19
+    )
+    assert float(parameters_of(fit, 0, effect_named("bias_drift"))["a_s"].sigma) == 2.0
 
 
 def test_parameters_are_taken_from_their_places_with_their_sigmas() -> None:

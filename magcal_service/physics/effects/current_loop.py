@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers.proportion import apart_in, named
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene, Telemetry, is_sun_vector
+from magcal_service.physics.scene.scene import Scene, is_sun_vector
 from magcal_service.physics.scene.smooth import mean_over
 from magcal_service.physics.scene.sunlight import first_order
-
-_LEAST_SWING = 1e-3  # of the channel's largest value
 
 _MOST_PER_A_NT: Final = 5000.0
 """Field per ampere at most [nT/A]: a single wire 4 cm away whose return is far, mu0 / (2 pi r)."""
@@ -77,13 +75,13 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
 def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
     """The circuits of every current's record, all together and each by itself."""
     for channel in scene.of_quantity("current"):
-        moving = _moves(channel)
-        chosen = scene.chosen("column", np.flatnonzero(moving).tolist())
-        circuits = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
-        if len(circuits) == 0:
+        own = apart_in(scene, channel)
+        circuits = [column for column in scene.chosen("column", list(own)) if column < channel.values.shape[1]]
+        if not circuits:
             continue
-        shape = (3,) if len(circuits) == 1 else (len(circuits), 3)
-        rows = (tuple(f"circuit {column + 1}" for column in circuits.tolist()), AXES)
+        is_one = len(circuits) == 1 and not own.get(circuits[0])
+        shape = (3,) if is_one else (len(circuits), 3)
+        rows = (_named(circuits, own, [f"circuit {column + 1}" for column in range(channel.values.shape[1])]), AXES)
         block = Block("nt_per_a", "nT/A", shape, _MOST_PER_A_NT, labels=rows[2 - len(shape) :])
         yield Hypothesis(
             "current_loop",
@@ -107,10 +105,9 @@ def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
             )
 
 
-def _moves(channel: Telemetry) -> NDArray[np.bool_]:
-    """Which columns (k,) of a channel vary."""
-    spread, largest = channel.swings
-    return np.asarray(spread > _LEAST_SWING * largest)
+def _named(used: Sequence[int], own: Mapping[int, Sequence[int]], names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the columns that are used, each with those in proportion to it."""
+    return tuple(named(names[column], [names[other] for other in own.get(column, ())]) for column in used)
 
 
 def _largest(currents: Array) -> float:
@@ -124,7 +121,7 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
         if is_sun_vector(channel):
             continue
         for column in range(channel.values.shape[1]):
-            if not scene.is_given and not _moves(channel)[column]:
+            if not scene.is_given and not channel.varies[column]:
                 continue
             several = channel.values.shape[1] > 1
             yield Hypothesis(
@@ -154,7 +151,7 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
         signal, is_current = channel.values, channel.quantity == "current"
         if is_sun_vector(channel) or signal.shape[1] > 1:
             continue
-        if not scene.is_given and not _moves(channel)[0]:
+        if not scene.is_given and not channel.varies[0]:
             continue
         driver = f"channel:{channel.name}"
         yield Hypothesis(
@@ -219,14 +216,14 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
     if len(channels) < 2:
         return
-    moving = np.concatenate([_moves(channel) for channel in channels])
-    used = [column for column in scene.chosen("column", np.flatnonzero(moving).tolist()) if column < len(moving)]
+    own = apart_in(scene, *channels)
+    names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
+    used = [column for column in scene.chosen("column", list(own)) if column < len(names)]
     if len(used) < 2 or len(used) > _MOST_TOGETHER:
         return
     signals = np.concatenate([channel.values for channel in channels], axis=1)
     driver = "channel:" + "+".join(channel.name for channel in channels)
-    names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
-    labels = (tuple(names[column] for column in used), AXES)
+    labels = (_named(used, own, names), AXES)
     block = Block("nt_per_a", "nT/A", (len(used), 3), _MOST_PER_A_NT, labels=labels)
     constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
     largest_nt, act = _largest(signals[:, used]), _fixed(signals[:, used])

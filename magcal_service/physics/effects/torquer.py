@@ -11,6 +11,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers.proportion import apart_in, named
 from magcal_service.physics.drivers.pulses import pulses
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, Values
@@ -78,13 +79,12 @@ def _driven(scene: Scene, moment: Array, largest: float | None, is_after: bool) 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     decay = Nonlinear("decay_s", "s", DECAYS_S)
     for channel in scene.of_quantity("magnetic moment"):
-        moving = np.flatnonzero(np.std(channel.values, axis=0) > 0.0)
-        chosen = scene.chosen("column", moving.tolist())
-        used = np.array([column for column in chosen if column < channel.values.shape[1]], dtype=np.intp)
-        if len(used) == 0:
+        own = apart_in(scene, channel)
+        used = [column for column in scene.chosen("column", list(own)) if column < channel.values.shape[1]]
+        if not used:
             continue
         moment, count = channel.values[:, used], len(used)
-        coils = tuple(f"coil {column + 1}" for column in used.tolist())
+        coils = tuple(named(f"coil {c + 1}", [f"coil {other + 1}" for other in own.get(c, ())]) for c in used)
         matrix = Block("nt_per_am2", "nT/(A m2)", (count, 3), labels=(coils, AXES))
         largest = scene.constant("largest_am2", float(np.abs(moment).max()))
         constants = {f"column_{index}": float(column) for index, column in enumerate(used)}

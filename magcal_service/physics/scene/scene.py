@@ -50,6 +50,8 @@ SKIN_START: Final = "skin_start"
 BEND_S: Final = 120.0
 """Width over which a derivative is derived again [s]: an eighth of a radian of a low orbit, which loses 0.1 % of it."""
 
+_LEAST_SWING: Final = 1e-3  # of a channel's largest value: less is its last digit
+
 MOST_WARMED: Final = 96
 """Answers to light that are kept: more than the pairs of time constants on a grid, which are tried again and again."""
 
@@ -74,6 +76,12 @@ class Telemetry:
     def swings(self) -> tuple[Array, Array]:
         """Standard deviation and largest absolute value (k,) of each column, asked for whenever forms are made anew."""
         return np.std(self.values, axis=0), np.abs(self.values).max(axis=0)
+
+    @property
+    def varies(self) -> NDArray[np.bool_]:
+        """Which columns (k,) change, by more than a thousandth of their largest value."""
+        spread, largest = self.swings
+        return np.asarray(spread > _LEAST_SWING * largest)
 
 
 def is_sun_vector(channel: Telemetry) -> bool:

@@ -1,0 +1,80 @@
+"""Columns of a record that always change along with others: one stands for all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.drivers.proportion import apart, named
+from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from tests.physics.scenes import scene
+
+RNG = np.random.default_rng(8911)
+LOADS = RNG.normal(size=(400, 2))
+
+
+def with_moment(values: np.ndarray) -> Scene:
+    return replace(scene(), channels={"rods": Telemetry("rods", "magnetic moment", values)})
+
+
+def plain(effect: str, of: Scene) -> Hypothesis:
+    """The form by a record of every column."""
+    return next(h for h in effect_named(effect).hypotheses(of) if h.driver.startswith("channel") and not h.variant)
+
+
+def test_columns_of_their_own_are_kept_each() -> None:
+    assert apart(LOADS, (0, 1)) == {0: (), 1: ()}
+
+
+def test_the_largest_stands_for_what_is_in_proportion_to_it() -> None:
+    """A constant beside it is the bias's."""
+    first, second = LOADS.T
+    signals = np.stack([0.5 * first + 3.0, second, -2.0 * first, first], axis=1)
+    assert apart(signals, (0, 1, 2, 3)) == {1: (), 2: (0, 3)}
+
+
+def test_a_sum_of_others_goes_along_with_each() -> None:
+    signals = np.stack([*LOADS.T, 0.4 * LOADS.sum(axis=1)], axis=1)
+    assert apart(signals, (0, 1, 2)) == {0: (2,), 1: (2,)}
+
+
+def test_only_the_columns_asked_for_count() -> None:
+    signals = np.stack([LOADS[:, 0], LOADS[:, 0], LOADS[:, 1]], axis=1)
+    assert apart(signals, (0, 2)) == {0: (), 2: ()}
+
+
+def test_rounding_makes_no_column_of_its_own() -> None:
+    signals = np.round(np.outer(LOADS[:, 0], [1.0, 0.37]), 4)
+    assert apart(signals, (0, 1)) == {0: (1,)}
+
+
+def test_what_goes_along_is_named() -> None:
+    assert named("coil 3", ["coil 1", "coil 2"]) == "coil 3 with coil 1 and coil 2 in proportion"
+    assert named("coil 3", []) == "coil 3"
+
+
+def test_coils_that_were_only_driven_together_have_one_number_for_all() -> None:
+    """Nine of them would be any whose sum is right, each with a sigma as if it were known."""
+    fired = (np.sin(scene().time_s / 300.0) > 0.6)[:, None]
+    of = with_moment(fired * np.array([0.11, 0.066, 0.182]))
+    form = plain("torquer", of)
+    (block,) = form.blocks
+    assert block.shape == (1, 3)
+    assert block.labels[0] == ("coil 3 with coil 1 and coil 2 in proportion",)
+    assert form.constants == {"column_0": 2.0}
+    given = replace(of, given=form.constants)
+    assert plain("torquer", given).blocks[0].shape == (1, 3)
+    theta = np.zeros(1)
+    assert np.array_equal(plain("torquer", given).columns(theta).body, form.columns(theta).body)
+
+
+def test_circuits_behind_one_switch_have_one_number_for_all() -> None:
+    on = (np.sin(scene().time_s / 300.0) > 0.6)[:, None]
+    loads = Telemetry("loads", "current", 0.1 + on * np.array([0.3, 0.8]))
+    of = replace(scene(), channels={"loads": loads})
+    (block,) = plain("current_loop", of).blocks
+    assert block.shape == (1, 3)
+    assert block.labels[0] == ("circuit 2 with circuit 1 in proportion",)
