@@ -58,10 +58,12 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
     parameters = {**parameters_of(fit, index, effect), **of_each_axis(fit, index, effect)}
     believed = posterior(diagnosis.explained, index)
     where = where_of_term(diagnosis, index)
+    driver = term.hypothesis.driver
+    drivers = () if driver == "none" else drivers_of(diagnosis.explained, index)
     return Entry(
         effect=effect.name,
-        says=effect.sentence(parameters, term.hypothesis.driver),
-        driver=term.hypothesis.driver,
+        says=effect.sentence(parameters, driver, [other for other, _ in drivers if other != driver]),
+        driver=driver,
         variant=term.hypothesis.variant,
         probability=believed.own,
         rivals=listed_rivals(believed.rivals, believed.members),
@@ -73,7 +75,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         constants=term.hypothesis.constants,
         seen_in_blocks=(diagnosis.explained.gains[index].seen, diagnosis.explained.gains[index].expected),
         measure=separations(diagnosis, index, believed.members),
-        drivers=() if term.hypothesis.driver == "none" else drivers_of(diagnosis.explained, index),
+        drivers=drivers,
         unlisted=unlisted(diagnosis.explained, index),
         as_well=term.hypothesis.exactly_alike,
         why_first=why_first(diagnosis.explained, index),

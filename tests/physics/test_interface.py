@@ -37,6 +37,7 @@ def test_a_sentence_is_the_first_whose_numbers_are_there() -> None:
     )
     number = value_of(1.0, 0.1, "nT")
     assert effect.sentence({"a": number}, "channel:bus") == "1.00 by the recorded bus"
+    assert effect.sentence({"a": number}, "channel:bus", ["channel:rail"]) == "1.00 by the recorded bus (or rail)"
     assert effect.sentence({"a": number}, "inferred:array_current") == "1.00 by the inferred array current"
     assert effect.sentence({"b": number}, "none") == "1.00 alone"
     assert effect.sentence({}, "none") == "A made-up thing."
