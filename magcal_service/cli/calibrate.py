@@ -143,7 +143,7 @@ def _table(result: Calibration, path: Path) -> str:
 
 
 def _temperature_lines(result: Calibration) -> list[str]:
-    from magcal_service.physics.drivers.held import held_in_words
+    from magcal_service.physics.held import held_in_words
 
     if result.verdict == "not_started":
         return []

@@ -26,9 +26,9 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import LEFT, MODELLING, SIMULATING, TURNING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.acting import ActsOn
-from magcal_service.physics.catalogue import catalogue
-from magcal_service.physics.drivers.held import HeldAt, held_at
+from magcal_service.physics.catalogue import catalogue, held_at
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
+from magcal_service.physics.held import HeldAt
 from magcal_service.physics.interface import Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.inspect.inspection import Inspection, inspect

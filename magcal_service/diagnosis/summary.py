@@ -26,7 +26,7 @@ from magcal_service.diagnosis.words import (
 )
 from magcal_service.model import BIAS, Array
 from magcal_service.physics.apply.advice import DO_NOT, advice, in_line, in_order
-from magcal_service.physics.drivers.held import held_in_words
+from magcal_service.physics.held import held_in_words
 
 _MOST_EFFECTS: Final = 3
 """Effects that the terminal describes: as many as a search keeps (``MOST_EFFECTS``); sample faults come on top."""

@@ -26,7 +26,7 @@ from magcal_service.offline.replay import Replay, craft_of, replay
 from magcal_service.offline.result_head import CALIBRATION, head
 from magcal_service.offline.scale import scale_doubt
 from magcal_service.physics.apply.advice import doubts_of
-from magcal_service.physics.drivers.held import HeldAt
+from magcal_service.physics.held import HeldAt
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.finding import Finding
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
@@ -91,7 +91,7 @@ class Calibration(NineErrors):
     of_one_place: whether one magnitude stands for the reference of all rows.
     has_attitude: whether the recording has an attitude, which this does not use.
     physics_doubts: what the ``physics.toml`` that is compensated says against acting on it, a line each.
-    held_at: at which temperature the nine errors hold, where ``physics.toml`` has an effect that follows one.
+    held_at: at which values of drivers the nine errors hold, where ``physics.toml`` has effects that follow some.
     over: the recorded temperature that the residual follows, over whose range they are constants.
     """
 

@@ -95,6 +95,10 @@ class Tally:
         names = set(missing)
         self.missing.update(names - ({OUTSIDE} if NAME in names else set()))
 
+    def is_ever(self, effect: str) -> bool:
+        """Whether an effect was subtracted from any sample that was corrected."""
+        return self.missing[effect] < self.samples - sum(self.states.values())
+
     def accounts(self, model: PhysicsModel, channels: Iterable[str], stopped: str) -> tuple[EffectAccount, ...]:
         """One account for each effect of a model that is compensated, and one for its curves without a name.
 

@@ -1,4 +1,4 @@
-"""The temperature at which a calibration's nine errors hold, or the range that they are constants over."""
+"""Where a calibration's nine errors hold, or the range of a temperature that they are constants over."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from magcal_service.daemon.pipeline import Pipeline
-from magcal_service.physics.drivers.held import HeldAt, held_at
+from magcal_service.offline.published import ObservedPipeline
+from magcal_service.physics.catalogue import held_at
+from magcal_service.physics.held import HeldAt
 from magcal_service.recordings.recording import Recording
 from magcal_service.recordings.scene_of import telemetry
 
@@ -38,10 +40,16 @@ class Over:
 
 
 def held_of(pipeline: Pipeline) -> tuple[HeldAt, ...]:
-    """Where nine errors hold whose samples are compensated by ``physics.toml``; nothing where they are not."""
+    """Where nine errors hold whose samples are compensated by ``physics.toml``; nothing where they are not.
+
+    An effect that was subtracted from no sample is in them as it was.
+    """
     if not pipeline.compensates or pipeline.compensation is None:
         return ()
-    return held_at(pipeline.compensation.model.terms)
+    terms = pipeline.compensation.model.terms
+    if isinstance(pipeline, ObservedPipeline):
+        terms = tuple(term for term in terms if pipeline.tally.is_ever(term.effect))
+    return held_at(terms)
 
 
 def over_of(recording: Recording, pipeline: Pipeline) -> Over | None:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterable
 from functools import cache
 
 from magcal_service.physics import effects
 from magcal_service.physics.acting import Watched
+from magcal_service.physics.held import Form, HeldAt
 from magcal_service.physics.interface import Effect
 
 
@@ -32,6 +34,16 @@ def effect_named(name: str) -> Effect:
 @cache
 def _by_name() -> dict[str, Effect]:
     return {effect.name: effect for effect in catalogue()}
+
+
+def held_at(forms: Iterable[Form]) -> tuple[HeldAt, ...]:
+    """Where nine errors hold beside some forms, as each one's effect says, once for each driver and value.
+
+    Of a curve without a name, which is in no catalogue, nothing is said.
+    """
+    known = _by_name()
+    found = (known[form.effect].held_at(form) for form in forms if form.effect in known)
+    return tuple(dict.fromkeys(one for one in found if one is not None))
 
 
 @cache

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Direct, Term, Watched
 from magcal_service.physics.columns import Columns
+from magcal_service.physics.held import Form, HeldAt
 from magcal_service.physics.saying import Said
 from magcal_service.physics.segments import Sums
 
@@ -181,6 +182,11 @@ class Hypothesis:
         return (*self.as_well, UNLISTED) if self.imitated_by else self.as_well
 
     @property
+    def block_names(self) -> tuple[str, ...]:
+        """Names of the amplitudes."""
+        return tuple(block.name for block in self.blocks)
+
+    @property
     def size(self) -> int:
         """Number of amplitudes."""
         return sum(block.size for block in self.blocks)
@@ -311,6 +317,8 @@ class Effect:
     is_line: it is one line of a spectrum, of which several together repeat in any shape.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
     direct: its direct form where a term has one, for the live path; None: evaluated on a scene.
+    held_at: where a form adds nothing, so that nine errors fitted beside it are those there; None where there is no
+        such value of a driver.
     live_as: what is subtracted live in place of a form, which no single moment determines, in words; empty where it is
         the form itself.
     outdated: why a file's form with these constants is one of before, that is computed otherwise today; empty where it
@@ -341,6 +349,7 @@ class Effect:
     is_line: bool = False
     watched: tuple[tuple[Watched, str], ...] = ()
     direct: Callable[[Term], Direct | None] = lambda _: None
+    held_at: Callable[[Form], HeldAt | None] = lambda _: None
     live_as: Callable[[str], str] = lambda _form: ""
     outdated: Callable[[str, Mapping[str, float]], str] = lambda _form, _constants: ""
 

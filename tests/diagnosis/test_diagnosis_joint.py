@@ -84,9 +84,10 @@ def test_each_days_errors_are_said_to_hold_at_the_common_temperature(found: Join
     zero = heat.constants["zero_degc"]
     assert 10.0 < zero < 14.0
     for one in json.loads(as_json(found))["recordings"]:
-        (held,) = one["errors_hold_at"]
+        current, held = one["errors_hold_at"]
         assert (held["driver"], held["value"], held["unit"]) == ("channel:board", zero, "degC")
-        assert f", at {held['says']}" in page
+        assert (current["value"], current["unit"]) == (0.0, "A")
+        assert f", at {current['says']} and {held['says']}" in page
 
 
 def test_each_day_is_predicted_from_the_others(found: JointDiagnosis) -> None:

@@ -32,7 +32,7 @@ from magcal_service.diagnosis.where import direction, lines, span
 from magcal_service.model import Array, d_matrix
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns, along_axes
-from magcal_service.physics.drivers.held import HeldAt
+from magcal_service.physics.held import HeldAt
 from magcal_service.physics.interface import Block, Finding, Hypothesis, Nonlinear, value_of
 from magcal_service.recordings.inspect.account import Account
 from tests.diagnosis.made_up import (
@@ -277,7 +277,7 @@ def made() -> Any:
         noise_nt=31.4,
         added_noise_nt=28.9,
         misled=Misled.of(fit, explained.fit),
-        held_at=(HeldAt("channel:board", 21.5, "degC"),),
+        held_at=(HeldAt("channel:board", 21.5, "degC", "21.5 degC of channel board"),),
         memory_nt=None,
         has_simulation=False,
         whitening=np.zeros(0),

@@ -35,7 +35,9 @@ from magcal_service.diagnosis.words import (
 )
 from magcal_service.physics.apply.advice import REASONS, advice, in_order, reason_in_words, remedy
 from magcal_service.physics.apply.empirical import Empirical, Kind
-from magcal_service.physics.drivers.held import HeldAt, held_at
+from magcal_service.physics.apply.model_file import ModelTerm
+from magcal_service.physics.catalogue import held_at
+from magcal_service.physics.held import HeldAt
 from magcal_service.recordings.inspect.account import Account
 
 HELD_OUT = {"simulation": 950.04, "recalibrated": 410.26, "with_effects": 101.48}
@@ -520,8 +522,8 @@ def test_a_summary_has_verdict_effects_numbers_and_files() -> None:
 def test_a_bias_beside_an_inferred_temperature_is_said_to_be_of_the_light_that_keeps_it_up() -> None:
     held = held_at(
         [
-            SimpleNamespace(driver="inferred:temperature", constants={"mean_light": 0.6209}),
-            SimpleNamespace(driver="none", constants={}),
+            ModelTerm("thermal_bias", "inferred:temperature", "answer to light", {}, {}, {}, {"mean_light": 0.6209}),
+            ModelTerm("bias_step", "none", "", {}),
         ]
     )
     lines = summary(diagnosis(Verdict.NAMED, terms=1, held=held), [entry("a")], HELD_OUT, [])

@@ -38,8 +38,8 @@ from magcal_service.diagnosis.searching import FLOOR, LOWER, quieted
 from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
-from magcal_service.physics.catalogue import catalogue
-from magcal_service.physics.drivers.held import HeldAt, held_at
+from magcal_service.physics.catalogue import catalogue, held_at
+from magcal_service.physics.held import HeldAt
 from magcal_service.physics.interface import Effect
 from magcal_service.recordings.inspect.inspection import Inspection
 

@@ -28,7 +28,7 @@ from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.words import driver_in_words, percent
 from magcal_service.model import BIAS
 from magcal_service.physics.apply.advice import advice, in_order
-from magcal_service.physics.drivers.held import held_in_words
+from magcal_service.physics.held import held_in_words
 from magcal_service.physics.saying import measured
 
 _NOT_SEEN: Final = 1e-3

@@ -38,7 +38,7 @@ from magcal_service.diagnosis.words import (
 from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.advice import advice, in_order
-from magcal_service.physics.drivers.held import held_in_words
+from magcal_service.physics.held import held_in_words
 from magcal_service.physics.interface import UNLISTED, Value
 from magcal_service.physics.saying import AXES, labels_of, measured
 

@@ -11,7 +11,8 @@ from magcal_service.model import STATE_NAMES, STATE_SIZE
 from magcal_service.offline.given import Given
 from magcal_service.offline.result_head import EQUATION
 from magcal_service.physics.apply.advice import DO_NOT
-from magcal_service.physics.drivers.held import held_at, held_in_words
+from magcal_service.physics.catalogue import held_at
+from magcal_service.physics.held import held_in_words
 
 _REMEDY = "degauss or move the sensor, or calibrate it elsewhere"
 

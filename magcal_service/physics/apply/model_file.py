@@ -27,9 +27,9 @@ from magcal_service.physics.apply.physics_model import (
     Note,
     PhysicsModel,
 )
-from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.catalogue import catalogue, held_at
 from magcal_service.physics.drivers.computed import driver_unit
-from magcal_service.physics.drivers.held import held_at, held_in_words
+from magcal_service.physics.held import held_in_words
 
 __all__ = [
     "MOST_EFFECTS",
@@ -125,7 +125,7 @@ def _table(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> li
 
 
 def _comment_of_held(model: PhysicsModel) -> str:
-    """At which temperature the errors hold, without what ends a comment in a channel's name."""
+    """At which values of the effects' drivers the errors hold, without what ends a comment in a channel's name."""
     held = held_in_words(held_at(model.terms))
     return f"; at {''.join(one if one.isprintable() else '?' for one in held)}" if held else ""
 

@@ -134,6 +134,11 @@ class ModelTerm:
     nonlinear: Mapping[str, float | Array] = special(_nonlinear, {})
     constants: Mapping[str, float] = special(_constants, {})
 
+    @property
+    def block_names(self) -> tuple[str, ...]:
+        """Names of the amplitudes."""
+        return tuple(self.amplitudes)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Note:

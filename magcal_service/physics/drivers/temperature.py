@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import Direct, Term, direct
 from magcal_service.physics.columns import Columns, joined
+from magcal_service.physics.held import Form, HeldAt
 from magcal_service.physics.interface import START, Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
@@ -66,6 +67,20 @@ def direct_by_temperature(term: Term, block: str, *, is_gain: bool = False) -> D
         return None
     column = int(term.constants.get("column", 0.0))
     return direct(term, "temperature", block, [column], term.constants["zero_degc"], is_gain=is_gain)
+
+
+def held_at(form: Form) -> HeldAt | None:
+    """The temperature at which an effect of heat adds nothing."""
+    if "zero_degc" in form.constants:
+        zero = form.constants["zero_degc"]
+        return HeldAt(form.driver, zero, "degC", f"{zero:.1f} degC of channel {form.driver.partition(':')[2]}")
+    if "mean_light" in form.constants:
+        light = form.constants["mean_light"]
+        says = f"the temperature that {light:.3g} of full sunlight keeps up, the mean here"
+        return HeldAt(form.driver, light, "1", says)
+    if SETTLING in form.variant:
+        return HeldAt(form.driver, 0.0, "1", "the temperature that it settles at")
+    return None
 
 
 def _fixed(act: Act, values: Array, zero: float) -> Callable[[Array], Columns]:

@@ -12,6 +12,7 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.drivers.proportion import apart_in, named
+from magcal_service.physics.held import TOGETHER, Form, HeldAt, at_zero_of
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
@@ -227,7 +228,7 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     block = Block("nt_per_a", "nT/A", (len(used), 3), _MOST_PER_A_NT, labels=labels)
     constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
     largest_nt, act = _largest(signals[:, used]), _fixed(signals[:, used])
-    yield Hypothesis("current_loop", driver, act, (block,), "all circuits", (), constants, largest_nt=largest_nt)
+    yield Hypothesis("current_loop", driver, act, (block,), TOGETHER, (), constants, largest_nt=largest_nt)
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
@@ -299,6 +300,13 @@ def _direct(term: Term) -> Direct | None:
     return direct(term, "current", "nt_per_a", columns)
 
 
+def _held_at(form: Form) -> HeldAt:
+    """No current: what it is in a recorded channel's unit, or of the arrays."""
+    if not form.driver.startswith("channel:"):
+        return HeldAt(form.driver, 0.0, "1", "no current of the solar arrays")
+    return at_zero_of(form, "A" if "nt_per_a" in form.block_names else "")
+
+
 EFFECT = Effect(
     name="current_loop",
     acts_on=ActsOn.FIELD,
@@ -338,5 +346,6 @@ EFFECT = Effect(
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=_direct,
+    held_at=_held_at,
     live_as=lambda form: "the record as its row has it, for later rows have not come" if _RECORDED_LATE in form else "",
 )

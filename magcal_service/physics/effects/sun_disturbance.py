@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Watched
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.held import Form, HeldAt, at_zero_of
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene, is_sun_vector
@@ -63,6 +64,13 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             yield replace(second, columns=_fixed(whole), blocks=blocks, variant=form)
 
 
+def _held_at(form: Form) -> HeldAt:
+    """Shadow: there the Sun's direction is none."""
+    if form.driver.startswith("channel:"):
+        return at_zero_of(form, "")
+    return HeldAt(form.driver, 0.0, "1", "no sunlight")
+
+
 EFFECT = Effect(
     name="sun_disturbance",
     acts_on=ActsOn.FIELD,
@@ -81,4 +89,5 @@ EFFECT = Effect(
         "gone in shadow.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    held_at=_held_at,
 )

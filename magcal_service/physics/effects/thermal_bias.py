@@ -7,7 +7,7 @@ from typing import Final
 
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.columns import along_axes
-from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
+from magcal_service.physics.drivers.temperature import direct_by_temperature, held_at, inferred, recorded
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -50,5 +50,6 @@ EFFECT = Effect(
         "settles with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    held_at=held_at,
     direct=lambda term: direct_by_temperature(term, "nt_per_k"),
 )

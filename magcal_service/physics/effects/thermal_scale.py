@@ -9,7 +9,7 @@ from typing import Final
 from magcal_service.model import Array
 from magcal_service.physics.acting import WARMTH, ActsOn, Watched
 from magcal_service.physics.columns import AFTER_BIAS, Columns, common_gain, gains
-from magcal_service.physics.drivers.temperature import direct_by_temperature, inferred, recorded
+from magcal_service.physics.drivers.temperature import direct_by_temperature, held_at, inferred, recorded
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
@@ -78,5 +78,6 @@ EFFECT = Effect(
         "with a time constant of {time_constant_s.size}, as a sensor does that warms up or cools down.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    held_at=held_at,
     direct=lambda term: direct_by_temperature(term, "per_k", is_gain=True),
 )

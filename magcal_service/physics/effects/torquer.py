@@ -14,6 +14,7 @@ from magcal_service.physics.columns import Columns, along_axes
 from magcal_service.physics.drivers.proportion import apart_in, named
 from magcal_service.physics.drivers.pulses import pulses
 from magcal_service.physics.drivers.torquing import DETUMBLING, DUMPING, inferred
+from magcal_service.physics.held import Form, HeldAt, at_zero_of
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, Values
 from magcal_service.physics.saying import AXES
 from magcal_service.physics.scene.scene import Scene
@@ -114,6 +115,16 @@ def _derived(parameters: Values) -> Values:
     return {"nt_per_am2": turned}
 
 
+def _held_at(form: Form) -> HeldAt:
+    """Coils without a current, and cores without a remanence where that was fitted."""
+    if not form.driver.startswith("channel:"):
+        return HeldAt(form.driver, 0.0, "1", "torquers that are off")
+    found = at_zero_of(form, "A m2")
+    if "remanence_nt" not in form.block_names:
+        return found
+    return replace(found, says=f"{found.says}, its cores without remanence")
+
+
 EFFECT = Effect(
     name="torquer",
     acts_on=ActsOn.FIELD,
@@ -155,5 +166,6 @@ EFFECT = Effect(
     ),
     find=lambda view: pulses(view, as_well=("current_loop",)),  # a wheel's motor, a battery: of both signs
     derived=_derived,
+    held_at=_held_at,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
