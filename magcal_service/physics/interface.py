@@ -71,6 +71,13 @@ class Block:
         """How many amplitudes it takes."""
         return math.prod(self.shape)
 
+    def takes(self, shape: tuple[int, ...]) -> bool:
+        """Whether numbers of a shape are those of the block: the only row of a matrix may stand there as it is.
+
+        One circuit that others go along with is a row by itself in its recording, and a circuit where they do not.
+        """
+        return _rows(shape) == _rows(self.shape)
+
     @property
     def is_start(self) -> bool:
         """Whether it is the state that a recording begins in, which decays, so that only its first part tells it."""
@@ -93,6 +100,11 @@ class Nonlinear:
     unit: str
     grid: Array
     role: str = ""
+
+
+def _rows(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """A shape without dimensions of one before the others."""
+    return _rows(shape[1:]) if shape[:1] == (1,) else shape
 
 
 def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> dict[str, float | Array]:

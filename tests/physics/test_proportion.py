@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from magcal_service.diagnosis.handover import model_term
+from magcal_service.physics.apply.forward import bind
+from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.drivers.proportion import apart, named
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
 from tests.physics.scenes import scene
+from tests.physics.test_model_file import model
 
 RNG = np.random.default_rng(8911)
 LOADS = RNG.normal(size=(400, 2))
@@ -78,3 +83,21 @@ def test_circuits_behind_one_switch_have_one_number_for_all() -> None:
     (block,) = plain("current_loop", of).blocks
     assert block.shape == (1, 3)
     assert block.labels[0] == ("circuit 2 with circuit 1 in proportion",)
+
+
+@pytest.mark.parametrize("variant", ["", "recorded late"])
+def test_a_file_of_circuits_behind_one_switch_is_read_and_acts_on_a_moment_of_one(variant: str) -> None:
+    """A moment does not show what goes along with what: its one circuit is no row of a matrix."""
+    on = (np.sin(scene().time_s / 300.0) > 0.6)[:, None]
+    of = replace(scene(), channels={"loads": Telemetry("loads", "current", 0.1 + on * np.array([0.3, 0.8]))})
+    form = next(one for one in effect_named("current_loop").hypotheses(of) if one.variant == variant)
+    term = model_term(form, np.array([1.0, 30.0][: len(form.nonlinear)]), np.array([10.0, 20.0, 30.0]))
+    assert term.amplitudes["nt_per_a"].shape == (1, 3)
+    (again,) = parse_model(text_of(model(term)).encode()).terms
+    now = replace(
+        of,
+        time_s=of.time_s[:1],
+        calibrated_nt=of.calibrated_nt[:1],
+        channels={"loads": Telemetry("loads", "current", np.array([[0.4, 0.9]]))},
+    )
+    assert bind(again, now, Memory()).disturbance()[0] == pytest.approx(0.9 * np.array([[10.0, 20.0, 30.0]]))

@@ -81,16 +81,15 @@ def _likest(forms: Iterable[Hypothesis], term: ModelTerm) -> Hypothesis | None:
     with more columns, have other ones.  None where none is named so."""
 
     def likeness(form: Hypothesis) -> tuple[int, int, int]:
-        blocks, constants = {block.name for block in form.blocks}, set(form.constants)
-        given = set(term.constants)
-        return len(blocks & set(term.amplitudes)), len(constants & given), -len(constants - given)
+        constants, given = set(form.constants), set(term.constants)
+        return len(set(form.block_names) & set(term.amplitudes)), len(constants & given), -len(constants - given)
 
     return max((form for form in forms if form.variant == term.variant), key=likeness, default=None)
 
 
 def _is_whole(form: Hypothesis, term: ModelTerm) -> bool:
     """Whether a term has every amplitude and constant of a form."""
-    return {block.name for block in form.blocks} <= set(term.amplitudes) and set(form.constants) <= set(term.constants)
+    return set(form.block_names) <= set(term.amplitudes) and set(form.constants) <= set(term.constants)
 
 
 def _refuse_form(table: Table, term: ModelTerm, variants: set[str]) -> None:
@@ -137,10 +136,9 @@ class _Check:
 
     def all(self) -> None:
         """Add every fault: numbers that are missing, not of the form, of another shape, or that it cannot have."""
-        blocks = {block.name: block.shape for block in self.form.blocks}
-        self._names("amplitudes", blocks, self.term.amplitudes)
-        self._shapes("amplitudes", blocks, self.term.amplitudes)
-        self._shapes("sigma", blocks, self.term.sigma)
+        self._names("amplitudes", self.form.block_names, self.term.amplitudes)
+        self._shapes("amplitudes", self.term.amplitudes)
+        self._shapes("sigma", self.term.sigma)
         for name, sigma in self.term.sigma.items():
             if np.any(sigma < 0.0):
                 self._refuse(f"sigma.{name}", sigma.tolist(), "a sigma of 0 or more is accepted")
@@ -166,10 +164,11 @@ class _Check:
                 shown = value.tolist() if isinstance(value, np.ndarray) else value
                 self._refuse(f"{key}.{name}", shown, f"{', '.join(names) or 'none'} is accepted")
 
-    def _shapes(self, key: str, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, Array]) -> None:
-        for name, value in found.items():
-            if name in shapes and value.shape != shapes[name]:
-                self._refuse(f"{key}.{name}", value.tolist(), f"{_in_words(shapes[name])} is accepted")
+    def _shapes(self, key: str, found: Mapping[str, Array]) -> None:
+        for block in self.form.blocks:
+            if block.name in found and not block.takes(found[block.name].shape):
+                value = found[block.name].tolist()
+                self._refuse(f"{key}.{block.name}", value, f"{_in_words(block.shape)} is accepted")
 
     def _nonlinear(self) -> None:
         numbers: dict[str, list[Nonlinear]] = {}

@@ -99,7 +99,7 @@ def _amplitudes(term: ModelTerm, hypothesis: Hypothesis) -> Array:
     parts = []
     for block in hypothesis.blocks:
         values = term.amplitudes[block.name]
-        if values.shape != block.shape:
+        if not block.takes(values.shape):
             raise MisfitError(f"{term.effect}: {block.name} has shape {values.shape}; {block.shape} is accepted")
         parts.append(values.reshape(-1))
     return np.concatenate(parts)
