@@ -1,4 +1,4 @@
-"""A load's current that is read out every half minute, and held in the rows between."""
+"""A load's current whose record is held in the rows between readouts, or has noise of its own."""
 
 from __future__ import annotations
 
@@ -48,3 +48,23 @@ def test_a_held_record_of_a_load_gives_the_field_per_ampere(age_s: float) -> Non
     assert shares[0] == pytest.approx(1.0, abs=0.06)
     assert shares[1] < 0.7
     assert late.terms[0].theta[0] + 0.5 * late.terms[0].theta[1] == pytest.approx(age_s + 0.5 * READ_S, abs=3.0)
+
+
+def test_a_record_with_noise_of_its_own_gives_the_field_per_ampere() -> None:
+    """As it is recorded it comes out small by a third; averaged over the time that it seems to be held, by a tenth."""
+    of, rng = scene(), np.random.default_rng(8915)
+    added = np.outer(load_a(of.time_s), PER_A_NT)
+    noisy = load_a(of.time_s) + 0.35 * rng.standard_normal(len(of))
+    channels = {"heater": Telemetry("heater", "current", noisy[:, None])}
+    noise = rng.normal(0.0, NOISE_NT, (len(of), 3))
+    flown = replace(spoiled(measure(X, of.calibrated_nt + added + noise), of), channels=channels)
+    problem, effects = Problem(flown, NOISE_NT), (effect_named("current_loop"),)
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    baseline = solve(problem, X)
+    best = search.screen(search.workspace(baseline), baseline, baseline.rms_nt)[0]
+    assert best.hypothesis.label == "current_loop[recorded with noise] by channel:heater"
+    assert best.hypothesis.constants["record_noise_a"] == pytest.approx(0.35, abs=0.03)
+    fit = solve(problem, baseline.x, [Term(best.hypothesis, best.theta, np.zeros(3))])
+    sigma = np.sqrt(np.diagonal(fit.covariance)[-3:])
+    assert np.all(np.abs(fit.terms[0].amplitudes - PER_A_NT) < 3.0 * sigma)
+    assert fit.terms[0].amplitudes @ PER_A_NT / (PER_A_NT @ PER_A_NT) == pytest.approx(1.0, abs=0.06)

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.interface import Effect, Hypothesis
@@ -27,8 +29,15 @@ _COUNTED: Final = re.compile(r"\d+")
 
 
 def scenes() -> tuple[Scene, ...]:
-    """With all telemetry and attitude, and with places alone: some forms stand in for what is not recorded."""
-    return scene(), replace(scene(), channels={}, body_from_eci=None)
+    """With all telemetry and attitude, with records that have noise of their own, and with places alone: some forms
+    stand in for what is not recorded."""
+    of, rng = scene(), np.random.default_rng(8916)
+    noisy = {
+        name: replace(one, values=one.values + 0.1 * rng.standard_normal(one.values.shape))
+        for name, one in of.channels.items()
+        if one.quantity == "current"
+    }
+    return of, replace(of, channels=noisy), replace(of, channels={}, body_from_eci=None)
 
 
 def forms_of(effect: Effect) -> Iterator[Hypothesis]:

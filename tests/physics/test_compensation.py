@@ -77,8 +77,7 @@ LIVE = [
     h
     for h in forms()
     if not effect_named(h.effect).acts_on.is_reference and h.driver not in NEEDS_COURSE and "Sun" not in h.variant
-    if not h.needs_vectors
-    and not h.variant.endswith("recorded late")  # live there is no later record: as its row has it
+    if not h.needs_vectors and not effect_named(h.effect).live_as(h.variant)  # live it acts otherwise, and says so
 ]
 SUN = ("inferred:array_current", "inferred:sun_direction")
 

@@ -122,7 +122,8 @@ def test_a_later_part_of_the_flight_has_what_the_whole_flight_has_there(hypothes
         body, growth = effects_on(flight(), model(term))
     found = effects_on(cut(flight(), first, ROWS), model(term))
     part = slice(5 + _SETTLES.get(hypothesis.effect, 0), -10)  # slopes are one-sided at a cut
-    assert error((found[0][part], found[1][part]), body[first:][part], growth[first:][part]) < 1e-5
+    most = 0.03 if hypothesis.variant.endswith("with noise") else 1e-5  # how noisy a record is, each tells of itself
+    assert error((found[0][part], found[1][part]), body[first:][part], growth[first:][part]) < most
 
 
 def test_a_recording_at_one_temperature_gets_the_bias_of_that_temperature() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_service.model import Array
-from magcal_service.physics.scene.smooth import smooth_course
+from magcal_service.physics.scene.smooth import expected_course, noise_of, smooth_course
 
 COUNT = 6000
 
@@ -54,3 +54,34 @@ def test_a_course_with_jumps_stays_as_it_is() -> None:
     sessions = np.repeat(np.random.default_rng(9).uniform(-20.0, 40.0, COUNT // 60), 60)
     values = sessions + 0.02 * np.random.default_rng(10).standard_normal(COUNT)
     assert float(np.abs(smooth_course(values) - values).max()) < 0.1
+
+
+def flowing(kind: str) -> Array:
+    """A load that switches at random, every 40 samples on the average, or a battery's current that swings."""
+    rng = np.random.default_rng(8912)
+    if kind == "switching":
+        return (np.cumsum(rng.random(COUNT) < 1.0 / 40.0) % 2).astype(np.float64)
+    return 0.5 + 0.35 * np.sin(np.arange(COUNT) / 31.0) + 0.35 * np.sin(np.arange(COUNT) / 87.0 + 1.0)
+
+
+@pytest.mark.parametrize("kind", ["switching", "swinging"])
+@pytest.mark.parametrize("noise_a", [0.15, 0.3, 0.6])
+def test_a_regression_on_what_a_noisy_record_lets_expect_has_no_bias(kind: str, noise_a: float) -> None:
+    """On the record itself it is short by the noise's share of the variance: 8 to 60 %."""
+    true = flowing(kind)
+    record = true + noise_a * np.random.default_rng(8913).standard_normal(COUNT)
+    assert noise_of(record) == pytest.approx(noise_a, rel=0.08)
+    found = expected_course(record)
+    for course, low, high in ((found, 0.97, 1.03), (record, 0.2, 1.0 - 0.5 * noise_a**2 / (np.var(true) + noise_a**2))):
+        about = course - course.mean()
+        assert low < float(about @ true) / float(about @ about) < high
+    assert np.mean((found - true) ** 2) < 0.6 * noise_a**2
+
+
+@pytest.mark.parametrize("values", [flowing("switching"), flowing("swinging"), np.ones(COUNT), np.arange(20.0)])
+def test_a_record_without_noise_has_none(values: Array) -> None:
+    assert noise_of(values) == 0.0
+
+
+def test_noise_alone_is_no_record() -> None:
+    assert noise_of(np.random.default_rng(8914).standard_normal(COUNT)) == 0.0

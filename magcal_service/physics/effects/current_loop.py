@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -15,8 +16,8 @@ from magcal_service.physics.drivers.proportion import apart_in, named
 from magcal_service.physics.held import TOGETHER, Form, HeldAt, at_zero_of
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene, is_sun_vector
-from magcal_service.physics.scene.smooth import mean_over
+from magcal_service.physics.scene.scene import Scene, Telemetry, is_sun_vector
+from magcal_service.physics.scene.smooth import expected_course, mean_over, noise_of
 from magcal_service.physics.scene.sunlight import first_order
 
 _MOST_PER_A_NT: Final = 5000.0
@@ -42,6 +43,7 @@ _SLOW_S, _SLOW_SHARE = 60.0, 0.2
 more for most of a change, a load or a panel in the Sun of a craft that turns takes none."""
 
 _RECORDED_LATE: Final = "recorded late"
+_WITH_NOISE: Final = "recorded with noise"
 """Ends the form of a record that was read out before its row, and held until the next readout."""
 
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
@@ -69,6 +71,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield from _alike(scene)
     yield from _lagging(scene)
     yield from _recorded_before(scene)
+    yield from _recorded_with_noise(scene)
     for hypothesis in _inferred(scene):
         yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
 
@@ -190,6 +193,39 @@ def _recorded_before(scene: Scene) -> Iterator[Hypothesis]:
         )
 
 
+def _recorded_with_noise(scene: Scene) -> Iterator[Hypothesis]:
+    """Every channel whose record has noise of its own: what flows is what it lets expect (``expected_course``).
+
+    As it is recorded, a field per ampere comes out small by the noise's share of its variance.
+    """
+    for plain in (*_by_channel(scene), *_alike(scene)):
+        channel = scene.channels[plain.driver.partition(":")[2]]
+        columns = [int(column) for column in plain.constants.values()]
+        own = [scene.once(f"noise of {channel.name} {c}", partial(noise_of, channel.values[:, c])) for c in columns]
+        if max(own) == 0.0 and not scene.is_given:
+            continue
+        name = "record_noise_a" if channel.quantity == "current" else "record_noise"
+        yield replace(
+            plain,
+            columns=_expected(scene, channel, dict(zip(columns, own, strict=True))),
+            variant=", ".join(filter(None, (plain.variant, _WITH_NOISE))),
+            constants={**plain.constants, name: float(f"{max(own):.3g}")},
+            refines=plain.label,
+        )
+
+
+def _expected(scene: Scene, channel: Telemetry, noise: Mapping[int, float]) -> Callable[[Array], Columns]:
+    """What columns of a record let expect, each with its noise; in a stream, as the row has it."""
+
+    def expected(column: int) -> Array:
+        values = channel.values[:, column]
+        if scene.memory is not None or noise[column] == 0.0:
+            return values
+        return scene.once(f"expected {channel.name} {column}", partial(expected_course, values))
+
+    return lambda _: along_axes(np.stack([expected(column) for column in noise], axis=1))
+
+
 def _ahead(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
     """Means of a signal (n, k) over rows to come; in a stream, where none has come yet, as the row has it."""
 
@@ -307,6 +343,13 @@ def _held_at(form: Form) -> HeldAt:
     return at_zero_of(form, "A" if "nt_per_a" in form.block_names else "")
 
 
+def _live_as(form: str) -> str:
+    """How a form acts on a stream, where that is otherwise."""
+    if not form.endswith((_RECORDED_LATE, _WITH_NOISE)):
+        return ""
+    return "the record as its row has it, for later rows have not come"
+
+
 EFFECT = Effect(
     name="current_loop",
     acts_on=ActsOn.FIELD,
@@ -322,6 +365,8 @@ EFFECT = Effect(
         "lag_s": "s",
         "late_s": "s",
         "held_s": "s",
+        "record_noise_a": "A",
+        "record_noise": "1",
         "limit": "1",
     },
     prior=(1.0, _MOST_NT),
@@ -337,6 +382,10 @@ EFFECT = Effect(
         "row and held for {held_s.size}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), read "
         "out {late_s.size} before its row and held for {held_s.size}.",
+        "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, whose record has noise of "
+        "{record_noise_a.size}.",
+        "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), whose record "
+        "has noise of {record_noise.size}.",
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}).",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}, {lag_s.signed} late.",
@@ -347,5 +396,5 @@ EFFECT = Effect(
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
     direct=_direct,
     held_at=_held_at,
-    live_as=lambda form: "the record as its row has it, for later rows have not come" if _RECORDED_LATE in form else "",
+    live_as=_live_as,
 )

@@ -9,6 +9,7 @@ Source: Whittaker 1923 and Wahba 1978 for the smoother, whose gain at a frequenc
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,9 @@ _MOST_TAKEN: Final = 1.3
 """Times the noise that changes from sample to sample, what may be smoothed away: more is a course with jumps or kinks,
 as between sessions, that no smooth one follows.  White noise has 1 to a few per cent."""
 
+_LEAST_NOISE, _MOST_NOISE = 0.02, 0.9
+"""Shares of a record's variance that its own noise has: less costs an amplitude 2 %, beyond it nothing is recorded."""
+
 _FEWEST: Final = 32
 """Samples below which nothing is told of a channel's noise."""
 
@@ -32,17 +36,39 @@ def smooth_course(values: Array) -> Array:
     """The likeliest smooth course (n,) under values (n,) at even times; as they are where they have no noise."""
     if len(values) < _FEWEST or not np.isfinite(values).all() or float(np.ptp(values)) == 0.0:
         return values
-    line = np.linspace(values[0], values[-1], len(values))  # what the transform would wrap around
-    transform = _cosine(values - line)
-    rough = (2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(values)) / len(values))) ** 2
-    power = transform[1:] ** 2
-    best = max(_RATIOS.tolist(), key=lambda ratio: _likelihood(power, rough, ratio))
-    if best == 0.0:
+    _, gain = _likeliest_gain(values, 2)
+    if gain.all() and float(np.ptp(gain)) == 0.0:
         return values
-    gain = np.concatenate([[1.0], 1.0 / (1.0 + best * rough)])
-    course = np.asarray(_inverse_cosine(transform * gain) + line)
+    course = _through(values, gain)
     white = float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6.0))  # of a normal law, whatever jumps
     return course if float(np.std(values - course)) < _MOST_TAKEN * white else values
+
+
+def noise_of(values: Array) -> float:
+    """Noise of its own that a record (n,) at even times has, 1 sigma; 0 where it has hardly any.
+
+    It is what the variance has beyond the covariances with the neighbours, in which noise has no part.
+
+    Source: the nugget of a variogram, Matheron 1963, Economic Geology 58, 1246-1266.
+    """
+    if len(values) < _FEWEST or not np.isfinite(values).all():
+        return 0.0
+    about = values - values.mean()
+    whole, next_to, after = (float(about[: len(about) - by] @ about[by:]) / len(about) for by in (0, 1, 2))
+    noise = whole - (2.0 * next_to - after)  # a straight line back from the neighbours
+    return math.sqrt(noise) if _LEAST_NOISE * whole < noise < _MOST_NOISE * whole else 0.0
+
+
+def expected_course(values: Array) -> Array:
+    """What flowed (n,), as a record (n,) at even times with noise of its own lets expect.
+
+    A load jumps, so either first or second differences of the course are white, whichever is likelier.  What such a
+    course lacks of the truth is not correlated with it, so that a regression on it has no bias.
+
+    Source: Berkson 1950, Journal of the American Statistical Association 45, 164-180.
+    """
+    _, gain = max((_likeliest_gain(values, order) for order in (1, 2)), key=lambda found: found[0])
+    return _through(values, gain)
 
 
 def quintic_slope(values: Array, half: int) -> Array:
@@ -65,6 +91,31 @@ def quintic_slope(values: Array, half: int) -> Array:
         sides.append((powers * part[:, None] ** (powers - 1)) @ (fitted[1:] @ window))
     found: Array = np.concatenate([sides[0], inside, sides[1]]) / half
     return found
+
+
+def _likeliest_gain(values: Array, order: int) -> tuple[float, Array]:
+    """Log-likelihood, and what a smoother keeps of each wave (n,), at the likeliest ratio of the variances.
+
+    Parameters
+    ----------
+    order: of the differences of the course that are white.
+    """
+    power = _cosine(values - _line(values))[1:] ** 2
+    rough = (2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(values)) / len(values))) ** order
+    each = [(_likelihood(power, rough, ratio), ratio) for ratio in _RATIOS.tolist()]
+    likelihood, best = max(each, key=lambda one: one[0])
+    return likelihood, np.concatenate([[1.0], 1.0 / (1.0 + best * rough)])
+
+
+def _through(values: Array, gain: Array) -> Array:
+    """Values (n,) with so much of each wave (n,)."""
+    line = _line(values)
+    return np.asarray(_inverse_cosine(_cosine(values - line) * gain) + line)
+
+
+def _line(values: Array) -> Array:
+    """The straight line (n,) from the first of values to the last: what the transform would wrap around."""
+    return np.linspace(values[0], values[-1], len(values))
 
 
 def _likelihood(power: Array, rough: Array, ratio: float) -> float:
