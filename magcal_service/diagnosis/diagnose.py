@@ -248,7 +248,8 @@ def _on_rows(
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
-    against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest, findings)
+    far_off = prepared.has_reference_far_off
+    against = reasons(end.explained, unexplained, verdict is Verdict.UNKNOWN, stated, end.rest, findings, far_off)
     simulated = _simulation(prepared, simulation_x)
     return Diagnosis(
         inspection=inspection,

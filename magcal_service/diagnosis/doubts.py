@@ -60,6 +60,7 @@ def reasons(
     stated: bool = True,
     rest: Rest | None = None,
     findings: Mapping[str, Finding] | None = None,
+    reference_far_off: bool = False,
 ) -> tuple[str, ...]:
     """What speaks against acting on a result, by the names of ``advice.REASONS``.
 
@@ -70,6 +71,7 @@ def reasons(
     stated: whether the sensor's noise was stated, not estimated from the residual.
     rest: what lasts beside the names; None where the noise has a memory.
     findings: effects seen in samples, attitude or noise, by name.
+    reference_far_off: whether whole vectors agree with a reference alone that is off by more than is believed.
     """
     fit, named, findings = explained.fit, bool(explained.fit.terms), findings or {}
     return listed(
@@ -88,6 +90,7 @@ def reasons(
             ),
             added_noise_nt=added_noise_nt(findings),
         ),
+        reference_far_off=reference_far_off,
     )
 
 

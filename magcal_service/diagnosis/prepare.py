@@ -80,6 +80,8 @@ class Prepared:
     form: of the residual.
     sun: where telemetry shows the Sun, if not where the stated time has it.
     alone: how large the field model's errors are that suit the nine errors alone best; None: not asked.
+    has_reference_far_off: whether whole vectors agree with a reference off by more than is believed of one, and with
+        none that is off by less.
     """
 
     recording: Recording
@@ -92,6 +94,7 @@ class Prepared:
     form: Form = Form.SCALAR
     sun: SunSeen | None = None
     alone: Scale | None = None
+    has_reference_far_off: bool = False
 
 
 def prepare(

@@ -131,14 +131,16 @@ def in_form(
     off by more than it ever is, as beside an attitude in other axes than the reference's.
     """
     prepared, search, explained = _searched(prepare(recording, effects), effects, progress)
-    left_nt = math.inf if is_too_far_off(explained.fit) else _left_nt(explained.fit)
+    is_far_off = is_too_far_off(explained.fit)
+    left_nt = math.inf if is_far_off else _left_nt(explained.fit)
     if prepared.form is Form.SCALAR or left_nt < _MUCH_WORSE * prepared.problem.noise_nt:
         return prepared, search, explained, ()
     others = _searched(prepare(recording, effects, (Form.SCALAR,)), effects, progress)
     scalar = others[2].fit
     if is_collapsed(scalar.x) or left_nt < _MUCH_WORSE * _left_nt(scalar):
         return prepared, search, explained, ()
-    return (*others, (prepared.form,))
+    agree = is_far_off and _left_nt(explained.fit) < _MUCH_WORSE * _left_nt(scalar)
+    return replace(others[0], has_reference_far_off=agree), *others[1:], (prepared.form,)
 
 
 def _left_nt(fit: Fit) -> float:

@@ -152,8 +152,10 @@ def not_borne_out(diagnosis: Diagnosis) -> str:
     """
     if not diagnosis.refused:
         return ""
+    if diagnosis.prepared.has_reference_far_off:
+        return f"{diagnosis.prepared.form}, as whole vectors need a reference far off"
     why = "the recorded attitude errs, its axes are turned, or samples are tagged apart from it"
-    return f"{diagnosis.prepared.form}, as whole vectors leave more, or need a reference far off: {why}"
+    return f"{diagnosis.prepared.form}, as whole vectors leave more: {why}"
 
 
 def explained_share(unexplained: float) -> str:

@@ -145,6 +145,14 @@ def test_a_part_and_a_continuation_keep_the_offset_s_columns() -> None:
     assert longer.columns == pytest.approx(np.concatenate([turns, turns @ turns]))
 
 
+def test_a_reference_that_is_too_far_off_is_not_acted_on() -> None:
+    """Magnitudes agree as well with gains that are all off by what the field is stronger than stated."""
+    found = diagnose(Bench(45, with_attitude=True, reference_off_nt=np.array([2500.0, -1500.0, 800.0])).recording())
+    assert (found.prepared.form, found.refused) == (Form.SCALAR, (Form.AIMED,))
+    assert "reference_far_off" in found.reasons
+    assert not found.trusted
+
+
 def test_an_attitude_in_turned_axes_is_no_reference_that_is_off() -> None:
     """By 15 degrees it would have to be off by thousands of nT, which the nine errors follow: magnitudes are taken."""
     apart = Rotation.from_euler("z", 15.0, degrees=True).apply(STEADY_NT) - STEADY_NT

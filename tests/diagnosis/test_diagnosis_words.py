@@ -551,9 +551,9 @@ def test_channels_that_cannot_be_told_apart_are_named_together() -> None:
 def test_the_mounting_is_said_or_that_the_attitude_was_not_believed() -> None:
     of = diagnosis(Verdict.NONE)
     of.refused, of.prepared.form = (Form.AIMED,), Form.SCALAR
-    said = "compared by magnitudes, as whole vectors leave more, or need a reference far off: the recorded attitude "
-    said += "errs, its axes are turned, or samples are tagged apart from it"
-    assert said in summary(of, [], HELD_OUT, [])
+    more = "leave more: the recorded attitude errs, its axes are turned, or samples are tagged apart from it"
+    for of.prepared.has_reference_far_off, said in ((False, more), (True, "need a reference far off")):
+        assert f"compared by magnitudes, as whole vectors {said}" in summary(of, [], HELD_OUT, [])
     turned = Aimed(np.ones((5, 3)), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     seen = diagnosis(Verdict.NONE)
     seen.fit.problem.aimed, seen.fit.x = turned, np.zeros(12)

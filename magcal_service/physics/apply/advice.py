@@ -60,6 +60,11 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
         " slow causes do as well: names and nine errors may hold a part of it",
         "check coefficients, places and frames of the reference; record whole orbits",
     ),
+    "reference_far_off": (
+        "with the recorded attitude the vectors agree only with a reference that is off by more than a building or the"
+        " crust makes it: it is wrong, and all gains with it, or the attitude is in other axes",
+        "check the reference's frame and place and the attitude's axes; measure the field there with another sensor",
+    ),
     "gain_in_scatter": (
         "what the effects gain on held-out blocks does not stand out of its scatter",
         "record longer: twice the blocks halve the variance of the gain",
