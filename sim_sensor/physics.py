@@ -28,7 +28,8 @@ from magcal_service.physics.effects import (
     time_offset,
     torquer,
 )
-from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
+from magcal_service.physics.scene.memory import Memory
+from magcal_service.physics.scene.scene import Scene, Telemetry
 from sim_sensor.scenario import UNITS, Channel, Scenario
 
 Floats = npt.NDArray[np.float64]

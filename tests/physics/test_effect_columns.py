@@ -23,7 +23,8 @@ from magcal_service.physics.effects.reference_epoch import truncated_change, yea
 from magcal_service.physics.effects.sun_disturbance import harmonics
 from magcal_service.physics.effects.torquer import remembered
 from magcal_service.physics.interface import Hypothesis, value_of
-from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
+from magcal_service.physics.scene.memory import Memory
+from magcal_service.physics.scene.scene import Scene, Telemetry
 from tests.physics.scenes import COUNT, PERIOD_S, scene
 
 TIME_S, SPAN_S = scene().time_s, float(scene().time_s[-1])

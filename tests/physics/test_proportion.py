@@ -13,7 +13,8 @@ from magcal_service.physics.apply.model_file import parse_model, text_of
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.drivers.proportion import apart, named
 from magcal_service.physics.interface import Hypothesis
-from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
+from magcal_service.physics.scene.memory import Memory
+from magcal_service.physics.scene.scene import Scene, Telemetry
 from tests.physics.scenes import scene
 from tests.physics.test_model_file import model
 

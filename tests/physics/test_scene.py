@@ -9,9 +9,10 @@ import pytest
 
 from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
+from magcal_service.physics.scene.memory import Memory
 from magcal_service.physics.scene.motion import smooth_slope
 from magcal_service.physics.scene.recent import Recent
-from magcal_service.physics.scene.scene import Memory, Scene, Telemetry
+from magcal_service.physics.scene.scene import Scene, Telemetry
 from magcal_service.physics.scene.view import runs
 from tests.physics.scenes import AXIS_BODY, AXIS_ECI, COUNT, PERIOD_S, RATE_RAD_S, scene, turning
 

@@ -29,7 +29,8 @@ from magcal_service.physics.apply.live_spin import attitude, axis_of, axis_sums_
 from magcal_service.physics.apply.live_terms import WARMTH, live_terms
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.scene.scene import AT_START_S, Memory, Scene
+from magcal_service.physics.scene.memory import AT_START_S, Memory
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT
 from magcal_service.wire.messages import (
     Clock,

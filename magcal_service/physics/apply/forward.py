@@ -13,8 +13,9 @@ from magcal_service.physics.apply.empirical import NAME, Empirical
 from magcal_service.physics.apply.model_file import ModelTerm, PhysicsModel
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
+from magcal_service.physics.scene.memory import Memory
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
-from magcal_service.physics.scene.scene import Memory, Scene
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.wire.messages import Clock
 
 

@@ -14,9 +14,10 @@ from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.late import by_average, by_low_pass, longer_by_low_pass
 from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
+from magcal_service.physics.scene.memory import AT_START_S
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
 from magcal_service.physics.scene.recent import Recent
-from magcal_service.physics.scene.scene import AT_START_S, Scene
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.smooth import quintic_slope, smooth_course
 
 _AVERAGING: Final = "average of samples"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.scene import main_field, motion, sunlight
+from magcal_service.physics.scene.memory import AT_START_S, Memory
 from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.vectors import Vectors
 
@@ -89,25 +90,6 @@ def is_sun_vector(channel: Telemetry) -> bool:
     name = channel.name.lower()
     named = "sun" in name or "photo" in name or "css" in name
     return channel.values.shape[1] == 3 and named and channel.quantity in ("dimensionless", "counts", "irradiance", "")
-
-
-@dataclass(slots=True, eq=False)
-class Memory:
-    """What an effect with a memory carries from one scene of a stream to the next, which begins at row ``next_row``.
-
-    ``begins_anew``: the stream does not begin where the model's recording did, so its start is another.
-    """
-
-    next_row: int = -1
-    states: dict[str, Array] = field(default_factory=dict)
-    begins_anew: bool = False
-
-
-AT_START_S: Final = 60.0
-"""How close to a recording's start a stream has to begin to take its start temperature from it [s].
-
-Choice: half of the shortest time constant that is searched; later, what was free at the start has decayed unseen.
-"""
 
 
 @dataclass(frozen=True, eq=False)
