@@ -184,7 +184,8 @@ enum {
     MAGCAL_REASON_REFERENCE_HELD = 29,
     MAGCAL_REASON_HELD_READINGS = 30,
     MAGCAL_REASON_NOISE_MISSTATED = 31,
-    MAGCAL_REASON_HEIGHT_DISAGREES = 32
+    MAGCAL_REASON_HEIGHT_DISAGREES = 32,
+    MAGCAL_REASON_PHYSICS_DOUBTFUL = 33
 };
 enum {
     MAGCAL_HAZARD_REFERENCE_LATE = 0,
@@ -308,6 +309,7 @@ static inline const char *magcal_reason_name(int code) {
         case 30: return "held_readings";
         case 31: return "noise_misstated";
         case 32: return "height_disagrees";
+        case 33: return "physics_doubtful";
         default: return "unknown";
     }
 }
@@ -315,7 +317,7 @@ static inline const char *magcal_reason_name(int code) {
 /* The number of a name as it travels; MAGCAL_UNKNOWN_NAME for one that is newer than this header. */
 static inline int magcal_reason_of(const char *bytes, size_t size) {
     int code;
-    for (code = 0; code < 33; code++) {
+    for (code = 0; code < 34; code++) {
         if (magcal_same(bytes, size, magcal_reason_name(code))) return code;
     }
     return MAGCAL_UNKNOWN_NAME;

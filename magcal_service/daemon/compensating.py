@@ -30,7 +30,9 @@ from magcal_service.physics.apply.advice import doubts_of
 from magcal_service.physics.apply.compensation import Compensation
 from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.ticks.assembler import Tick, TickAssembler
+from magcal_service.trust.doubted import doubted_by_physics
 from magcal_service.trust.monitor import TrustMonitor
+from magcal_service.trust.verdict import Trust
 from magcal_service.wire.messages import MagnetometerSample, ReferenceSample
 
 log = logging.getLogger("magcal")
@@ -144,7 +146,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self.plain, self.settling = plain, None
         self.watch.reset()
         self._state = estimator.estimate()
-        self.trust = monitor.judge(self._state)
+        self.trust = self._judged()
         self.note("start_known", f"the temperature at the start was {_in_words(fit)}; compensates")
 
     def _stop(self, why: str) -> None:
@@ -161,9 +163,16 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self.stopped = why
         self.monitor.observe_driver(False)
         self.monitor.observe_compensation(stopped=True)
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
         self.counters["compensation_stopped"] += 1
         self.note("compensation_stopped", why)
+
+    def _judged(self) -> Trust:
+        """The verdict; no trust is left where samples are corrected by a file that is not to be acted on."""
+        trust = super()._judged()
+        if self.compensation is None or not self.compensates or not self.compensation.model.doubts:
+            return trust
+        return doubted_by_physics(trust)
 
     # Beside the craft
 

@@ -26,7 +26,7 @@ from magcal_service.ticks.rejection import Rejection
 from magcal_service.trust.hazards import Hazard
 from magcal_service.trust.monitor import TrustMonitor
 from magcal_service.trust.reasons import Reason
-from magcal_service.trust.verdict import NOT_STARTED
+from magcal_service.trust.verdict import NOT_STARTED, Trust
 from magcal_service.watch.residual_watch import ModelWatch
 from magcal_service.watch.witness import Witness
 from magcal_service.wire.messages import Clock, Estimate, MagnetometerSample, Message, Verdict
@@ -146,7 +146,7 @@ class Craft(Stateful, CraftMemory):
         """Learn from ticks no more, or again; the verdict says so at once, and not with the next tick."""
         self.frozen = frozen
         self.monitor.observe_freeze(frozen)
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
 
     def reset(self) -> None:
         """Begin estimate and verdict anew; samples and counters stay."""
@@ -164,7 +164,7 @@ class Craft(Stateful, CraftMemory):
         estimator.restore_state(self.estimator.export_state())
         self.estimator, self._process_noise, self._walk = estimator, (bias_nt, d), _walk_of(settings)
         self._state = self.estimator.estimate()
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
 
     def _fresh_estimator(self) -> Estimator:
         """Of the craft's configuration, with the process noise that a command has set."""
@@ -210,7 +210,11 @@ class Craft(Stateful, CraftMemory):
         too_much = unsendable(self._state)
         if too_much:
             raise SnapshotError(f"the estimate cannot be sent: {too_much}")
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
+
+    def _judged(self) -> Trust:
+        """The verdict on the estimate as it stands."""
+        return self.monitor.judge(self._state)
 
     # Ticks
 
@@ -228,7 +232,7 @@ class Craft(Stateful, CraftMemory):
                 self._thawed, tick = False, replace(tick, after_gap=True)
             self._learn(tick)
         self.monitor.observe_held(self.ticks.held_factor)
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
         return self._estimate(tick.time_ns, tick.clock)
 
     def _learn(self, tick: Tick) -> None:
@@ -286,7 +290,7 @@ class Craft(Stateful, CraftMemory):
         if not self.witness.judge(one.witness for one in others):
             return
         self.monitor.observe_local(self.witness.local)
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
         if self.witness.local:
             self.note("local_disturbance", "the craft's other magnetometers do not see it")
         else:
@@ -308,7 +312,7 @@ class Craft(Stateful, CraftMemory):
             return []
         self._fault = rejection
         self.monitor.observe_fault(fault)
-        self.trust = self.monitor.judge(self._state)
+        self.trust = self._judged()
         self.note("sensor_fault", f"{fault}: {self.trust.verdict}")
         return [self._estimate(sample.time_ns, sample.clock)]
 
@@ -321,7 +325,7 @@ class Craft(Stateful, CraftMemory):
                 self._fault = None
                 self.monitor.observe_fault(None)
         if self._state.phase is Phase.RUNNING and self.monitor.observe_unchecked(self._age_s()):
-            self.trust = self.monitor.judge(self._state)
+            self.trust = self._judged()
 
     def _age_s(self) -> float:
         """How much newer the newest sample is than the newest one learned from [s]."""

@@ -46,6 +46,8 @@ _OF_A_RECORDING: Final = {
     "field, or with an attitude, by which magcal diagnose compares whole vectors",
     Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it was not compensated any more: diagnose "
     "this recording",
+    Reason.PHYSICS_DOUBTFUL: "physics.toml says that it should not be acted on, and why: diagnose again as it advises, "
+    "or calibrate without the file",
 }
 """In place of what the daemon advises while a craft flies; the other reasons' remedies are the same."""
 

@@ -1,10 +1,14 @@
-"""Verdict and reasons of a recording about which something has to be answered first."""
+"""Verdict and reasons where what they rest on is doubted itself: a recording with an open question, or a physics file
+that its diagnosis says not to act on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
-from magcal_service.trust.reasons import Reason
+from magcal_service.trust.reasons import REMEDIES, Reason
+from magcal_service.trust.verdict import Trust
+from magcal_service.wire.kinds import MAX_REASONS
 from magcal_service.wire.messages import Verdict
 
 
@@ -19,3 +23,12 @@ def doubted_reasons(reasons: Iterable[str], is_open: bool) -> tuple[str, ...]:
     if not is_open:
         return tuple(reasons)
     return (Reason.RECORDING_DOUBTFUL, *(reason for reason in reasons if reason != Reason.MODEL_DOUBTFUL))
+
+
+def doubted_by_physics(trust: Trust) -> Trust:
+    """The verdict on samples that are corrected by a ``physics.toml`` that is not to be acted on: that comes first."""
+    if trust.verdict is Verdict.NOT_STARTED:
+        return trust
+    reasons = (Reason.PHYSICS_DOUBTFUL, *trust.reasons)[:MAX_REASONS]
+    verdict, remedy = doubted_verdict(trust.verdict, True), REMEDIES[Reason.PHYSICS_DOUBTFUL]
+    return replace(trust, verdict=verdict, reasons=reasons, remedy=remedy)

@@ -44,6 +44,7 @@ class Reason(StrEnum):
     HELD_READINGS = "held_readings"
     NOISE_MISSTATED = "noise_misstated"
     HEIGHT_DISAGREES = "height_disagrees"
+    PHYSICS_DOUBTFUL = "physics_doubtful"
 
 
 REMEDIES: Final = {
@@ -97,6 +98,8 @@ REMEDIES: Final = {
     Reason.STUCK: "the sensor repeats one vector: power-cycle it or check its bus",
     Reason.COMPENSATION_STOPPED: "physics.toml made the residual worse, so it is not compensated any more: diagnose a "
     "recording of today and load its physics.toml",
+    Reason.PHYSICS_DOUBTFUL: "physics.toml says that it should not be acted on, the log says why: diagnose again as it "
+    "advises, or take the file out",
     Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, or beyond the range of its "
     "curve, so it is not compensated: bring channel, position or reference back, or take the effect out of the file",
 }

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from magcal_service.config.settings import PhysicsConfig
+from magcal_service.daemon.pipeline import Pipeline
 from magcal_service.diagnosis.summary import reason_lines
 from magcal_service.physics.apply.advice import advice, doubts_of
+from magcal_service.wire.messages import Estimate, Verdict
 from sim_sensor import cli as sim_cli
 from sim_sensor.recorder import record_simulation
 from sim_sensor.simulation import Simulation
 from tests.cli.cli_inputs import run
-from tests.physics.live_models import THERMAL, hot, physics
+from tests.physics.live_models import THERMAL, craft, hot, physics, stream
 
 SAID = (
     "do not act on this: name_uncertain: less than 95 % speak for a name: other names, or a cause in no catalogue, "
@@ -56,6 +59,34 @@ def test_a_reader_says_each_doubt_once_and_none_of_a_sound_file(reader: str, fol
         }
         done = run(*(part.format(**places) for part in READERS[reader]))
         assert (done.out + done.err).count(SAID) == count, done
+
+
+@pytest.mark.parametrize("reader", ["replay", "calibrate", "apply"])
+def test_nothing_that_rests_on_a_doubtful_file_is_trusted(reader: str, folder: Path) -> None:
+    """One verdict, whoever gives it: apply said doubtful of vectors that a replay trusted."""
+    places = {"recording": folder / "RECORDING.toml", "folder": folder}
+    for name, is_doubted in (("doubtful", True), ("sound", False)):
+        files = {"config": folder / f"{name}-magcal.toml", "physics": folder / f"{name}.toml"}
+        done = run(*(part.format(**places, **files) for part in READERS[reader]))
+        if reader == "apply":
+            assert (" vectors, 0 of them trusted" in done.out) is is_doubted
+        else:
+            assert ("verdict: doubtful (physics_doubtful" in done.out + done.err) is is_doubted, done
+            assert ("physics_doubtful" in done.out + done.err) is is_doubted
+
+
+def test_live_each_message_says_so(folder: Path) -> None:
+    """From the first estimate on, until the file is stopped or another is loaded; before it there is none to doubt."""
+    texts = {name: (folder / f"{name}.toml").read_text(encoding="utf-8") for name in ("doubtful", "sound")}
+    pipeline = Pipeline(craft("hot", PhysicsConfig(folder / "doubtful.toml", texts["doubtful"])))
+    estimates = [one for message in stream(hot(), 1800.0) for one in pipeline.handle(message)]
+    started = [one for one in estimates if isinstance(one, Estimate) and one.verdict is not Verdict.NOT_STARTED]
+    assert len(started) > 1000
+    assert {one.verdict for one in started} == {Verdict.DOUBTFUL}
+    assert {one.reasons[0] for one in started} == {"physics_doubtful"}
+    assert pipeline.trust.reasons[1:] == pipeline.monitor.judge(pipeline.estimator.estimate()).reasons
+    pipeline.load_physics(texts["sound"])
+    assert "physics_doubtful" not in pipeline.trust.reasons
 
 
 def test_the_json_of_a_calibration_has_them(folder: Path) -> None:

@@ -21,6 +21,7 @@ NO_MODE = {
         Reason.SPIN_ALIASING, Reason.NOISE_TOO_HIGH, Reason.NOISE_MISSTATED, Reason.CONSTANT_REFERENCE,
     },
     "offline only": {Reason.RECORDING_DOUBTFUL},
+    "of a file, while samples are corrected by it": {Reason.PHYSICS_DOUBTFUL},
 }  # fmt: skip
 """Reasons that no degraded mode gives, by why none does."""
 
