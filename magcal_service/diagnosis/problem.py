@@ -38,6 +38,8 @@ PRIOR_BIAS_NT: Final = 2e5
 PRIOR_D: Final = 0.5
 """1 sigma of each element of D [-], as weak."""
 
+_FINITE_NT2: Final = 1e300  # squares beyond which nothing is worked out any more
+
 _ROUNDING: Final = 1e-14  # of the largest eigenvalue of scaled products: below it they are rounding
 
 _NOT_MOVED: Final = 1e6
@@ -337,7 +339,8 @@ def disturbances(terms: Sequence[Term], scene: Scene, made: Sequence[Columns] = 
 def evaluate(
     problem: Problem, x: Array, terms: Sequence[Term], derivatives: bool = True, most_nt2: float = np.inf
 ) -> Fit:
-    """Residual and derivatives at given unknowns; these may be left out where the white squares exceed ``most_nt2``."""
+    """Residual and derivatives at given unknowns; these are left out where the white squares exceed ``most_nt2``, or
+    are no number."""
     return problem.evaluated(x, terms, derivatives, most_nt2)
 
 
@@ -354,7 +357,7 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         residual = length - wanted - problem.noise_nt**2 / scene.magnitude_nt
         clean = w * (wanted / length)[:, None]  # all of it, for the columns of effects are made of such vectors too
     bare = Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
-    if not derivatives or bare.squares > most_nt2:
+    if not derivatives or not bare.squares <= min(most_nt2, _FINITE_NT2):  # what is no number is beyond any
         return bare
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
     measured = scene.field_nt + (clean - w) @ inverse.T

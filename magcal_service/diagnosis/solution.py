@@ -121,7 +121,7 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
         trial = _moved(fit, here.damped(damping) / here.scale)
         if not (problem.is_collapsed(trial[0]) and not problem.is_collapsed(fit.x)):
             there = evaluate(problem, *trial, most_nt2=here.cost + _MAY_COST * here.sigma2)
-            if there.tie.size and _is_better(here, _Step.of(there, here.sigma2)):
+            if _leads_nearer(here, there):
                 fit, damping = there, damping * _EASED if damping > _LEAST_DAMPING else 0.0
                 here = _Step.of(fit, _variance(fit))
                 continue
@@ -227,16 +227,18 @@ def _by_differences(fit: Fit, here: _Step) -> Fit:
     """The fit after steps of Newton whose derivative of the score is taken by differences, while they lead nearer."""
     for _ in range(_DERIVED):
         before, scale = here, here.scale
-        slopes = _score_slopes(fit, here.sigma2) / np.outer(scale, scale)
+        slopes = _score_slopes(fit, here.sigma2)
+        if slopes is None:
+            break
+        slopes = slopes / np.outer(scale, scale)
         for _ in range(_CHORDS):
             free, score = np.ix_(here.free, here.free), here.score * here.scale / scale
             step = np.zeros(len(scale))
             step[here.free] = np.linalg.lstsq(slopes[free], score[here.free], rcond=1e-13)[0]
             trial = evaluate(fit.problem, *_moved(fit, step / scale))
-            there = _Step.of(trial, here.sigma2)
-            if not _is_better(here, there):
+            if not _leads_nearer(here, trial):
                 break
-            fit, here = trial, there
+            fit, here = trial, _Step.of(trial, here.sigma2)
             if here.to_go < _CONVERGED * here.sigma2:
                 return replace(fit, converged=True)
         if here is before:
@@ -244,15 +246,18 @@ def _by_differences(fit: Fit, here: _Step) -> Fit:
     return fit
 
 
-def _score_slopes(fit: Fit, sigma2: float) -> Array:
-    """(p, p) how the score falls with each unknown, by central differences over a part of its sigma."""
+def _score_slopes(fit: Fit, sigma2: float) -> Array | None:
+    """(p, p) how the score falls with each unknown, by central differences over a part of its sigma; None where that
+    leads out of all numbers, as where nothing tells an unknown."""
     widths = _DIFFERENCE * np.sqrt(np.diagonal(fit.covariance))
     slopes = np.empty((len(widths), len(widths)))
     for number, width in enumerate(widths):
         step = np.zeros(len(widths))
         step[number] = width
-        sides = (_Step.of(evaluate(fit.problem, *_moved(fit, one)), sigma2) for one in (-step, step))
-        low, high = (side.score * side.scale for side in sides)
+        sides = [evaluate(fit.problem, *_moved(fit, one)) for one in (-step, step)]
+        if not all(_has_derivatives(side) for side in sides):
+            return None
+        low, high = (one.score * one.scale for one in (_Step.of(side, sigma2) for side in sides))
         slopes[:, number] = (low - high) / (2.0 * width)
     return slopes
 
@@ -298,6 +303,16 @@ def _with(term: Term, hypothesis: Hypothesis, number: int, value: float) -> Term
 
 def _variance(fit: Fit) -> float:
     return max(fit.white_rms_nt**2, 1e-12)
+
+
+def _leads_nearer(here: _Step, trial: Fit) -> bool:
+    """Whether a step to a fit is taken."""
+    return _has_derivatives(trial) and _is_better(here, _Step.of(trial, here.sigma2))
+
+
+def _has_derivatives(fit: Fit) -> bool:
+    """Whether a fit was evaluated with them, and they are numbers."""
+    return fit.tie.size > 0 and bool(np.isfinite(fit.normal_equations[1]).all())
 
 
 def _is_better(here: _Step, there: _Step) -> bool:

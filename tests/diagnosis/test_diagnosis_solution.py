@@ -23,6 +23,8 @@ from magcal_service.diagnosis.solution import (
 )
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 FAR = np.array([40_000.0, -25_000.0, 30_000.0, 0.25, -0.2, 0.15, 0.1, -0.1, 0.05])
@@ -128,8 +130,26 @@ def test_the_score_s_own_derivative_leads_to_its_zero() -> None:
     found = _by_differences(off, here)
     assert found.converged
     assert float((np.abs(found.x - end.x) / sigma).max()) < 0.02
-    slopes = _score_slopes(off, here.sigma2) / np.outer(here.scale, here.scale)
+    slopes = _score_slopes(off, here.sigma2)
+    assert slopes is not None
+    slopes = slopes / np.outer(here.scale, here.scale)
     np.testing.assert_allclose(slopes, here.normal, atol=0.02)
+
+
+def test_a_number_that_nothing_tells_does_not_end_in_an_error() -> None:
+    """Its sigma leads out of all numbers; a singular value decomposition of what is none ended the diagnosis."""
+
+    def columns(theta: Array) -> Columns:
+        return along_axes(np.where(abs(theta[0]) < 1e3, 1.0, np.nan) * np.cos(scene().time_s / 300.0)[:, None])
+
+    grid = Nonlinear("any", "1", np.array([-1e12, 1e12]))
+    form = Hypothesis("torquer", "none", columns, (Block("k", "nT"),), nonlinear=(grid,), largest_nt=500.0)
+    problem = Problem(scene(NOISE_NT), NOISE_NT)
+    fit = evaluate(problem, X + 1e-3, [Term(form, np.array([5.0]), np.full(3, 10.0))])
+    here = _Step.of(fit, fit.white_rms_nt**2)
+    assert float(np.sqrt(fit.covariance[-1, -1])) > 1e4
+    assert _score_slopes(fit, here.sigma2) is None
+    assert not _by_differences(fit, here).converged
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
