@@ -130,7 +130,9 @@ def test_a_spectrum_is_the_sum_over_samples_with_gaps_where_they_are() -> None:
 def test_a_peak_between_the_lines_has_its_frequency_and_height(offset: float) -> None:
     width_hz = 0.5 / TIME_S[-1]
     tone = 5.0 * np.exp(-2j * math.pi * (0.02 + offset * width_hz) * (TIME_S - TIME_S[0]))
-    found_hz, height = _peak(TIME_S, tone, 0.02, width_hz)
+    peak = _peak(TIME_S, tone, 0.02, width_hz)
+    assert peak is not None
+    found_hz, height = peak
     assert found_hz == pytest.approx(0.02 + offset * width_hz, abs=2e-3 * width_hz)
     assert height == pytest.approx(5.0 * COUNT, rel=1e-4)
 
@@ -140,3 +142,12 @@ def test_a_line_is_near_its_own_frequency_of_either_sign_and_where_it_is_folded_
     assert _near(frequency, 0.11, 0.015, 2.0).tolist() == [True, False, True, False, False, False]
     assert _near(frequency, 0.30, 0.015, 2.0).tolist() == [False, False, False, False, True, False]
     assert _near(frequency, 0.0, 0.015, 2.0).tolist() == [False] * 5 + [True]
+
+
+def test_the_flank_of_another_line_has_no_peak() -> None:
+    """A parabola through it had one at 5e303 Hz, a nutation by 44 degrees."""
+    beside_hz = 0.0123
+    signal = np.exp(-2j * math.pi * beside_hz * TIME_S)
+    width_hz = 0.5 / (COUNT * PERIOD_S)
+    assert _peak(TIME_S, signal, beside_hz + 1.2 * width_hz, width_hz) is None
+    assert _peak(TIME_S, signal, beside_hz + 0.5 * width_hz, width_hz) is not None

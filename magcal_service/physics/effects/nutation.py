@@ -59,7 +59,10 @@ def _find(view: View) -> Finding | None:
     power_of, elapsed = np.abs(turning) ** 2, scene.time_s - scene.time_s[0]
     power = float(power_of.sum())
     best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
-    line_hz, height = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
+    peak = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
+    if peak is None:
+        return None
+    line_hz, height = peak
     amplitude = 2.0 * height / power  # sin(angle) cos(angle): both sides are taken along and across the mean axis
     around = allowed & (np.abs(np.arange(len(line)) - best) < max(len(line) // 40, 40))
     around &= np.abs(np.arange(len(line)) - best) > 6
@@ -98,16 +101,19 @@ def _spectrum(time_s: Array, signal: Complex, period_s: float) -> tuple[Array, C
     return np.fft.fftfreq(size, period_s), np.fft.ifft(grid) * size
 
 
-def _peak(time_s: Array, signal: Complex, near_hz: float, width_hz: float) -> tuple[float, float]:
+def _peak(time_s: Array, signal: Complex, near_hz: float, width_hz: float) -> tuple[float, float] | None:
     """Frequency [Hz] and height of the largest sum of signal exp(+i 2 pi f t) within a width of a frequency.
 
-    Between the lines of a transform padded to twice its length up to a tenth of the height is lost.
+    Between the lines of a transform padded to twice its length up to a tenth of the height is lost.  None where it
+    still rises at an end: that is the flank of another line.
     """
     offsets = np.linspace(-width_hz, width_hz, 17)
     elapsed = time_s - time_s[0]
     centred = signal * np.exp(2j * math.pi * near_hz * elapsed)
     heights = np.array([abs(complex(np.exp(2j * math.pi * offset * elapsed) @ centred)) for offset in offsets.tolist()])
-    best = int(np.clip(np.argmax(heights), 1, len(heights) - 2))
+    best = int(np.argmax(heights))
+    if not 0 < best < len(heights) - 1:
+        return None
     low, top, high = heights[best - 1 : best + 2].tolist()
     share = 0.5 * (low - high) / min(low - 2.0 * top + high, -1e-300)
     found_hz = near_hz + float(offsets[best]) + share * float(offsets[1] - offsets[0])
