@@ -44,6 +44,7 @@ class Entry:
         empty where nothing does.
     as_well: of ``members``, those that act exactly so: the field alone never tells them apart.
     extent: how much of what it has a part in, in words.
+    record_next: what to record otherwise of its driver, as a request; empty where nothing.
     why_first: why it stands although a rival of its class is likelier; empty where none is.
     """
 
@@ -66,6 +67,7 @@ class Entry:
     as_well: tuple[str, ...] = ()
     extent: str = ""
     why_first: str = ""
+    record_next: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
@@ -78,6 +80,7 @@ class Entry:
             "as_well": list(self.as_well),
             "why_first": self.why_first,
             "separated_by": self.separated_by,
+            "record_next": self.record_next,
             "driver": self.driver,
             "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in self.drivers],
             "unlisted": self.unlisted,

@@ -79,6 +79,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         unlisted=unlisted(diagnosis.explained, index),
         as_well=term.hypothesis.exactly_alike,
         why_first=why_first(diagnosis.explained, index),
+        record_next=effect.next_record(parameters, driver),
         # of several in one residual; these need not add up to what all of them explain
         extent=f"{percent(float(where['share_of_mismatch']))} of the mismatch comes back in a fit without it",
     )

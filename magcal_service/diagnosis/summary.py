@@ -103,6 +103,8 @@ def _of(entry: Entry, is_said: bool) -> Iterator[str]:
     if len(entry.members) > 1 or entry.probability < SURE:
         parts = filter(None, (not_told_from(entry), f"what would tell: {next_step(entry)}"))
         yield from wrapped("; ".join(parts), "    ", most=3)
+    if entry.record_next:
+        yield from wrapped(f"next time: {entry.record_next}", "    ", most=3)
 
 
 def _vectors(diagnosis: Diagnosis) -> Iterator[str]:

@@ -315,6 +315,8 @@ class Effect:
     source: where the form comes from.
     says: sentences of cause and size, with ``{driver}`` and properties of parameters (``saying.Said``) in braces; the
         first whose parameters are all there is used.
+    record_next: what to record otherwise of a driver that was recorded, as requests, with ``{channel}`` and properties
+        of parameters in braces; the first whose parameters are all there is used.
     hypotheses: every way it may act as a field on a scene; empty where the recording lacks what it needs.
     find: detects it in samples, attitude or noise, or in when a field comes and goes; None for one that acts as a field
         of a known course only.
@@ -348,6 +350,7 @@ class Effect:
     separated_by: str
     source: str
     says: tuple[str, ...]
+    record_next: tuple[str, ...] = ()
     hypotheses: Callable[[Scene], Sequence[Hypothesis]] = lambda _: ()
     find: Callable[[View], Finding | None] | None = None
     derived: Callable[[Values], Values] = lambda _: {}
@@ -376,10 +379,19 @@ class Effect:
         drives = f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"
         if others:
             drives += f" (or {', '.join(other.partition(':')[2] for other in others)})"
-        words = {"driver": drives}
-        said = {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}
-        for text in self.says:
-            fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
-            if all(field in words or field in said for field in fields):
-                return text.format(**words, **said)
-        return f"{self.title[0].upper()}{self.title[1:]}."
+        return _filled(self.says, parameters, {"driver": drives}) or f"{self.title[0].upper()}{self.title[1:]}."
+
+    def next_record(self, parameters: Values, driver: str) -> str:
+        """What to record otherwise of a recorded driver, as a request with its numbers; empty where nothing."""
+        kind, _, name = driver.partition(":")
+        return _filled(self.record_next, parameters, {"channel": f"channel {name}"}) if kind == "channel" else ""
+
+
+def _filled(texts: Sequence[str], parameters: Values, words: Mapping[str, str]) -> str:
+    """The first of some texts whose fields are all there, with them; empty where there is none."""
+    said = {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}
+    for text in texts:
+        fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
+        if all(field in words or field in said for field in fields):
+            return text.format(**words, **said)
+    return ""

@@ -13,6 +13,7 @@ from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Hypothesis, value_of
 from magcal_service.physics.scene.scene import Telemetry
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -68,3 +69,59 @@ def test_a_record_with_noise_of_its_own_gives_the_field_per_ampere() -> None:
     sigma = np.sqrt(np.diagonal(fit.covariance)[-3:])
     assert np.all(np.abs(fit.terms[0].amplitudes - PER_A_NT) < 3.0 * sigma)
     assert fit.terms[0].amplitudes @ PER_A_NT / (PER_A_NT @ PER_A_NT) == pytest.approx(1.0, abs=0.06)
+
+
+def late_form(record_a: Array) -> Hypothesis:
+    """The form by a heater's record (n,) [A] that is read out late."""
+    of = replace(scene(), channels={"heater": Telemetry("heater", "current", record_a[:, None])})
+    return next(one for one in effect_named("current_loop").hypotheses(of) if one.variant == "recorded late")
+
+
+def test_a_record_that_repeats_is_said_to_be_held_and_another_to_be_averaged() -> None:
+    """A record of which no row is the one before was not held, whatever time its form has."""
+    time_s = scene().time_s
+    held, mean = load_a(np.floor(time_s / READ_S) * READ_S), np.sin(time_s / 40.0)
+    effect = effect_named("current_loop")
+    said, asked = [], []
+    for record, constants in ((held, {"column_0": 0.0}), (mean, {"column_0": 0.0, "averaged": 1.0})):
+        form = late_form(record)
+        assert form.constants == constants
+        found = {
+            "nt_per_a": value_of(PER_A_NT, np.ones(3), "nT/A"),
+            "late_s": value_of(12.0, 0.5, "s"),
+            "held_s": value_of(30.0, 1.0, "s"),
+            **{name: value_of(value, np.nan, "1") for name, value in form.constants.items()},
+        }
+        values = {**found, **effect.derived(found)}
+        said.append(effect.sentence(values, form.driver).partition("before its row and ")[2])
+        asked.append(effect.next_record(values, form.driver))
+        given = replace(
+            scene(), channels={"heater": Telemetry("heater", "current", held[:, None])}, given=form.constants
+        )
+        again = next(one for one in effect.hypotheses(given) if one.variant == form.variant)
+        assert again.constants == constants  # as its file has it, whatever it is applied to
+    assert said == ["held for 30.0 ± 1.0 s.", "averaged over 30.0 ± 1.0 s."]
+    assert asked == [
+        "read channel heater out with every sample: its record is 12.00 ± 0.50 s older than its row, and held for "
+        "30.0 ± 1.0 s",
+        "read channel heater out with every sample: its record is 12.00 ± 0.50 s older than its row, and a mean over "
+        "30.0 ± 1.0 s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "asked"),
+    [
+        ("lag_s", "s", "read field and channel heater through the same filter: one lags by 2.00 ± 0.10 s"),
+        (
+            "record_noise_a",
+            "A",
+            "record channel heater with less noise than 2.00 ± 0.10 A, as by a mean of more readings",
+        ),
+        ("none", "s", ""),
+    ],
+)
+def test_what_to_record_otherwise_is_said_of_a_record_alone(number: str, unit: str, asked: str) -> None:
+    effect, found = effect_named("current_loop"), {number: value_of(2.0, 0.1, unit)}
+    assert effect.next_record(found, "channel:heater") == asked
+    assert effect.next_record(found, "inferred:array_current") == ""

@@ -102,6 +102,7 @@ def entry(
         nats=12.0,
         members=(effect, *members),
         separated_by="a heater test",
+        record_next="",
         measure=(),
         drivers=(),
         extent=f"{percent(share)} of the mismatch",
@@ -349,6 +350,9 @@ def test_the_measurement_that_promises_most_is_asked_for() -> None:
     assert next_step(alike) == "spin faster (8 sigma, odds beyond 10^12 to 1 expected against b)"
     lines = summary(diagnosis(Verdict.NAMED, terms=1), [alike], HELD_OUT, [])
     assert f"    nearly the same is left by b; what would tell: {next_step(alike)}" in lines
+    assert not [line for line in lines if "next time" in line]
+    alike.record_next = "read channel bus out with every sample"
+    assert f"    next time: {alike.record_next}" in summary(diagnosis(Verdict.NAMED, terms=1), [alike], HELD_OUT, [])
 
 
 def test_what_leaves_exactly_the_same_is_not_said_to_do_so_nearly() -> None:

@@ -295,7 +295,7 @@ def refused(term: ModelTerm) -> list[str]:
     return str(caught.value).splitlines()
 
 
-_MAY_BE_MISSING = {"turns_between", "smoothed_over", "induced"}
+_MAY_BE_MISSING = {"averaged", "turns_between", "smoothed_over", "induced"}
 """Not there stands for 0; and what is refused with words of its own."""
 
 

@@ -20,6 +20,7 @@ from magcal_service.diagnosis.joint.words import (
     effect_of,
     name_in_words,
     noise_of_one,
+    record_next,
     says,
     sentence,
 )
@@ -66,6 +67,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "name_is": name_in_words(diagnosis, index),
         "members": ", ".join(believed.members[1:]),
         "separated_by": effect.separated_by,
+        "record_next": record_next(diagnosis, index),
         "driver": driver_in_words(diagnosis.fit.terms[index].hypothesis.driver),
         "numbers": [_number(diagnosis, one) for one in diagnosis.compared.shared if one.index == index],
     }

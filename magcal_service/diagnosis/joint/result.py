@@ -17,7 +17,7 @@ from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Sh
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
-from magcal_service.diagnosis.joint.words import ONE_ALONE, effect_of, parameters, says, sentence
+from magcal_service.diagnosis.joint.words import ONE_ALONE, effect_of, parameters, record_next, says, sentence
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.term_columns import amplitude_columns
@@ -105,6 +105,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "class": list(believed.members),
         "why_first": why_first(diagnosis.explained, index),
         "separated_by": effect_of(diagnosis, index).separated_by,
+        "record_next": record_next(diagnosis, index),
         "driver": form.driver,
         "variant": form.variant,
         "parameters": {name: _value(value) for name, value in parameters(diagnosis, index).items()},

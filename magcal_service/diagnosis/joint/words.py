@@ -79,6 +79,12 @@ def says(diagnosis: JointDiagnosis, index: int) -> str:
     return sentence if form.common else f"In each recording its own, in the order of the recordings: {sentence}"
 
 
+def record_next(diagnosis: JointDiagnosis, index: int) -> str:
+    """What to record otherwise of a term's driver, as a request; empty where nothing."""
+    driver = diagnosis.fit.terms[index].hypothesis.driver
+    return effect_of(diagnosis, index).next_record(parameters(diagnosis, index), driver)
+
+
 def sentence(diagnosis: JointDiagnosis) -> str:
     """The verdict in one plain sentence: what is common, and what each recording has itself."""
     if diagnosis.verdict is Verdict.NONE:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -12,12 +11,12 @@ import numpy as np
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
 from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.drivers import readout
 from magcal_service.physics.drivers.proportion import apart_in, named
 from magcal_service.physics.held import TOGETHER, Form, HeldAt, at_zero_of
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.saying import AXES
-from magcal_service.physics.scene.scene import Scene, Telemetry, is_sun_vector
-from magcal_service.physics.scene.smooth import expected_course, mean_over, noise_of
+from magcal_service.physics.scene.scene import Scene, is_sun_vector
 from magcal_service.physics.scene.sunlight import first_order
 
 _MOST_PER_A_NT: Final = 5000.0
@@ -33,18 +32,9 @@ _MOST_GUESSED_NT: Final = 2000.0
 _LAGS: Final = np.array([0.5, 1.0, 2.0, 4.0])
 """Time constants that are tried, in samples: drivers of sensors average over a few."""
 
-_LATE_S: Final = np.array([0.0, 3.0, 10.0, 30.0, 90.0])
-_HELD_S: Final = np.array([0.0, 10.0, 30.0, 60.0])
-"""How long before its row a record was taken at the least, and for how long it is held until the next [s]: housekeeping
-is read out every few seconds to a minute."""
-
 _SLOW_S, _SLOW_SHARE = 60.0, 0.2
 """Time over which a record changes by less than so much of its range, if it is warmth [s]: parts take two minutes and
 more for most of a change, a load or a panel in the Sun of a craft that turns takes none."""
-
-_RECORDED_LATE: Final = "recorded late"
-_WITH_NOISE: Final = "recorded with noise"
-"""Ends the form of a record that was read out before its row, and held until the next readout."""
 
 _REGULATED_S: Final = np.array([7.5, 15.0, 30.0, 60.0, 120.0])
 """Time constants of an inferred array's current [s]: the penumbra of a low orbit takes 10 to 20 s, regulators that seek
@@ -70,8 +60,9 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield from _together(scene)
     yield from _alike(scene)
     yield from _lagging(scene)
-    yield from _recorded_before(scene)
-    yield from _recorded_with_noise(scene)
+    for plain in (*_by_channel(scene), *_alike(scene)):
+        yield readout.late(scene, plain)
+        yield from readout.noisy(scene, plain)
     for hypothesis in _inferred(scene):
         yield replace(hypothesis, largest_nt=_MOST_GUESSED_NT)
 
@@ -169,73 +160,6 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
             refines=f"current_loop by {driver}",
             as_well=("thermal_bias",) if not is_current and _may_be_warmth(scene, signal[:, 0]) else (),
         )
-
-
-def _recorded_before(scene: Scene) -> Iterator[Hypothesis]:
-    """Every channel whose record was taken before its row, and held: what flows is between its values of rows to come.
-
-    A mean over the time that values are held for is a straight line from one readout to the next.  As it is recorded, a
-    held value is wrong wherever the current has changed since, and the field per ampere comes out small.
-
-    Source: regression on the expected driver, not on its record, has no such bias (Berkson 1950, Journal of the
-    American Statistical Association 45, 164-180).
-    """
-    numbers = (Nonlinear("late_s", "s", _LATE_S), Nonlinear("held_s", "s", _HELD_S))
-    for plain in (*_by_channel(scene), *_alike(scene)):
-        channel = scene.channels[plain.driver.partition(":")[2]]
-        signal = channel.values[:, [int(column) for column in plain.constants.values()]]
-        yield replace(
-            plain,
-            columns=_ahead(scene, signal),
-            variant=", ".join(filter(None, (plain.variant, _RECORDED_LATE))),
-            nonlinear=numbers,
-            refines=plain.label,
-        )
-
-
-def _recorded_with_noise(scene: Scene) -> Iterator[Hypothesis]:
-    """Every channel whose record has noise of its own: what flows is what it lets expect (``expected_course``).
-
-    As it is recorded, a field per ampere comes out small by the noise's share of its variance.
-    """
-    for plain in (*_by_channel(scene), *_alike(scene)):
-        channel = scene.channels[plain.driver.partition(":")[2]]
-        columns = [int(column) for column in plain.constants.values()]
-        own = [scene.once(f"noise of {channel.name} {c}", partial(noise_of, channel.values[:, c])) for c in columns]
-        if max(own) == 0.0 and not scene.is_given:
-            continue
-        name = "record_noise_a" if channel.quantity == "current" else "record_noise"
-        yield replace(
-            plain,
-            columns=_expected(scene, channel, dict(zip(columns, own, strict=True))),
-            variant=", ".join(filter(None, (plain.variant, _WITH_NOISE))),
-            constants={**plain.constants, name: float(f"{max(own):.3g}")},
-            refines=plain.label,
-        )
-
-
-def _expected(scene: Scene, channel: Telemetry, noise: Mapping[int, float]) -> Callable[[Array], Columns]:
-    """What columns of a record let expect, each with its noise; in a stream, as the row has it."""
-
-    def expected(column: int) -> Array:
-        values = channel.values[:, column]
-        if scene.memory is not None or noise[column] == 0.0:
-            return values
-        return scene.once(f"expected {channel.name} {column}", partial(expected_course, values))
-
-    return lambda _: along_axes(np.stack([expected(column) for column in noise], axis=1))
-
-
-def _ahead(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
-    """Means of a signal (n, k) over rows to come; in a stream, where none has come yet, as the row has it."""
-
-    def columns(theta: Array) -> Columns:
-        if scene.memory is not None:
-            return along_axes(signal)
-        late_s, held_s = theta.tolist()
-        return along_axes(mean_over(scene.time_s, signal, scene.time_s + late_s, held_s))
-
-    return columns
 
 
 def _lagged(scene: Scene, signal: Array, key: str = "lagging") -> Callable[[Array], Columns]:
@@ -343,13 +267,6 @@ def _held_at(form: Form) -> HeldAt:
     return at_zero_of(form, "A" if "nt_per_a" in form.block_names else "")
 
 
-def _live_as(form: str) -> str:
-    """How a form acts on a stream, where that is otherwise."""
-    if not form.endswith((_RECORDED_LATE, _WITH_NOISE)):
-        return ""
-    return "the record as its row has it, for later rows have not come"
-
-
 EFFECT = Effect(
     name="current_loop",
     acts_on=ActsOn.FIELD,
@@ -365,6 +282,7 @@ EFFECT = Effect(
         "lag_s": "s",
         "late_s": "s",
         "held_s": "s",
+        "averaged_s": "s",
         "record_noise_a": "A",
         "record_noise": "1",
         "limit": "1",
@@ -378,6 +296,10 @@ EFFECT = Effect(
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), "
         "{lag_s.signed} late.",
+        "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, read out {late_s.size} before its "
+        "row and averaged over {averaged_s.size}.",
+        "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), read "
+        "out {late_s.size} before its row and averaged over {averaged_s.size}.",
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, read out {late_s.size} before its "
         "row and held for {held_s.size}.",
         "A current or a moved magnet makes up to {nt_per_unit.size} of {driver} ({nt_per_unit.place}), read "
@@ -393,8 +315,10 @@ EFFECT = Effect(
         "{limit.percent} of full sun on one panel.",
         "Currents make up to {nt_full_sun.size} in full sun ({nt_full_sun.place}), with {driver}.",
     ),
+    record_next=(*readout.RECORD_NEXT, "read field and {channel} through the same filter: one lags by {lag_s.size}"),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    derived=readout.derived,
     direct=_direct,
     held_at=_held_at,
-    live_as=_live_as,
+    live_as=readout.live_as,
 )

@@ -1,0 +1,136 @@
+"""A record that is not what flows at its row: read out before it and held, averaged, or with noise of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from magcal_service.model import Array
+from magcal_service.physics.columns import Columns, along_axes
+from magcal_service.physics.interface import Hypothesis, Nonlinear, Values
+from magcal_service.physics.scene.scene import Scene, Telemetry
+from magcal_service.physics.scene.smooth import expected_course, mean_over, noise_of
+
+_LATE_S: Final = np.array([0.0, 3.0, 10.0, 30.0, 90.0])
+_HELD_S: Final = np.array([0.0, 10.0, 30.0, 60.0])
+"""How long before its row a record was taken at the least, and for how long it is held until the next [s]: housekeeping
+is read out every few seconds to a minute."""
+
+_LATE: Final = "recorded late"
+"""Ends the form of a record that was read out before its row, and held until the next readout."""
+
+_WITH_NOISE: Final = "recorded with noise"
+"""Ends the form of a record that has noise of its own."""
+
+_AVERAGED: Final = "averaged"
+"""Constant: 1 where no row of the record repeats the one before, so that nothing was held; else it is not there."""
+
+RECORD_NEXT: Final = (
+    "read {channel} out with every sample: its record is {late_s.size} older than its row, and a mean over "
+    "{averaged_s.size}",
+    "read {channel} out with every sample: its record is {late_s.size} older than its row, and held for {held_s.size}",
+    "record {channel} with less noise than {record_noise_a.size}, as by a mean of more readings",
+    "record {channel} with less noise than {record_noise.size}, as by a mean of more readings",
+)
+"""What to record otherwise, as ``Effect.record_next`` has it."""
+
+
+def late(scene: Scene, plain: Hypothesis) -> Hypothesis:
+    """A form by a channel whose record was taken before its row, and held: what flows is between its values of rows to
+    come.
+
+    A mean over the time that values are held for is a straight line from one readout to the next.  As it is recorded, a
+    held value is wrong wherever the current has changed since, and the field per ampere comes out small.
+
+    Source: regression on the expected driver, not on its record, has no such bias (Berkson 1950, Journal of the
+    American Statistical Association 45, 164-180).
+    """
+    channel, columns = _of(scene, plain)
+    signal = channel.values[:, columns]
+    averaged = scene.constant(_AVERAGED, 0.0 if scene.is_given else _never_repeats(scene, channel, columns))
+    return replace(
+        plain,
+        columns=_ahead(scene, signal),
+        variant=_form(plain, _LATE),
+        nonlinear=(Nonlinear("late_s", "s", _LATE_S), Nonlinear("held_s", "s", _HELD_S)),
+        constants={**plain.constants, **({_AVERAGED: averaged} if averaged else {})},
+        refines=plain.label,
+    )
+
+
+def noisy(scene: Scene, plain: Hypothesis) -> Iterator[Hypothesis]:
+    """A form by a channel whose record has noise of its own: what flows is what it lets expect (``expected_course``).
+
+    As it is recorded, a field per ampere comes out small by the noise's share of its variance.
+    """
+    channel, columns = _of(scene, plain)
+    own = [scene.once(f"noise of {channel.name} {c}", partial(noise_of, channel.values[:, c])) for c in columns]
+    if max(own) == 0.0 and not scene.is_given:
+        return
+    name = "record_noise_a" if channel.quantity == "current" else "record_noise"
+    yield replace(
+        plain,
+        columns=_expected(scene, channel, dict(zip(columns, own, strict=True))),
+        variant=_form(plain, _WITH_NOISE),
+        constants={**plain.constants, name: float(f"{max(own):.3g}")},
+        refines=plain.label,
+    )
+
+
+def derived(parameters: Values) -> Values:
+    """Of a record that is not held, over how long it is averaged."""
+    return {"averaged_s": parameters["held_s"]} if {_AVERAGED, "held_s"} <= set(parameters) else {}
+
+
+def live_as(form: str) -> str:
+    """How a form acts on a stream, where that is otherwise."""
+    if not form.endswith((_LATE, _WITH_NOISE)):
+        return ""
+    return "the record as its row has it, for later rows have not come"
+
+
+def _of(scene: Scene, plain: Hypothesis) -> tuple[Telemetry, list[int]]:
+    """The channel that a form follows, and which of its columns."""
+    return scene.channels[plain.driver.partition(":")[2]], [int(column) for column in plain.constants.values()]
+
+
+def _form(plain: Hypothesis, added: str) -> str:
+    return ", ".join(filter(None, (plain.variant, added)))
+
+
+def _never_repeats(scene: Scene, channel: Telemetry, columns: Sequence[int]) -> float:
+    """1 where no row of some columns is that before it, else 0."""
+
+    def found() -> float:
+        signal = channel.values[:, list(columns)]
+        return float(not np.any(np.all(signal[1:] == signal[:-1], axis=1)))
+
+    return scene.once(f"never repeats {channel.name} {list(columns)}", found)
+
+
+def _expected(scene: Scene, channel: Telemetry, noise: Mapping[int, float]) -> Callable[[Array], Columns]:
+    """What columns of a record let expect, each with its noise; in a stream, as the row has it."""
+
+    def expected(column: int) -> Array:
+        values = channel.values[:, column]
+        if scene.memory is not None or noise[column] == 0.0:
+            return values
+        return scene.once(f"expected {channel.name} {column}", partial(expected_course, values))
+
+    return lambda _: along_axes(np.stack([expected(column) for column in noise], axis=1))
+
+
+def _ahead(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
+    """Means of a signal (n, k) over rows to come; in a stream, where none has come yet, as the row has it."""
+
+    def columns(theta: Array) -> Columns:
+        if scene.memory is not None:
+            return along_axes(signal)
+        late_s, held_s = theta.tolist()
+        return along_axes(mean_over(scene.time_s, signal, scene.time_s + late_s, held_s))
+
+    return columns
