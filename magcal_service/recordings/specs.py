@@ -62,6 +62,9 @@ __all__ = [
     "VectorReference",
 ]
 
+NOISE_NT: Final = (1e-3, MAX_FIELD_NT)
+"""What a sensor's noise may be stated as, 1 sigma per axis, from and to [nT]."""
+
 SESSION_SUFFIX = ".mcap"
 """The service's own recordings."""
 
@@ -157,7 +160,7 @@ class MagnetometerSpec(FieldCells):
     the full scale of each axis [nT]."""
 
     columns: tuple[str, ...] = texts(3)
-    noise_nt: float | None = number(None, 1e-3, MAX_FIELD_NT, unit="nT")
+    noise_nt: float | None = number(None, *NOISE_NT, unit="nT")
     source: str = special(_source, "")
     range_nt: float | None = number(None, *RANGE_NT, unit="nT")
 

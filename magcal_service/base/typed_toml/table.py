@@ -27,7 +27,7 @@ _MICRO: Final = str.maketrans("\u00b5\u03bc", "uu")
 
 def nearest(value: str, known: Iterable[str]) -> str:
     """Name the known name that is probably meant: ``"did you mean 'unit'? known: ..."``."""
-    names = sorted(filter(None, known))
+    names = sorted(map(str, filter(None, known)))
     by_lower = {name.lower(): name for name in names}
     plain = value.translate(_MICRO).lower()
     close = [plain] if plain in by_lower else difflib.get_close_matches(plain, by_lower, n=1)

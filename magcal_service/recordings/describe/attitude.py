@@ -42,6 +42,10 @@ def find_attitude(draft: Draft, field: FloatArray | None, place: Place | None) -
     if "columns" in whole:
         columns = tuple(draft.named("channels.attitude.columns", whole["columns"], (4,)))
     columns = columns or _four(draft.log)
+    if columns is None and whole:
+        accepted = "no four columns are called a quaternion and have length 1; name them: --answer "
+        accepted += "channels.attitude.columns=NAME,NAME,NAME,NAME"
+        raise InputRefusedError([Fault("--answer channels.attitude", ", ".join(whole.values()), accepted)])
     if columns is None:
         return set()
     numbers = {column.number for column in columns}

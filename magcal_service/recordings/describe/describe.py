@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.base.errors import Fault, InputRefusedError, RecordingError, printable
+from magcal_service.base.typed_toml import nearest
 from magcal_service.base.typed_toml.parse import parse_toml
 from magcal_service.recordings.describe.attitude import find_attitude
 from magcal_service.recordings.describe.columns import Log, read_log, triples
@@ -132,7 +133,7 @@ def _delimiter(given: Answers) -> str | None:
     known = {"\\t": "\t", "tab": "\t", "comma": ",", "semicolon": ";", "pipe": "|", "blanks": "whitespace"}
     answer = known.get(answer or "", answer)
     if answer is not None and answer not in {",", ";", "\t", "|", "whitespace"}:
-        accepted = r"comma, semicolon, tab, | or whitespace is accepted"
+        accepted = nearest(answer, ("comma", "semicolon", "tab", "pipe", "whitespace"))
         raise InputRefusedError([Fault("--answer samples.delimiter", answer, accepted)])
     return answer
 

@@ -139,7 +139,8 @@ def _fault(key: str, value: str) -> Fault | None:
     if parts[0] == "channels":
         if len(parts) == 2 or (len(parts) == 3 and parts[2] in _CHANNEL_KEYS):
             return None if value else Fault(f"--answer {key}", value, "a value is accepted after the =")
-        return Fault("--answer", key, f"channels.NAME.KEY is accepted, with KEY one of {', '.join(_CHANNEL_KEYS)}")
+        accepted = f"channels.NAME.KEY is accepted; of KEY, {nearest(parts[-1], _CHANNEL_KEYS)}"
+        return Fault("--answer", key, accepted)
     if key not in KEYS:
         return Fault("--answer", key, nearest(key, KEYS))
     return None if value else Fault(f"--answer {key}", value, "a value is accepted after the =")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.typed_toml import nearest
 from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.recordings.describe.columns import Column, Triple
 from magcal_service.recordings.describe.draft import Draft, Question, answered
@@ -132,11 +133,13 @@ def _by_channel_name(draft: Draft, name: str) -> list[Column]:
             and not {c.number for c in group.columns} & draft.reserved
         ):
             return list(group.columns)
-    for column in draft.log.columns:
-        if column.number not in draft.reserved and name in {_quantity(column), _clean(column.stem), column.name}:
+    free = [column for column in draft.log.columns if column.number not in draft.reserved]
+    for column in free:
+        if name in {_quantity(column), _clean(column.stem), column.name}:
             return [column]
-    accepted = f"name its columns: --answer channels.{name}.columns=NAME,NAME"
-    raise InputRefusedError([Fault(f"--answer channels.{name}", "no columns", accepted)])
+    known = {name for column in free if column.numeric and column.name for name in (column.name, _clean(column.stem))}
+    accepted = f"{nearest(name, known)}; or name its columns: --answer channels.{name}.columns=NAME,NAME"
+    raise InputRefusedError([Fault("--answer channels", name, accepted)])
 
 
 def _columns(draft: Draft, columns: list[Column] | tuple[Column, ...]) -> dict[str, object]:

@@ -60,11 +60,47 @@ def test_what_is_answered_stands_in_the_descriptor(sensors: int, tmp_path: Path)
     ("key", "value", "why"),
     [
         ("magnetometer.noise_nt", "much", "a number of nT is accepted"),
-        ("magnetometer.range_nt", "5", "range_nt"),
+        ("magnetometer.noise_nt", "nan", "a number of nT is accepted, from 0.001 to 1e"),
+        ("magnetometer.range_nt", "5", "magnetometer.range_nt: '5' is refused; a number of nT is accepted, from "),
         ("samples.craft", "a b", "the name of a craft"),
-        ("platform.kind", "sea", "kind"),
+        ("platform.kind", "space", "'space' is refused; did you mean 'orbit'. known: air, bench, ground, orbit"),
+        ("platform.kind", "Drone", "'Drone' is refused; did you mean 'air'"),
+        ("platform.kind", "grnd", "'grnd' is refused; did you mean 'ground'"),
+        ("platform.kind", "xyz", "'xyz' is refused; known: air, bench, ground, orbit"),
     ],
 )
 def test_what_cannot_be_is_refused(key: str, value: str, why: str, tmp_path: Path) -> None:
     with pytest.raises(InputRefusedError, match=why):
         describe(log(tmp_path), {"reference": "48 uT", key: value})
+
+
+@pytest.mark.parametrize(("key", "value"), [("platform.kind", "space"), ("magnetometer.noise_nt", "-3")])
+def test_it_is_refused_before_the_rest_is_answered(key: str, value: str, tmp_path: Path) -> None:
+    """Here the reference is still open: it was taken up, and refused only once that was answered."""
+    assert describe(log(tmp_path), {}).needed
+    with pytest.raises(InputRefusedError, match=f"--answer {key}"):
+        describe(log(tmp_path), {key: value})
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (
+            {"channels.temprature.unit": "degC"},
+            "'temprature' is refused; did you mean 'temperature'. known: ",
+        ),
+        (
+            {"channels.wheel.unit": "rpm"},
+            "'wheel' is refused; known: .*temperature.*name its columns",
+        ),
+        ({"channels.temperature.unt": "degC"}, "channels.NAME.KEY is accepted; of KEY, did you mean 'unit'"),
+        ({"channels.attitude.order": "wxyz"}, "no four columns are called a quaternion and have length 1; name them"),
+        ({"samples.delimiter": "semi"}, "did you mean 'semicolon'. known: comma, pipe, semicolon, tab, whitespace"),
+    ],
+)
+def test_an_answer_about_what_is_not_there_names_what_is(answer: dict[str, str], why: str, tmp_path: Path) -> None:
+    path = log(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([f"{lines[0]},temperature", *(f"{line},21.5" for line in lines[1:]), ""]))
+    with pytest.raises(InputRefusedError, match=why):
+        describe(path, {"reference": "48 uT", **answer})
