@@ -105,7 +105,7 @@ def test_readings_that_go_on_beyond_it_are_asked_about(tmp_path: Path) -> None:
     path = written(tmp_path, "range_nt = 30000.0\n")
     inspection = inspect(read_recording(path))
     (found,) = inspection.open
-    assert (found.code, found.remedy) == (Code.SATURATED, "correct magnetometer.range_nt [nT]")
+    assert (found.code, found.remedy) == (Code.SATURATED, "check magnetometer.range_nt [nT]")
     assert "45600 nT" in found.says
     assert inspection.account.used == len(inspection.recording)
     answer = diagnose(path)

@@ -109,7 +109,8 @@ def axes_by_attitude(log: Log) -> Iterator[Seen]:
         )
         remedy = "check the attitude: exchange from and to"
     elif declared < _EXPLAINS and not _is_straight(matrix):
-        says = f"the attitude finds the reference in other axes: {_largest(matrix)} of the magnetometer are x, y, z"
+        says = f"turned by the attitude, the reference's x, y, z are most like {_largest(matrix)} of the magnetometer: "
+        says += f"{declared:.2g} of the field's change is left so"
         remedy = "check the axes: order and signs of magnetometer.columns, and what body the attitude leads to"
     else:
         return

@@ -39,7 +39,7 @@ def bursts(log: Log) -> Iterator[Seen]:
         return
     length, longer = burst(log)
     if length:
-        says = f"rows come in bursts of {length}: the vector moves {longer:.1f} times as far between them as within"
+        says = f"rows seem to come in bursts of {length}: the vector moves {longer:.1f} times as far between as within"
         remedy = (
             "no rate_hz makes their times: log a time with each row, and name its column under [time]; "
             "where the reference is constant the nine errors need no times, and accept under [inspect] says so"

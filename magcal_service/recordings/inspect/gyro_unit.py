@@ -101,7 +101,7 @@ def gyro_unit(log: Log) -> Iterator[Seen]:
         name, unit = gyro.spec.name, turning.unit
         says = f"the field turns with the channel {name} as it would in {unit}, not in {gyro.spec.unit}: "
         says += turning.as_counts
-        yield Seen(Code.GYRO_UNIT, False, log.rows, says, f'check channels.{name}: unit = "{unit}"')
+        yield Seen(Code.GYRO_UNIT, False, log.rows, says, f'check channels.{name}: if it is so, write unit = "{unit}"')
 
 
 def is_gyro(channel: Channel) -> bool:

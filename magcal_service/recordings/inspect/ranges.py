@@ -78,7 +78,7 @@ def saturated(log: Log) -> Iterator[Seen]:
     if exceeded is not None:
         says = f"{_at(log, exceeded, 'reach')}, the end of the range that the descriptor states"
         says += f", and they go on beyond it, up to {exceeded.side * float(_outwards(log, exceeded).max()):g} nT"
-        yield Seen(Code.SATURATED, False, log.rows[exceeded.rows], says, "correct magnetometer.range_nt [nT]")
+        yield Seen(Code.SATURATED, False, log.rows[exceeded.rows], says, "check magnetometer.range_nt [nT]")
     for stop in found:
         if stop not in stated:
             yield _left_out(log, stop, f"{_at(log, stop, 'stop at')}: the end of the range")
@@ -133,6 +133,8 @@ def stuck_axis(log: Log) -> Iterator[Seen]:
         says = f"{_AXES[axis]} repeats one value over {rows_text(len(rows))} of {len(log)} while the others move"
         says += f", the first time {value:g} nT" if len(at) > 1 else f", {value:g} nT"
         remedy = "they cannot be used; power-cycle the sensor, and check magnetometer.columns"
+        if whole:
+            remedy = "the axis is dead, or coarse and along the axis of a spin: check sensor and magnetometer.columns"
         yield Seen(Code.STUCK_AXIS, not whole, log.rows[rows], says, remedy, Spoils.SAMPLES)
 
 

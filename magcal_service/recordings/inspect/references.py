@@ -112,7 +112,7 @@ def _what_else(column: FloatArray, magnitude: FloatArray) -> str:
         return ""
     away = np.abs(column[known] - magnitude[known])
     return (
-        "is the reference's magnitude"
+        "is the reference's magnitude to 2 %"
         if float(np.quantile(away, 0.95)) < 0.02 * float(np.mean(magnitude[known]))
         else ""
     )

@@ -63,7 +63,7 @@ def shared_times(log: Log) -> Iterator[Seen]:
     remedy = "only the first row of each time is used: log times with their fractions of a second"
     length, _ = burst(log)
     if length:
-        says += f", and rows come in bursts of {length}, so that no rate_hz makes their times"
+        says += f", and rows seem to come in bursts of {length}, so that no rate_hz makes their times"
     elif len(at) >= len(log) // 2 and is_even(log.time_ns):
         even = f"write rate_hz = {rate_hz:.4g} and start in place of column and format under [time]"
         remedy += f", or, if rows come evenly, {even}"
@@ -137,7 +137,7 @@ def time_order(log: Log) -> Iterator[Seen]:
     name = _counter(-step_s, log.step_s)
     says = f"time goes back {len(back)} times, by {-step_s:.6g} s at most; {rows_text(len(behind))} lie behind others"
     if name:
-        says += f": {name} begins anew"
+        says += f", as where {name} begins anew"
     remedy = (
         "rows are taken in the order of their times; if a counter wraps or a clock was set, log a time that goes on"
     )

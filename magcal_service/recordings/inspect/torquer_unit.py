@@ -85,22 +85,25 @@ def torquer_unit(log: Log) -> Iterator[Seen]:
         follows = _follows(log, moment / largest, largest)
         says, unit = _doubt(largest, follows)
         if unit:
-            name = channel.spec.name
-            advice = f'unit = "{unit}"' if channel.spec.unit != unit else "its unit, and factor"
-            says = f"the channel {name} has up to {largest:.3g} A m2{says}"
+            name, is_other = channel.spec.name, channel.spec.unit != unit
+            says = f"by its unit {channel.spec.unit} the channel {name} has up to {largest:.3g} A m2{says}"
+            says += f": likely it is in {unit}" if is_other else ": likely its unit or its factor is another one"
+            advice = f'if it is so, write unit = "{unit}"' if is_other else "its unit, and factor"
             yield Seen(Code.TORQUER_UNIT, False, log.rows, says, f"check channels.{name}: {advice}")
 
 
 def _doubt(largest: float, follows: _Follows | None) -> tuple[str, str]:
     """What speaks against the unit, and the likelier one; both empty where it may be right."""
-    strong = f": torquers of small craft have {_MOST_AM2:g} A m2 at the most"
+    strong = f", and torquers of small craft have {_MOST_AM2:g} A m2 at the most"
     if follows is not None and largest > _MOST_AM2 and follows.most < _FAR_NT:
-        near = f", and the field changes by {follows.most:.3g} nT with each A m2"
+        near = f", of each of which the field changes by {follows.most:.3g} nT"
         return f"{near}{strong}, and make more than {_FAR_NT:g} nT of each beside a sensor", "mA m2"
     if largest > _TONNE_AM2:
         return strong, "mA m2"
-    if follows is not None and follows.least > (_NEAR_NT if largest < _LEAST_AM2 else _INSIDE_NT):
-        return f", and the field changes by {follows.least:.3g} nT or more with each: no torquer is so near", "A m2"
+    most_nt = _NEAR_NT if largest < _LEAST_AM2 else _INSIDE_NT
+    if follows is not None and follows.least > most_nt:
+        near = f", of each of which the field changes by {follows.least:.3g} nT or more"
+        return f"{near}, and torquers that a sensor has room beside make {most_nt:.0e} nT of each", "A m2"
     return "", ""
 
 

@@ -36,7 +36,9 @@ def test_torquers_in_another_unit_are_asked_about_with_the_likelier_one(
     unit, likelier = ("A m2", "mA m2") if written > 1.0 else ("mA m2", "A m2")
     finding = log(written * am2, unit, per_am2=1.0 / written).found(tmp_path)[Code.TORQUER_UNIT]
     assert not finding.certain
-    assert finding.remedy == f'check channels.torquer: unit = "{likelier}"'
+    assert finding.remedy == f'check channels.torquer: if it is so, write unit = "{likelier}"'
+    assert finding.says.startswith(f"by its unit {unit} the channel torquer has up to ")
+    assert finding.says.endswith(f": likely it is in {likelier}")
     told = float(finding.says.partition("changes by ")[2].split()[0])
     assert 0.2 < told / (18000.0 / written if written > 1.0 else 1.8e7) < 2.0
 
@@ -58,9 +60,13 @@ def test_torquers_that_may_be_are_not_asked_about(am2: float, per_am2: float, tm
 
 def test_more_than_any_small_craft_has_is_asked_about_though_the_field_does_not_follow(tmp_path: Path) -> None:
     finding = log(200.0, "A m2", 0.0).found(tmp_path)[Code.TORQUER_UNIT]
-    assert finding.says.startswith("the channel torquer has up to 200 A m2: torquers of small craft have 15 A m2")
+    assert finding.says == (
+        "by its unit A m2 the channel torquer has up to 200 A m2, and torquers of small craft have 15 A m2 at the "
+        "most: likely it is in mA m2"
+    )
     other = log(200e3, "mA m2", 0.0).found(tmp_path)[Code.TORQUER_UNIT]
     assert other.remedy == "check channels.torquer: its unit, and factor"
+    assert other.says.endswith(": likely its unit or its factor is another one")
 
 
 def test_what_only_goes_as_slowly_as_the_residual_has_no_size(tmp_path: Path) -> None:
