@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.problem import Problem, Term
-from magcal_service.diagnosis.screen import hypotheses_of
+from magcal_service.diagnosis.problem import Fit, Problem, Term
+from magcal_service.diagnosis.screen import Candidate, hypotheses_of
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array, measure
 from magcal_service.physics.catalogue import effect_named
@@ -26,19 +26,27 @@ def load_a(at_s: Array) -> Array:
     return (np.sin(at_s / 23.0) + np.sin(at_s / 61.0) > 0.4).astype(np.float64)
 
 
+def best_by(record_a: Array, rng: np.random.Generator) -> tuple[Search, Fit, Candidate]:
+    """A search over a flight beside the load, the nine errors alone, and the best form by its record (n,) [A]."""
+    of = scene()
+    noise = rng.normal(0.0, NOISE_NT, (len(of), 3))
+    field = measure(X, of.calibrated_nt + np.outer(load_a(of.time_s), PER_A_NT) + noise)
+    channels = {"heater": Telemetry("heater", "current", record_a[:, None])}
+    problem, effects = (
+        Problem(replace(spoiled(field, of), channels=channels), NOISE_NT),
+        (effect_named("current_loop"),),
+    )
+    search = Search(problem, hypotheses_of(effects, problem), effects)
+    baseline = solve(problem, X)
+    return search, baseline, search.screen(search.workspace(baseline), baseline, baseline.rms_nt)[0]
+
+
 @pytest.mark.parametrize("age_s", [0.0, 12.0])
 def test_a_held_record_of_a_load_gives_the_field_per_ampere(age_s: float) -> None:
     """As it is recorded it comes out small by a third and more; between readouts to a few per cent."""
-    of = scene()
-    added = np.outer(load_a(of.time_s), PER_A_NT)
-    noise = np.random.default_rng(8881).normal(0.0, NOISE_NT, (len(of), 3))
-    read_s = np.floor((of.time_s - age_s) / READ_S) * READ_S
-    held = {"heater": Telemetry("heater", "current", load_a(read_s)[:, None])}
-    flown = replace(spoiled(measure(X, of.calibrated_nt + added + noise), of), channels=held)
-    problem, effects = Problem(flown, NOISE_NT), (effect_named("current_loop"),)
-    search = Search(problem, hypotheses_of(effects, problem), effects)
-    baseline = solve(problem, X)
-    best = search.screen(search.workspace(baseline), baseline, baseline.rms_nt)[0]
+    read_s = np.floor((scene().time_s - age_s) / READ_S) * READ_S
+    search, baseline, best = best_by(load_a(read_s), np.random.default_rng(8881))
+    problem = search.problem
     assert best.hypothesis.label == "current_loop[recorded late] by channel:heater"
     plain = next(h for h in search.hypotheses if h.label == "current_loop by channel:heater")
     late, as_recorded = (
@@ -53,19 +61,11 @@ def test_a_held_record_of_a_load_gives_the_field_per_ampere(age_s: float) -> Non
 
 def test_a_record_with_noise_of_its_own_gives_the_field_per_ampere() -> None:
     """As it is recorded it comes out small by a third; averaged over the time that it seems to be held, by a tenth."""
-    of, rng = scene(), np.random.default_rng(8915)
-    added = np.outer(load_a(of.time_s), PER_A_NT)
-    noisy = load_a(of.time_s) + 0.35 * rng.standard_normal(len(of))
-    channels = {"heater": Telemetry("heater", "current", noisy[:, None])}
-    noise = rng.normal(0.0, NOISE_NT, (len(of), 3))
-    flown = replace(spoiled(measure(X, of.calibrated_nt + added + noise), of), channels=channels)
-    problem, effects = Problem(flown, NOISE_NT), (effect_named("current_loop"),)
-    search = Search(problem, hypotheses_of(effects, problem), effects)
-    baseline = solve(problem, X)
-    best = search.screen(search.workspace(baseline), baseline, baseline.rms_nt)[0]
+    rng = np.random.default_rng(8915)
+    search, baseline, best = best_by(load_a(scene().time_s) + 0.35 * rng.standard_normal(len(scene())), rng)
     assert best.hypothesis.label == "current_loop[recorded with noise] by channel:heater"
     assert best.hypothesis.constants["record_noise_a"] == pytest.approx(0.35, abs=0.03)
-    fit = solve(problem, baseline.x, [Term(best.hypothesis, best.theta, np.zeros(3))])
+    fit = solve(search.problem, baseline.x, [Term(best.hypothesis, best.theta, np.zeros(3))])
     sigma = np.sqrt(np.diagonal(fit.covariance)[-3:])
     assert np.all(np.abs(fit.terms[0].amplitudes - PER_A_NT) < 3.0 * sigma)
     assert fit.terms[0].amplitudes @ PER_A_NT / (PER_A_NT @ PER_A_NT) == pytest.approx(1.0, abs=0.06)
