@@ -26,6 +26,8 @@ to the next leaves less than its noise; both have to tell the same of it."""
 
 _AGREE: Final = 0.15  # of a variance, up to which two estimates are of the same noise
 
+_AS_STATED: Final = 1.2  # times the stated noise, up to which a residual is noise: as for a recording's own doubt of it
+
 _FEWEST: Final = 300  # samples that variances are told from; of fewer a third is not known
 
 _FAR: Final = 5.0  # times the noise: what is farther out is none
@@ -53,17 +55,19 @@ def step_to_clean(x: Array, unit: Array, shares: Array | None) -> Array:
     return np.asarray(step / np.einsum("ni,ni->n", step, unit)[:, None])
 
 
-def shares_of(scene: Scene, x: Array, unit: Array, residual: Array) -> Array | None:
+def shares_of(scene: Scene, x: Array, unit: Array, residual: Array, stated_nt: float | None) -> Array | None:
     """(3,) each axis' variance of noise over their mean, in the sensor; None where nothing tells them.
 
-    By the samples' own differences where the craft turns little from one to the next, else by how the noise along the
-    field depends on its direction; each as far as it is known beside what is usual.
+    By the samples' own differences where the craft turns little from one to the next.  Else by how the noise along the
+    field depends on its direction, where there is no more than was stated: what physics leaves in the residual of a
+    craft that turns fast depends on that direction, too.  Each counts as far as it is known beside what is usual.
 
     Parameters
     ----------
     scene: the samples.
     x, unit: as of ``step_to_clean``.
     residual: (n,) of magnitudes [nT].
+    stated_nt: noise per axis as stated [nT], or None.
     """
     along = (unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2
     parts, squares = _bends(scene, along, residual)
@@ -74,7 +78,9 @@ def shares_of(scene: Scene, x: Array, unit: Array, residual: Array) -> Array | N
         variances, sigma = of_samples
         if abs(float(np.mean(parts @ variances)) / float(np.mean(squares)) - 1.0) < _AGREE:
             return _likeliest(variances, np.diag((sigma * variances) ** 2))
-    return _of_residual(parts, squares)
+    usual = float(np.mean(squares)) / float(np.mean(parts.sum(axis=1)))
+    is_noise = stated_nt is not None and usual < (_AS_STATED * stated_nt) ** 2
+    return _of_residual(parts, squares) if is_noise else None
 
 
 def _bends(scene: Scene, along: Array, residual: Array) -> tuple[Array, Array]:

@@ -215,7 +215,7 @@ def _baseline(
     else:
         error = FieldError.of(scene, max(level_nt, _white(scene, x)))
         fit = solve(Problem(scene, level_nt, None, largest_nt, error), x)
-        shares = shares_of(scene, fit.x, fit.unit, fit.residual)
+        shares = shares_of(scene, fit.x, fit.unit, fit.residual, used.recording.descriptor.magnetometer.noise_nt)
         if shares is not None:
             fit = solve(replace(fit.problem, axis_noise=shares), fit.x)
     return _quiet(fit) if fit.problem.is_vector else fit

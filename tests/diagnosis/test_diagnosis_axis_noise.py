@@ -40,14 +40,23 @@ def seen(of: Scene) -> tuple[Array, Array]:
 @pytest.mark.parametrize("noise_nt", [NOISE_NT, np.full(3, 600.0)], ids=["unlike", "alike"])
 def test_the_noise_of_each_axis_is_told(rate_rad_s: float, noise_nt: Array) -> None:
     of = flown(8000, rate_rad_s, 8921, noise_nt)
-    found = shares_of(of, X, *seen(of))
+    found = shares_of(of, X, *seen(of), 600.0)
     assert found is not None
     assert found == pytest.approx(noise_nt**2 / np.mean(noise_nt**2), abs=0.12)
 
 
 def test_of_few_samples_nothing_is_told() -> None:
     of = flown(200, 0.15, 8922)
-    assert shares_of(of, X, *seen(of)) is None
+    assert shares_of(of, X, *seen(of), 600.0) is None
+
+
+@pytest.mark.parametrize("stated_nt", [None, 200.0])
+def test_of_a_fast_craft_s_residual_that_may_be_more_than_noise_nothing_is_told(stated_nt: float | None) -> None:
+    """A gain that is left, of 3 % on one axis, goes with the field's direction as such an axis' noise does."""
+    of = flown(8000, 2.3, 8927)
+    unit, residual = seen(of)
+    left = residual + 0.03 * 3e4 * unit[:, 0] ** 2
+    assert shares_of(of, X, unit, left, stated_nt) is None
 
 
 def test_a_share_that_a_recording_says_little_of_stays_near_what_is_usual() -> None:
@@ -58,7 +67,7 @@ def test_a_share_that_a_recording_says_little_of_stays_near_what_is_usual() -> N
     rng = np.random.default_rng(8924)
     field = measure(X, flat * rng.choice([-1.0, 1.0], size=(2000, 1))) + NOISE_NT * rng.standard_normal((2000, 3))
     still = replace(of, field_nt=field, magnitude_nt=np.linalg.norm(flat, axis=1))
-    found = shares_of(still, X, *seen(still))
+    found = shares_of(still, X, *seen(still), 600.0)
     assert found is not None
     assert found[2] == pytest.approx(1.0, abs=0.3)
 
