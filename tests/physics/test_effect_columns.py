@@ -154,9 +154,27 @@ def test_the_cubic_answer_has_own_cross_and_common_terms() -> None:
         for number, other in enumerate(others):
             expected[:, axis] += cross[axis, number] * FIELD[:, axis] * FIELD[:, other] ** 2
     flat = np.concatenate([own, cross.reshape(-1)])
-    assert added(found["none", "with cross terms"], flat) == pytest.approx(expected)
+    assert added(found["none", "with cross terms of each axis"], flat) == pytest.approx(expected)
+    pairs = np.array([4e-9, -5e-9, 6e-9])
+    expected = own * FIELD**3
+    for pair, (one, other) in zip(pairs, ((0, 1), (0, 2), (1, 2)), strict=True):
+        expected[:, one] += pair * FIELD[:, one] * FIELD[:, other] ** 2
+        expected[:, other] += pair * FIELD[:, other] * FIELD[:, one] ** 2
+    assert added(found["none", "with cross terms"], np.concatenate([own, pairs])) == pytest.approx(expected)
     size = (FIELD**2).sum(axis=1)[:, None]
     assert added(found["none", "by the field's size"], 1e-9) == pytest.approx(1e-9 * FIELD * size)
+
+
+def test_a_magnitude_shows_every_number_of_the_cross_terms() -> None:
+    """Of six it shows three sums; their differences took what heat did, and vectors were off by 770 nT, trusted."""
+    forms_of = {h.variant: h for h in effect_named("cubic_response").hypotheses(scene())}
+    least = {}
+    for variant, form in forms_of.items():
+        along = form.columns(np.zeros(0)).along(scene().unit)
+        values = np.linalg.svd(along / np.linalg.norm(along, axis=0), compute_uv=False)
+        least[form.needs_vectors, variant] = float(values[-1] / values[0])
+    for (needs_vectors, variant), share in least.items():
+        assert (share < 0.03) is needs_vectors, (variant, share)
 
 
 def test_a_soft_knee_bends_an_axis_beyond_it() -> None:
