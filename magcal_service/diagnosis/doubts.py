@@ -107,7 +107,7 @@ def of_noise_and_reference(
         the field model's errors do, which then have to show in how much is left.
     added_noise_nt: noise that was found on top of the stated one, as by a lattice of values [nT per axis].
     """
-    reference_errs = is_beyond_model(fit) or errs_clearly(fit)
+    reference_errs = is_beyond_model(fit) or errs_clearly(fit) or (not named and _adds_up_to_less(fit))
     return {
         "rough_residual": named and not stated and is_rough(fit),
         "noisier_than_stated": stated and not own_noise_nt and is_noisier(fit, added_noise_nt),
@@ -222,6 +222,15 @@ def _leaves_more_than_usual(fit: Fit, own_noise_nt: float = 0.0) -> bool:
     assert error is not None
     noise_nt = max(max(fit.noise_gain, 1.0) * error.noise_nt, own_noise_nt)
     return fit.held_out_rms_nt > _NOISIER * float(np.hypot(noise_nt, error.usual_nt))
+
+
+def _adds_up_to_less(fit: Fit) -> bool:
+    """Whether noise and a field model's usual errors make less than the fit leaves on its own rows."""
+    error = fit.problem.field_error
+    if error is None:
+        return False
+    noise_nt = max(fit.noise_gain, 1.0) * error.noise_nt
+    return fit.rms_nt > _NOISIER * float(np.hypot(noise_nt, error.may_be_nt))
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:

@@ -195,6 +195,14 @@ class FieldError:
         """The same of the errors that are usual [nT]."""
         return float(np.sqrt(np.mean(np.diagonal(self.coarse + self.fine))))
 
+    @property
+    def may_be_nt(self) -> float:
+        """rms that the model may err by in the magnitude [nT]: as is usual, or as much as is taken where that is more.
+
+        What is taken may be less than is usual only because nothing shows more.
+        """
+        return max(self.usual_nt, self.rms_nt)
+
     def log_volume(self) -> float:
         """Half of ln det of the whitening: what a likelihood loses by the wider noise [nats]."""
         return 0.5 * float(np.log1p(self.variance / self.noise_nt**2).sum())

@@ -320,12 +320,15 @@ def significant(structure: Structure) -> bool:
 
 
 def unexplained_share(before: Fit, after: Fit, left: Sequence[Structure]) -> float:
-    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise.
+    """Share of the mismatch in the best of the structures that are left, 0 where it may be noise; all of it where no
+    effect explains any: nine errors that were fitted again explain nothing.
 
     ``before`` is the fit of the nine errors alone, ``after`` the one with effects.
     """
     if not left or not significant(left[0]):
         return 0.0
+    if not after.terms:
+        return 1.0
     explained = max(float(before.residual @ before.residual) - float(after.residual @ after.residual), 0.0)
     return left[0].squares / max(left[0].squares + explained, 1e-12)
 

@@ -176,7 +176,7 @@ def _verdict_alone(diagnosis: Diagnosis, found: Sequence[Entry], held_out: Mappi
     if diagnosis.verdict is Verdict.NONE:
         problem = diagnosis.fit.problem
         error = problem.field_error
-        model_nt = None if error is None else error.rms_nt
+        model_nt = None if error is None else error.may_be_nt
         left_nt, memory_nt = held_out["with_effects"], diagnosis.memory_nt
         return agreed(left_nt, diagnosis.noise_nt, model_nt, diagnosis.reasons, memory_nt=memory_nt)
     known = titles(diagnosis.effects)

@@ -140,6 +140,18 @@ def test_a_reference_that_clearly_errs_by_more_than_is_usual_is_doubted(
     assert not is_beyond_model(fit)
 
 
+@pytest.mark.parametrize(("named", "left", "doubtful"), [(False, 1.4, True), (False, 1.0, False), (True, 1.4, False)])
+def test_what_noise_and_usual_errors_do_not_add_up_to_is_doubted(named: bool, left: float, doubtful: bool) -> None:
+    """`agree to the noise: 39 nT are left, over 11 nT, and 22 nT that the field model may err by` was trusted."""
+    fit = solve(at_scale(problem(0.0, 11), usual(), Scale(0.25, 1.0)), X)
+    error = fit.problem.field_error
+    assert error is not None
+    assert error.may_be_nt == error.usual_nt > error.rms_nt
+    most = float(np.hypot(fit.noise_gain * error.noise_nt, error.usual_nt))
+    grown = replace(fit, residual=fit.residual * left * most / fit.rms_nt)
+    assert of_noise_and_reference(grown, named=named, stated=True)["field_model_doubtful"] is doubtful
+
+
 @pytest.mark.parametrize(("own_noise_nt", "doubtful"), [(0.0, True), (NOISE_NT, True), (400.0, False)])
 def test_beside_noise_with_a_memory_a_reference_is_doubted_by_how_much_is_left(
     own_noise_nt: float, doubtful: bool

@@ -224,7 +224,7 @@ def test_without_a_simulation_none_is_said_to_be_compared_with() -> None:
 
 def test_what_the_field_model_may_err_by_is_said_beside_the_noise() -> None:
     clean = diagnosis(Verdict.NONE)
-    clean.fit.problem.field_error = SimpleNamespace(rms_nt=22.46)
+    clean.fit.problem.field_error = SimpleNamespace(may_be_nt=22.46)
     said = verdict_sentence(clean, [], HELD_OUT)
     assert said.endswith("over a noise of 100.0 nT, and 22.5 nT that the field model may err by.")
 

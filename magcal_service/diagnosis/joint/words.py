@@ -122,7 +122,7 @@ def _title(diagnosis: JointDiagnosis, index: int) -> str:
 def _field_model_nt(diagnosis: JointDiagnosis) -> float | None:
     """rms that the field model may err by [nT], the largest of the recordings; None where that counts in none."""
     errors = [one.baseline.problem.field_error for one in diagnosis.recordings]
-    return max((error.rms_nt for error in errors if error is not None), default=None)
+    return max((error.may_be_nt for error in errors if error is not None), default=None)
 
 
 def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
