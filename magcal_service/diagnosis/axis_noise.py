@@ -73,14 +73,15 @@ def shares_of(scene: Scene, x: Array, unit: Array, residual: Array, stated_nt: f
     parts, squares = _bends(scene, along, residual)
     if len(squares) < _FEWEST:
         return None
+    usual = float(np.mean(squares)) / float(np.mean(parts.sum(axis=1)))
+    if stated_nt is not None and usual > (_AS_STATED * stated_nt) ** 2:
+        return None  # a load that switches from sample to sample is no noise
     of_samples = _of_samples(scene)
     if of_samples is not None:
         variances, sigma = of_samples
         if abs(float(np.mean(parts @ variances)) / float(np.mean(squares)) - 1.0) < _AGREE:
             return _likeliest(variances, np.diag((sigma * variances) ** 2))
-    usual = float(np.mean(squares)) / float(np.mean(parts.sum(axis=1)))
-    is_noise = stated_nt is not None and usual < (_AS_STATED * stated_nt) ** 2
-    return _of_residual(parts, squares) if is_noise else None
+    return None if stated_nt is None else _of_residual(parts, squares)
 
 
 def _bends(scene: Scene, along: Array, residual: Array) -> tuple[Array, Array]:

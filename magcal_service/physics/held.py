@@ -60,11 +60,14 @@ class HeldAt:
 
 
 def at_zero_of(form: Form, unit: str) -> HeldAt:
-    """Where a recorded driver is zero, in a unit; "" where it has none that is known."""
+    """Where a recorded driver is zero, in a unit; "" where it has none that is known.
+
+    Of its other columns, which never change or go along with a fitted one, the bias has taken up what they make there.
+    """
     name = form.driver.partition(":")[2]
     names = name.split("+") if form.variant == TOGETHER else [name]
     channels = f"channel{'s' if len(names) > 1 else ''} {' and '.join(names)}"
-    return HeldAt(form.driver, 0.0, unit, f"{f'0 {unit}'.strip()} of {channels}")
+    return HeldAt(form.driver, 0.0, unit, f"{f'0 {unit}'.strip()} in the fitted columns of {channels}")
 
 
 def held_in_words(held: Iterable[HeldAt]) -> str:

@@ -45,6 +45,15 @@ def test_the_noise_of_each_axis_is_told(rate_rad_s: float, noise_nt: Array) -> N
     assert found == pytest.approx(noise_nt**2 / np.mean(noise_nt**2), abs=0.12)
 
 
+@pytest.mark.parametrize(("stated_nt", "is_told"), [(600.0, False), (None, True)])
+def test_a_load_that_switches_from_row_to_row_is_no_noise(stated_nt: float | None, is_told: bool) -> None:
+    """Beside the noise that was stated it is more; where none was, nothing tells them apart."""
+    of = flown(4000, 0.02, 8929)
+    on = np.random.default_rng(8930).random(len(of)) < 0.5
+    loaded = replace(of, field_nt=of.field_nt + np.array([0.0, 0.0, 2500.0]) * on[:, None])
+    assert (shares_of(loaded, X, *seen(loaded), stated_nt) is not None) is is_told
+
+
 def test_of_few_samples_nothing_is_told() -> None:
     of = flown(200, 0.15, 8922)
     assert shares_of(of, X, *seen(of), 600.0) is None

@@ -57,14 +57,17 @@ def test_what_follows_the_light_adds_nothing_in_shadow(form: Hypothesis) -> None
 
 
 SAID = [
-    (("current_loop", "channel:bus", "", "nt_per_a"), "0 A of channel bus"),
-    (("current_loop", "channel:bus", "circuit 2, recorded late", "nt_per_a"), "0 A of channel bus"),
-    (("current_loop", "channel:a+b", "all circuits", "nt_per_a"), "0 A of channels a and b"),
-    (("current_loop", "channel:a+b", "", "nt_per_unit"), "0 of channel a+b"),
+    (("current_loop", "channel:bus", "", "nt_per_a"), "0 A in the fitted columns of channel bus"),
+    (
+        ("current_loop", "channel:bus", "circuit 2, recorded late", "nt_per_a"),
+        "0 A in the fitted columns of channel bus",
+    ),
+    (("current_loop", "channel:a+b", "all circuits", "nt_per_a"), "0 A in the fitted columns of channels a and b"),
+    (("current_loop", "channel:a+b", "", "nt_per_unit"), "0 in the fitted columns of channel a+b"),
     (("current_loop", "inferred:array_current", "lit or not", "nt_full_sun"), "no current of the solar arrays"),
-    (("torquer", "channel:coils", "", "nt_per_am2"), "0 A m2 of channel coils"),
+    (("torquer", "channel:coils", "", "nt_per_am2"), "0 A m2 in the fitted columns of channel coils"),
     (("torquer", "inferred:duty", "regular duty", "on_nt"), "torquers that are off"),
-    (("sun_disturbance", "channel:sun", "", "nt"), "0 of channel sun"),
+    (("sun_disturbance", "channel:sun", "", "nt"), "0 in the fitted columns of channel sun"),
     (("sun_disturbance", "inferred:sun_direction", "", "nt"), "no sunlight"),
     (("thermal_scale", "inferred:temperature", "settling", "start_swing"), "the temperature that it settles at"),
     (("bias_step", "none", "", "step_nt"), ""),
@@ -81,11 +84,14 @@ def test_it_is_said_in_the_drivers_unit(term: tuple[str, str, str, str], says: s
 def test_a_remanence_is_none_of_the_nine() -> None:
     blocks = {"nt_per_am2": np.ones((1, 3)), "remanence_nt": np.ones((1, 3))}
     (held,) = held_at([ModelTerm("torquer", "channel:coils", "with remanence", blocks)])
-    assert held.says == "0 A m2 of channel coils, its cores without remanence"
+    assert held.says == "0 A m2 in the fitted columns of channel coils, its cores without remanence"
 
 
 def test_each_driver_is_said_once_and_several_together() -> None:
     zero = {"zero_degc": 21.5, "column": 0.0}
     terms = [ModelTerm(name, "channel:board", "", {}, {}, {}, zero) for name in ("thermal_bias", "thermal_scale")]
     bus = ModelTerm("current_loop", "channel:bus", "", {"nt_per_a": np.ones(3)})
-    assert held_in_words(held_at([*terms, bus])) == "21.5 degC of channel board and 0 A of channel bus"
+    assert (
+        held_in_words(held_at([*terms, bus]))
+        == "21.5 degC of channel board and 0 A in the fitted columns of channel bus"
+    )

@@ -6,12 +6,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from magcal_service.diagnosis.handover import model_term
 from magcal_service.model import Array
+from magcal_service.physics.apply.accepted import _check_places
 from magcal_service.physics.apply.forward import DriverMissingError, MisfitError, bind, less
 from magcal_service.physics.apply.model_file import (
     ModelError,
@@ -415,3 +418,13 @@ def test_what_is_no_form_is_refused_with_what_is(case: str) -> None:
 def test_the_forms_that_those_faults_are_made_of_are_accepted(term: ModelTerm) -> None:
     (again,) = parse_model(text_of(model(term)).encode()).terms
     assert again.nonlinear == term.nonlinear
+
+
+@pytest.mark.parametrize(("driver", "column", "accepted"), [("a", 15, True), ("a", 16, False), ("a+b", 17, True)])
+def test_columns_of_several_channels_are_counted_through(driver: str, column: int, accepted: bool) -> None:
+    """A file of two channels, of 12 columns and 6, was refused where it is read, whoever made it."""
+    told: list[str] = []
+    table: Any = SimpleNamespace(refuse=lambda *fault: told.append(str(fault)))
+    term: Any = SimpleNamespace(driver=f"channel:{driver}", constants={"column_0": 0.0, "column_1": float(column)})
+    assert _check_places(table, term) is accepted
+    assert bool(told) is not accepted

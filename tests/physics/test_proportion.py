@@ -57,6 +57,23 @@ def test_rounding_makes_no_column_of_its_own() -> None:
     assert apart(signals, (0, 1)) == {0: (1,)}
 
 
+@pytest.mark.parametrize(("own", "expected"), [(0.0, {0: (1,)}), (0.3, {0: (), 1: ()})])
+def test_what_records_noise_makes_of_two_in_proportion_is_no_column_of_its_own(own: float, expected: object) -> None:
+    """Their noise decided which of two circuits behind one switch makes a field, at 6 sigma, trusted."""
+    rng = np.random.default_rng(8917)
+    first = np.cumsum(rng.normal(size=3000)) / 20.0
+    second = 0.5 * first + own * np.cumsum(rng.normal(size=3000)) / 20.0
+    noise = np.array([0.05, 0.05])
+    records = np.stack([first, second], axis=1) + noise * rng.standard_normal((3000, 2))
+    assert apart(records, (0, 1), noise) == expected
+
+
+def test_loads_that_look_like_noise_stay_apart() -> None:
+    """Each switches from row to row by itself."""
+    on = np.random.default_rng(8918).random((2000, 2)) < 0.4
+    assert apart(on.astype(np.float64), (0, 1), np.array([0.48, 0.48])) == {0: (), 1: ()}
+
+
 def test_what_goes_along_is_named() -> None:
     assert named("coil 3", ["coil 1", "coil 2"]) == "coil 3 with coil 1 and coil 2 in proportion"
     assert named("coil 3", []) == "coil 3"

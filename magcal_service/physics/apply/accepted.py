@@ -70,6 +70,8 @@ def _check_places(table: Table, term: ModelTerm) -> bool:
     for name, value in term.constants.items():
         counted = _PLACES.fullmatch(name)
         most = _MOST_PLACES[counted[1]] if counted else 0
+        if counted and counted[1] == "column":  # of several channels they are counted through
+            most = (most + 1) * (term.driver.count("+") + 1) - 1
         if counted and not (0.0 <= value <= most and value == int(value)):
             table.refuse(f"constants.{name}", value, f"a whole number from 0 to {most} is accepted; {NEXT_STEP}")
             sound = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -63,22 +63,29 @@ def late(scene: Scene, plain: Hypothesis) -> Hypothesis:
 
 
 def noisy(scene: Scene, plain: Hypothesis) -> Iterator[Hypothesis]:
-    """A form by a channel whose record has noise of its own: what flows is what it lets expect (``expected_course``).
+    """A form by one column of a channel whose record has noise of its own: what flows is what it lets expect
+    (``expected_course``).
 
-    As it is recorded, a field per ampere comes out small by the noise's share of its variance.
+    As it is recorded, a field per ampere comes out small by the noise's share of its variance.  What a record lets
+    expect of several currents that go along with one another is another question: what one lacks, the others hold.
     """
     channel, columns = _of(scene, plain)
-    own = [scene.once(f"noise of {channel.name} {c}", partial(noise_of, channel.values[:, c])) for c in columns]
-    if max(own) == 0.0 and not scene.is_given:
+    own = noise_in(scene, channel, columns[0]) if len(columns) == 1 else 0.0
+    if own == 0.0 and not (scene.is_given and len(columns) == 1):
         return
     name = "record_noise_a" if channel.quantity == "current" else "record_noise"
     yield replace(
         plain,
-        columns=_expected(scene, channel, dict(zip(columns, own, strict=True))),
+        columns=_expected(scene, channel, columns[0], own),
         variant=_form(plain, _WITH_NOISE),
-        constants={**plain.constants, name: float(f"{max(own):.3g}")},
+        constants={**plain.constants, name: float(f"{own:.3g}")},
         refines=plain.label,
     )
+
+
+def noise_in(scene: Scene, channel: Telemetry, column: int) -> float:
+    """Noise of its own that a column's record has, 1 sigma; 0 where it has hardly any."""
+    return scene.once(f"noise of {channel.name} {column}", partial(noise_of, channel.values[:, column]))
 
 
 def derived(parameters: Values) -> Values:
@@ -112,16 +119,16 @@ def _never_repeats(scene: Scene, channel: Telemetry, columns: Sequence[int]) -> 
     return scene.once(f"never repeats {channel.name} {list(columns)}", found)
 
 
-def _expected(scene: Scene, channel: Telemetry, noise: Mapping[int, float]) -> Callable[[Array], Columns]:
-    """What columns of a record let expect, each with its noise; in a stream, as the row has it."""
+def _expected(scene: Scene, channel: Telemetry, column: int, noise: float) -> Callable[[Array], Columns]:
+    """What a column's record lets expect; in a stream, as the row has it."""
+    values = channel.values[:, column]
 
-    def expected(column: int) -> Array:
-        values = channel.values[:, column]
-        if scene.memory is not None or noise[column] == 0.0:
+    def expected() -> Array:
+        if scene.memory is not None or noise == 0.0:
             return values
         return scene.once(f"expected {channel.name} {column}", partial(expected_course, values))
 
-    return lambda _: along_axes(np.stack([expected(column) for column in noise], axis=1))
+    return lambda _: along_axes(expected()[:, None])
 
 
 def _ahead(scene: Scene, signal: Array) -> Callable[[Array], Columns]:
