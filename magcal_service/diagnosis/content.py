@@ -13,7 +13,7 @@ from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
-from magcal_service.diagnosis.problem import Problem
+from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
@@ -41,7 +41,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
             "noise_floor_nt": diagnosis.noise_nt,
             "noise_is_stated": diagnosis.prepared.view.stated_noise_nt is not None,
             "added_noise_nt": diagnosis.added_noise_nt,
-            "noise_by_axis_nt": _by_axis(fit.problem, diagnosis.noise_nt),
+            "noise_by_axis_nt": _by_axis(fit, diagnosis.noise_nt),
             "noise_with_memory_nt": diagnosis.memory_nt,
             "held_out_rms_nt": held_out_rms(diagnosis),
             "in_sample_rms_nt": {"recalibrated": diagnosis.prepared.baseline.rms_nt, "with_effects": fit.rms_nt},
@@ -75,10 +75,14 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def _by_axis(problem: Problem, noise_nt: float) -> list[float] | None:
-    """Noise of each axis of the sensor [nT]; None where it counts as alike."""
-    shares = problem.axis_noise
-    return None if shares is None else [round(float(one), 3) for one in noise_nt * np.sqrt(shares)]
+def _by_axis(fit: Fit, noise_nt: float) -> list[float] | None:
+    """Noise of each axis of the sensor [nT]; None where it may be alike in all directions."""
+    covariance = fit.problem.noise_covariance
+    if covariance is None:
+        return None
+    inverse = np.linalg.inv(np.eye(3) + d_matrix(fit.x[:STATE_SIZE]))
+    variances = np.diagonal(inverse @ covariance @ inverse.T)
+    return [round(float(one), 3) for one in noise_nt * np.sqrt(variances / variances.mean())]
 
 
 def _spin(diagnosis: Diagnosis) -> dict[str, Any] | None:

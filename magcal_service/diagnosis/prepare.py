@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from magcal_service.config.settings import FilterConfig
 from magcal_service.diagnosis.aimed import InBody, guessed, in_body, weighted
-from magcal_service.diagnosis.axis_noise import shares_of
+from magcal_service.diagnosis.axis_noise import covariance_of
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError, Scale
 from magcal_service.diagnosis.offset import Offset
@@ -215,9 +215,10 @@ def _baseline(
     else:
         error = FieldError.of(scene, max(level_nt, _white(scene, x)))
         fit = solve(Problem(scene, level_nt, None, largest_nt, error), x)
-        shares = shares_of(scene, fit.x, fit.unit, fit.residual, used.recording.descriptor.magnetometer.noise_nt)
-        if shares is not None:
-            fit = solve(replace(fit.problem, axis_noise=shares), fit.x)
+        stated_nt = used.recording.descriptor.magnetometer.noise_nt
+        covariance = covariance_of(scene, fit.x, fit.unit, fit.residual, stated_nt)
+        if covariance is not None:
+            fit = solve(replace(fit.problem, noise_covariance=covariance), fit.x)
     return _quiet(fit) if fit.problem.is_vector else fit
 
 

@@ -68,7 +68,7 @@ class Problem:
     largest_nt: rms that each effect may have [nT], by name: 1 sigma of the prior of what every amplitude adds.
     field_error: errors of the field model itself, part of the residual's noise; None: there is none.
     aimed: reference vectors in the sensor's axes; None, and no room either: the scalar form.
-    axis_noise: (3,) each axis' variance of noise over their mean, in the sensor; None: alike.
+    noise_covariance: (3, 3) of the calibrated vectors' noise over its mean variance; None: alike in all directions.
     """
 
     scene: Scene
@@ -77,7 +77,7 @@ class Problem:
     largest_nt: Mapping[str, float] = field(default_factory=dict)
     field_error: FieldError | None = None
     aimed: Aimed | None = None
-    axis_noise: Array | None = None
+    noise_covariance: Array | None = None
 
     @property
     def is_vector(self) -> bool:
@@ -147,8 +147,7 @@ class Problem:
 
     def noise_gain(self, x: Array, unit: Array) -> float:
         """Times a sensor's noise per axis, what errors (size,) make of it along the field's directions (n, 3)."""
-        along = (unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2
-        return float(np.sqrt(np.mean(along.sum(axis=1) if self.axis_noise is None else along @ self.axis_noise)))
+        return float(np.sqrt(np.mean(((unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2).sum(axis=1))))
 
     def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float = np.inf) -> Fit:
         """What ``evaluate`` gives."""
@@ -360,7 +359,7 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         length, wanted = _lengths(w), scene.magnitude_nt + magnitude
         residual = length - wanted - problem.noise_nt**2 / scene.magnitude_nt
         # all of the noise that is seen, for the columns of effects are made of such vectors too
-        clean = w + step_to_clean(x, w / length[:, None], problem.axis_noise) * (wanted - length)[:, None]
+        clean = w + step_to_clean(w / length[:, None], problem.noise_covariance) * (wanted - length)[:, None]
         clean *= (wanted / _lengths(clean))[:, None]
     bare = Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
     if not derivatives or not bare.squares <= min(most_nt2, _FINITE_NT2):  # what is no number is beyond any
