@@ -175,12 +175,13 @@ def _lagged(scene: Scene, signal: Array, key: str = "lagging") -> Callable[[Arra
 def _together(scene: Scene) -> Iterator[Hypothesis]:
     """All circuits of all current channels at once."""
     channels = [c for c in scene.of_quantity("current") if float(np.std(c.values)) > 0.0 or scene.is_given]
-    if len(channels) < 2:
+    moving = sum(int(np.count_nonzero(channel.varies)) for channel in channels)
+    if len(channels) < 2 or (moving > _MOST_TOGETHER and not scene.is_given):
         return
     own = apart_in(scene, *channels)
     names = [f"{c.name} {index + 1}" for c in channels for index in range(c.values.shape[1])]
     used = [column for column in scene.chosen("column", list(own)) if column < len(names)]
-    if len(used) < 2 or len(used) > _MOST_TOGETHER:
+    if len(used) < 2:
         return
     signals = np.concatenate([channel.values for channel in channels], axis=1)
     driver = "channel:" + "+".join(channel.name for channel in channels)
