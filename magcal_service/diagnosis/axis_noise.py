@@ -16,6 +16,7 @@ import numpy as np
 
 from magcal_service.model import STATE_SIZE, Array, d_matrix
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.residuals import MEDIAN_TO_SIGMA
 
 _SEEN: Final = 30.0
 """Chi-square of five numbers that are no noise alike in all directions, from which on it is unlike: by chance in one
@@ -32,8 +33,6 @@ _AS_STATED: Final = 1.2  # times the stated noise, up to which it is noise: as f
 _FEWEST: Final = 300  # samples that variances are told from; of fewer a third is not known
 
 _FAR: Final = 5.0  # times the noise: what is farther out is none
-
-_OF_A_MEDIAN: Final = 0.4549  # the median of a chi-square of one degree, over its mean
 
 
 def step_to_clean(unit: Array, covariance: Array | None) -> Array:
@@ -83,9 +82,9 @@ def _bends(scene: Scene, residual: Array) -> float:
     """Variance [nT^2] of the noise in a residual (n,), by what samples differ from the mean of their neighbours."""
     middle = np.arange(1, len(residual) - 1)
     middle = middle[~np.isin(middle, scene.pauses) & ~np.isin(middle + 1, scene.pauses)]
-    squares = (residual[middle] - 0.5 * (residual[middle - 1] + residual[middle + 1])) ** 2
-    kept = squares < _FAR**2 * np.median(squares) / _OF_A_MEDIAN
-    return float(np.mean(squares[kept])) / 1.5
+    bends = residual[middle] - 0.5 * (residual[middle - 1] + residual[middle + 1])
+    size = np.abs(bends)
+    return float(np.mean(bends[size < _FAR * MEDIAN_TO_SIGMA * np.median(size)] ** 2)) / 1.5
 
 
 def _of_samples(scene: Scene, whole: Array) -> tuple[Array, float] | None:

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.belief import posterior
 from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.explain import Explained
-from magcal_service.diagnosis.field_error import Scale
+from magcal_service.diagnosis.field_error import FieldError, Scale
 from magcal_service.diagnosis.field_level import likelier_by
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.rest import Rest
@@ -220,17 +220,19 @@ def _leaves_more_than_usual(fit: Fit, own_noise_nt: float = 0.0) -> bool:
     """Whether held-out rows are left with more than noise, its memory included, and a field model's usual errors."""
     error = fit.problem.field_error
     assert error is not None
-    noise_nt = max(max(fit.noise_gain, 1.0) * error.noise_nt, own_noise_nt)
+    noise_nt = max(_noise_nt(fit, error), own_noise_nt)
     return fit.held_out_rms_nt > _NOISIER * float(np.hypot(noise_nt, error.usual_nt))
 
 
 def _adds_up_to_less(fit: Fit) -> bool:
     """Whether noise and a field model's usual errors make less than the fit leaves on its own rows."""
     error = fit.problem.field_error
-    if error is None:
-        return False
-    noise_nt = max(fit.noise_gain, 1.0) * error.noise_nt
-    return fit.rms_nt > _NOISIER * float(np.hypot(noise_nt, error.may_be_nt))
+    return error is not None and fit.rms_nt > _NOISIER * float(np.hypot(_noise_nt(fit, error), error.may_be_nt))
+
+
+def _noise_nt(fit: Fit, error: FieldError) -> float:
+    """The sensor's noise along the field as calibrated, or of the sensor itself if that is more [nT]."""
+    return max(fit.noise_gain, 1.0) * error.noise_nt
 
 
 def stands_out(baseline: Fit, fit: Fit, floor_nt: float) -> bool:
