@@ -8,10 +8,7 @@ import numpy as np
 
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import Array
-from magcal_service.physics.interface import Hypothesis
-
-WHOLE: Final = 0.25
-"""A shift that is the whole of its field has the amplitude 1; a fit may be so far off, a first look twice as far."""
+from magcal_service.physics.interface import WHOLE, Hypothesis
 
 _CANCELLING: Final = 3.0
 """Times an effect's largest size, what its field may be where parts of it cancel in the residual: a field has three

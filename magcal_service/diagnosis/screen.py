@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.grids import OF_LINES, combinations, tried_first
 from magcal_service.diagnosis.linear import Gain, Products, Workspace
 from magcal_service.diagnosis.lines import body_spectrum, strongest
-from magcal_service.diagnosis.plausible import WHOLE, has_its_sign
+from magcal_service.diagnosis.plausible import has_its_sign
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.refine import refined as refined_numbers
 from magcal_service.diagnosis.term_columns import columns_of
 from magcal_service.model import Array
 from magcal_service.physics.columns import Columns, oscillation
 from magcal_service.physics.effects.coloured_noise import Whitener
-from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear
+from magcal_service.physics.interface import WHOLE, Effect, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import SUN_AHEAD
 from magcal_service.physics.segments import Segments
 

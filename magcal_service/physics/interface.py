@@ -115,6 +115,7 @@ def by_name(numbers: Sequence[Nonlinear], values: Sequence[float] | Array) -> di
     return {name: each[0] if len(each) == 1 else np.array(each) for name, each in found.items()}
 
 
+WHOLE: Final = 0.25  # a whole shift has the amplitude 1; a fit may be so far off, a first look twice as far
 _FEWEST_SEEN: Final = 4  # samples; choice: fewer show no course of a change
 
 Proposals = Callable[[Sums, Sequence[Array]], Array]

@@ -50,13 +50,16 @@ def theta_of(hypothesis: Hypothesis) -> Array:
 
 
 def drawn(hypothesis: Hypothesis) -> tuple[ModelTerm, Array, Array]:
-    """A term with random amplitudes that add some 100 nT, and what it adds to its own scene."""
+    """A term with random amplitudes of 100 nT or of what its physics allows, and what it adds to its own scene."""
     theta = theta_of(hypothesis)
-    columns = hypothesis.columns(theta)
+    columns, blocks = hypothesis.columns(theta), hypothesis.blocks
     rng = np.random.default_rng(len(hypothesis.label))
     ones = np.eye(hypothesis.size)
     size = [np.abs(columns.field(one)).max() + np.abs(columns.growth(one)).max() for one in ones]
     amplitudes = (1.0 + rng.random(hypothesis.size)) * 100.0 / np.maximum(size, 1e-12)
+    amplitudes = np.minimum(amplitudes, np.repeat([min(b.most, b.highest) for b in blocks], [b.size for b in blocks]))
+    if hypothesis.is_whole:
+        amplitudes[0] = 1.0
     if hypothesis.moves_s is not None:  # expanded where these amplitudes move the reference
         moved = replace(flight(), moved_s=hypothesis.moves_s(amplitudes) + np.zeros(ROWS))
         there = effect_named(hypothesis.effect).hypotheses(moved)

@@ -6,6 +6,7 @@ with everything recorded, whose channels have the driver's name, every kind of q
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -20,9 +21,9 @@ from magcal_service.earth import geomagnetic
 from magcal_service.model import Array
 from magcal_service.physics.apply.physics_model import ModelTerm
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.interface import Hypothesis, Nonlinear
+from magcal_service.physics.interface import WHOLE, Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import SKIN_START, SUN_AHEAD, Scene, Telemetry
-from magcal_service.wire.kinds import MAX_VALUES
+from magcal_service.wire.kinds import MAX_SAMPLE_FIELD_NT, MAX_VALUES
 
 NEXT_STEP: Final = "correct it, or have the file made again by magcal diagnose"
 """What to do about a term that is no form of the catalogue."""
@@ -42,6 +43,36 @@ _ROWS, _STEP_S = 640, 9.0
 
 _ORIGIN_NS: Final = 1_742_472_000 * 10**9  # 2025-03-20T12:00:00Z, within the field model's years
 _RADIUS_KM, _ORBIT_RAD_S, _INCLINATION_RAD = 6878.0, 1.1068e-3, 0.9  # a circle 500 km high, through the shadow
+
+
+_LARGEST_NT: Final = MAX_SAMPLE_FIELD_NT
+"""Of an amplitude in nT that has no narrower range of its own: more is no reading of a magnetometer."""
+
+_SLACK_SIGMA: Final = 3.0
+_SLACK: Final = 0.2
+"""How far beyond its range an amplitude may be: so many of its own sigma, for the last refit of a diagnosis may move it
+over the edge, and so much of the range at the most."""
+
+_ABOVE_0: Final = math.ulp(0.0)
+
+_CONSTANTS: Final[Mapping[str, tuple[float, float, str]]] = {
+    "averaged": (1.0, 1.0, "1 is accepted; leave it out where values were held"),
+    "turns_between": (1.0, 1.0, "1 is accepted; leave it out otherwise"),
+    "smoothed_over": (1.0, math.inf, "1 or more is accepted; leave it out where nothing is smoothed"),
+    "record_noise": (0.0, math.inf, "0 or more is accepted"),
+    "record_noise_a": (0.0, math.inf, "0 or more is accepted"),
+    "zero_degc": (-273.15, math.inf, "-273.15 or more is accepted"),
+    "mean_light": (0.0, 1.0, "0 to 1 is accepted"),
+    "induced": (0.0, 1.0, "0 to 1 is accepted"),
+    "order": (1.0, 2.0, "1 to 2 is accepted"),
+    "largest_am2": (_ABOVE_0, math.inf, "more than 0 is accepted"),
+    "scale_nt": (_ABOVE_0, _LARGEST_NT, "more than 0, and up to 1e6, is accepted"),
+    "full_scale_nt": (_ABOVE_0, _LARGEST_NT, "more than 0, and up to 1e6, is accepted"),
+    "full_sun": (_ABOVE_0, math.inf, "more than 0 is accepted"),
+    "period_s": (_ABOVE_0, math.inf, "more than 0 is accepted"),
+    "span_s": (_ABOVE_0, math.inf, "more than 0 is accepted"),
+}
+"""Constants that are sizes, shares or switches: from and to, and what is said where they are not."""
 
 
 def check_forms(tables: Iterable[Table], terms: Iterable[ModelTerm]) -> None:
@@ -141,12 +172,13 @@ class _Check:
         self._names("amplitudes", self.form.block_names, self.term.amplitudes)
         self._shapes("amplitudes", self.term.amplitudes)
         self._shapes("sigma", self.term.sigma)
+        self._sizes()
         for name, sigma in self.term.sigma.items():
             if np.any(sigma < 0.0):
                 self._refuse(f"sigma.{name}", sigma.tolist(), "a sigma of 0 or more is accepted")
         self._nonlinear()
         self._names("constants", self.form.constants, self.term.constants, _OF_THE_RECORDING)
-        self._places()
+        self._constants()
 
     @property
     def _of(self) -> str:
@@ -188,11 +220,35 @@ class _Check:
                 least = "more than 0" if _is_positive(alike[0]) else "0 or more"
                 self._refuse(f"nonlinear.{name}", value.tolist(), f"{least} is accepted")
 
-    def _places(self) -> None:
+    def _sizes(self) -> None:
+        """Amplitudes that the physics of the effect never has."""
+        for block in self.form.blocks:
+            value = self.term.amplitudes.get(block.name)
+            if value is None or not block.takes(value.shape):
+                continue  # has its fault already
+            low, high = self._range(block)
+            slack = _SLACK_SIGMA * np.abs(self.term.sigma.get(block.name, np.zeros(1)))
+            slack = np.minimum(slack if slack.shape == value.shape else 0.0, _SLACK * (high - low))
+            if not ((value >= low - slack) & (value <= high + slack)).all():
+                unit = "" if block.unit == "1" else f" {block.unit}"
+                accepted = f"{low:.4g} to {high:.4g}{unit} is accepted"
+                self._refuse(f"amplitudes.{block.name}", value.tolist(), accepted)
+
+    def _range(self, block: Block) -> tuple[float, float]:
+        """What an amplitude lies between by its physics."""
+        if self.form.is_whole and block.name == self.form.blocks[0].name:
+            return 1.0 - WHOLE, 1.0 + WHOLE
+        low, high = max(-block.most, block.least), min(block.most, block.highest)
+        return (max(low, -_LARGEST_NT), min(high, _LARGEST_NT)) if block.unit == "nT" else (low, high)
+
+    def _constants(self) -> None:
         for name, value in self.term.constants.items():
             own = self.form.constants.get(name)
-            if own is not None and _PLACES.fullmatch(name) and value != own:
+            if own is not None and (_PLACES.fullmatch(name) or name == "degree") and value != own:
                 self._refuse(f"constants.{name}", value, f"{own:g} is accepted")
+            least, most, accepted = _CONSTANTS.get(name, (-math.inf, math.inf, ""))
+            if not least <= value <= most:
+                self._refuse(f"constants.{name}", value, accepted)
 
 
 def _is_positive(number: Nonlinear) -> bool:

@@ -30,7 +30,7 @@ def another_time(
     ----------
     name: of its amplitude [s], which is positive.
     sign: 1 of samples ahead of the attitude, -1 of those behind.
-    longest_s: amplitude at most [s], and less where the craft turns by half a radian in less.
+    longest_s: amplitude at most [s]; a search takes less where the craft turns by half a radian in less.
     as_well: effects that look so, too.
     """
     slope = scene.field_slope
@@ -44,7 +44,7 @@ def another_time(
         effect,
         "none",
         partial(_alone, column),
-        (Block(name, "s", (), most=most, least=0.0),),
+        (Block(name, "s", (), most=longest_s if scene.is_given else most, least=0.0),),
         variant,
         as_well=as_well,
         needs_vectors=True,
