@@ -29,7 +29,7 @@ from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.catalogue import catalogue, held_at
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.held import HeldAt
-from magcal_service.physics.interface import Effect, Finding
+from magcal_service.physics.interface import UNLISTED, Effect, Finding
 from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
@@ -241,7 +241,7 @@ def _on_rows(
     end = with_memory(prepared, search, explained, progress).with_left(prepared.baseline)
     end = without_names(without_unlikely(end, prepared), prepared)
     progress(TURNING)
-    findings, spin = _other_findings(prepared, end.explained.fit, effects, len(end.whitening) > 0)
+    findings, spin = _other_findings(prepared, end, effects)
     findings |= beside or {}
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
     verdict = _verdict(end.explained, findings, unexplained)
@@ -285,11 +285,11 @@ def _modelled(
 
 
 def _other_findings(
-    prepared: Prepared, fit: Fit, effects: tuple[Effect, ...], coloured: bool
+    prepared: Prepared, end: End, effects: tuple[Effect, ...]
 ) -> tuple[dict[str, Finding], SpinSolution | None]:
     """Effects in attitude and noise, with the field's effects subtracted, and the reference where they have moved it;
     those in the samples are there already."""
-    findings = dict(prepared.findings)
+    findings, fit, coloured = dict(prepared.findings), end.explained.fit, len(end.whitening) > 0
     view, scene = prepared.view, prepared.problem.scene
     spin = prepared.spin
     if spin is not None and fit.terms:
@@ -306,7 +306,9 @@ def _other_findings(
             if effect.find is None or effect.acts_on not in wanted:
                 continue
             finding = effect.find(view)
-            if finding is not None and not (effect.name == NUTATION and _imitated(finding, prepared, fit, spin)):
+            if finding is not None and effect.name == NUTATION and spin is not None:
+                finding = _beside_disturbances(finding, prepared, fit, end.left, spin)
+            if finding is not None:
                 findings[effect.name] = finding
     if COLOURED_NOISE in findings:
         findings[COLOURED_NOISE] = _beside_a_pattern(findings[COLOURED_NOISE], fit.terms)
@@ -331,21 +333,25 @@ def _is_coning(findings: Mapping[str, Finding]) -> bool:
     return bool(abs(float(found.value) - nominal) < made + STANDS_OUT * float(found.sigma))
 
 
-def _imitated(nutation: Finding, prepared: Prepared, fit: Fit, spin: SpinSolution | None) -> bool:
-    """Whether a nutation is no larger than what disturbs the vectors anyway, of which the residual sees one part only.
+def _beside_disturbances(
+    nutation: Finding, prepared: Prepared, fit: Fit, left: Sequence[Structure], spin: SpinSolution
+) -> Finding | None:
+    """A nutation, doubted by what disturbs the vectors anyway, of which the residual sees one part only; None where it
+    is no larger.
 
     A body field turns the vector by its parts across it, which no scalar residual bounds: a field of the same rms in
-    every direction as the residual's excess along it is taken for granted, or that of the effects found, or the usual
-    error of a field model.
+    every direction as what the residual has along it is taken for granted, or that of the effects found, or the usual
+    error of a field model.  Across it may be larger by chance, hence the doubt: the square of its share.
     """
-    if spin is None:
-        return False
     turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(spin.across_nt)
     body, _ = disturbances(fit.terms, fit.problem.scene)
     excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
+    left_nt2 = max((float(np.mean(one.signal**2)) for one in left[:1]), default=0.0)
     error = fit.problem.field_error
     model_nt2 = 0.0 if error is None else error.usual_nt**2
-    return bool(turned_nt**2 < max(float((body**2).sum(axis=1).mean()), 3.0 * excess_nt2, model_nt2))
+    disturbed_nt2 = max(float((body**2).sum(axis=1).mean()), 3.0 * max(excess_nt2, left_nt2), model_nt2)
+    share = disturbed_nt2 / max(float(turned_nt**2), 1e-300)
+    return None if share > 1.0 else replace(nutation, rivals=((UNLISTED, share**2),))
 
 
 def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:

@@ -16,8 +16,8 @@ from magcal_service.diagnosis.diagnose import (
     SPIN_RATE,
     Verdict,
     _beside_a_pattern,
+    _beside_disturbances,
     _doubts,
-    _imitated,
     _is_coning,
     _simulation,
     _verdict,
@@ -159,8 +159,27 @@ def test_a_nutation_no_larger_than_the_rest_of_the_disturbance_is_imitated(angle
         baseline=SimpleNamespace(rms_nt=200.0), problem=SimpleNamespace(noise_nt=100.0, scene=scene())
     )
     quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=None))
-    assert _imitated(finding(angle_deg=angle_deg), prepared, quiet, spin) is imitated
-    assert not _imitated(finding(angle_deg=angle_deg), prepared, quiet, None)
+    found = _beside_disturbances(finding(angle_deg=angle_deg), prepared, quiet, [], spin)
+    assert (found is None) is imitated
+
+
+def test_a_nutation_is_doubted_by_what_is_left_without_a_name() -> None:
+    """100 nT of structure are 173 nT in every direction, whatever the whole residual says: 0.31 degrees of 30 uT.
+
+    Of twice that angle a quarter in power may be it, so a sixteenth in probability.
+    """
+    spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
+    prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=1000.0), problem=SimpleNamespace(noise_nt=1000.0))
+    quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=None))
+    left: Any = [SimpleNamespace(signal=np.full(COUNT, 100.0)), SimpleNamespace(signal=np.full(COUNT, 900.0))]
+    size = math.sqrt(3.0) * 100.0 / 30_000.0
+    assert _beside_disturbances(finding(angle_deg=math.degrees(0.99 * size)), prepared, quiet, left, spin) is None
+    twice = _beside_disturbances(finding(angle_deg=math.degrees(2.0 * size)), prepared, quiet, left, spin)
+    assert twice is not None
+    assert twice.doubt == pytest.approx(1.0 / 16.0, rel=1e-3)
+    alone = _beside_disturbances(finding(angle_deg=math.degrees(2.0 * size)), prepared, quiet, [], spin)
+    assert alone is not None
+    assert alone.doubt == 0.0
 
 
 @pytest.mark.parametrize(("angle_deg", "imitated"), [(0.04, True), (0.05, False)])
@@ -170,7 +189,8 @@ def test_a_nutation_no_larger_than_a_field_models_usual_error_is_imitated(angle_
     fit: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=error))
     prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=8.0), problem=SimpleNamespace(noise_nt=8.0))
     spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
-    assert _imitated(finding(angle_deg=angle_deg), prepared, fit, spin) is imitated
+    found = _beside_disturbances(finding(angle_deg=angle_deg), prepared, fit, [], spin)
+    assert (found is None) is imitated
 
 
 @pytest.mark.parametrize(("angle_deg", "imitated"), [(0.75, True), (0.78, False)])
@@ -181,7 +201,8 @@ def test_a_nutation_no_larger_than_the_effects_that_were_found_is_imitated(angle
     fit: Any = SimpleNamespace(terms=(term,), problem=SimpleNamespace(scene=scene(), field_error=None))
     prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=90.0), problem=SimpleNamespace(noise_nt=100.0))
     spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
-    assert _imitated(finding(angle_deg=angle_deg), prepared, fit, spin) is imitated
+    found = _beside_disturbances(finding(angle_deg=angle_deg), prepared, fit, [], spin)
+    assert (found is None) is imitated
 
 
 # The noise
