@@ -98,7 +98,7 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         driver=finding.driver,
         variant="",
         probability=1.0 - max(odds, finding.doubt),
-        rivals=finding.rivals,
+        rivals=listed_rivals(finding.rivals, (name,)),
         members=(name,),
         separated_by=effect.separated_by,
         parameters=finding.parameters,
