@@ -180,10 +180,10 @@ def _moved(fit: Fit, index: int) -> Fit:
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:
     """The one of all that leaves least; those that do not converge are none."""
-    return min((fit, *(trial for trial in trials if trial.converged)), key=_squares)
+    return min((fit, *(trial for trial in trials if trial.converged)), key=squares_nt2)
 
 
-def _squares(fit: Fit) -> float:
+def squares_nt2(fit: Fit) -> float:
     """Of what is left, as noise of the sensor's own [nT^2]."""
     return float(fit.sensor_residual @ fit.sensor_residual)
 

@@ -59,6 +59,14 @@ class Columns:
         assert self.magnitude is not None
         return np.zeros((self.magnitude.shape[1], 3))
 
+    def times(self, signal: Array) -> Columns:
+        """Every column times a signal (n,)."""
+        return Columns(
+            axes=None if self.axes is None else self.axes * signal[:, None],
+            body=None if self.body is None else self.body * signal[:, None],
+            magnitude=None if self.magnitude is None else self.magnitude * signal,
+        )
+
     def sizes(self) -> Array:
         """rms over the recording of what one unit of each amplitude adds (k,) [nT per unit]."""
         if self.axes is not None:

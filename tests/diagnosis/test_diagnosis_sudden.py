@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.blocks import Gain
@@ -13,8 +14,8 @@ from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.solution import solve
-from magcal_service.diagnosis.sudden import slower
-from magcal_service.model import Array, measure
+from magcal_service.diagnosis.sudden import _jointly, slower
+from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.catalogue import effect_named
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
@@ -83,3 +84,33 @@ def test_a_jump_too_faint_to_be_seen_as_sudden_is_not_sure(size: float, is_sure:
     assert (believed.own >= SURE) is is_sure
     assert believed.members == (("bias_step",) if is_sure else ("bias_step", "unknown"))
     assert unlisted(named, 0) == ("" if is_sure else "a drift over minutes by a cause in no catalogue")
+
+
+def test_a_slow_change_that_comes_near_to_first_order_counts_as_it_does_by_a_joint_solution() -> None:
+    """First-order evidence of a slow change, beside samples that have a jump: as where columns are made elsewhere."""
+    (search, sudden), (other, slow) = jump(1e-3, 1.0), jump(1500.0, 1.0)
+    sigma = sudden.white_rms_nt
+    assert slower(other, slow, 0, other.workspace(slow, 0), sigma) > 1e3
+    assert slower(search, sudden, 0, other.workspace(slow, 0), sigma) < 1.0
+
+
+@pytest.mark.parametrize("length_s", [600.0, 1200.0])
+def test_by_a_joint_solution_is_by_least_squares_of_all_unknowns(length_s: float) -> None:
+    """The second way: scipy's least squares of the magnitudes, the middle of the change among the unknowns."""
+    fit = jump(700.0, 1.0)[1]
+    of, sigma = fit.problem.scene, fit.white_rms_nt
+
+    def left(x: Array, share: Array) -> Array:
+        vector = calibrate(x[:9], of.field_nt) - share[:, None] * x[9:12]
+        return (np.linalg.norm(vector, axis=1) - of.magnitude_nt - fit.problem.noise_nt**2 / of.magnitude_nt) / sigma
+
+    start = np.concatenate([X, JUMP_NT])
+    scale = np.concatenate([np.full(3, 100.0), np.full(6, 0.01), np.full(3, 100.0)])
+    sudden = optimize.least_squares(lambda x: left(x, course(of.time_s, AT_S, 1e-3)), start, x_scale=scale).cost
+
+    def while_over(x: Array) -> Array:
+        return left(x, course(of.time_s, AT_S + 100.0 * x[12], length_s))
+
+    trials = [np.append(start, place) for place in (-1.5, 0.0, 1.5)]
+    over = min(optimize.least_squares(while_over, x, x_scale=np.append(scale, 1.0)).cost for x in trials)
+    assert _jointly(fit, 0, AT_S, length_s, sigma) == pytest.approx(sudden - over, abs=1.0)
