@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,7 @@ def _apply(options: argparse.Namespace) -> int:
     from magcal_service.offline.apply import apply
     from magcal_service.offline.given import read_given
     from magcal_service.offline.vector_file import refuse_suffix, write_vectors
+    from magcal_service.physics.apply.lacking import undriven_lines
     from magcal_service.recordings.inspect.inspection import inspect
     from magcal_service.recordings.reader import read_recording
     from magcal_service.recordings.usable import refuse_hopeless
@@ -57,6 +59,8 @@ def _apply(options: argparse.Namespace) -> int:
         raise InputRefusedError([Fault(f"{options.given}: source", given.source, accepted)])
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
+    for line in [] if given.model is None else undriven_lines(given.name, given.model, recording.driving):
+        print(line, file=sys.stderr)
     about = {"recording": recording.name, "result": given.name, "result_sha256": given.sha256}
     with counted(Work("applying")):
         applied = apply(given, inspection)

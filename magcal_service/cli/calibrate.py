@@ -25,7 +25,7 @@ from magcal_service.cli.common import (
     verdict_text,
     write_json,
 )
-from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, say_undriven
 
 if TYPE_CHECKING:
     from magcal_service.offline.calibrate import Calibration
@@ -101,16 +101,19 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     recording = read_recording(path, to_read, source=options.source)
     if configured is not None and method:
         configured = replace(configured, filter=replace(configured.filter, method=method))
+    craft = configured or recording.craft
+    physics = None if craft is None else craft.physics
+    say_undriven(physics, recording)
     result = calibrate(recording, method or DEFAULT_METHOD, configured, start_s=options.start_s, prior=options.prior)
     found = (f"found: {one}" for one in result.findings)
     with beside_json(options.json):
         print("\n".join([*source_lines(recording), *recording.report.lines(), *found]))
-        print(_table(result, path))
+        print(_table(result, path, "physics.toml" if physics is None else physics.name))
     write_json(options.json, result.as_json())
     return DONE if result.trusted else NOT_TRUSTED
 
 
-def _table(result: Calibration, path: Path) -> str:
+def _table(result: Calibration, path: Path, physics: str) -> str:
     import numpy as np
 
     from magcal_service.model import BIAS, STATE_NAMES
@@ -131,7 +134,7 @@ def _table(result: Calibration, path: Path) -> str:
         lines.append(f"  {name:<4}{number}   (3 sigma)")
     lines += _temperature_lines(result)
     lines += [f"scale: {result.scale_doubt}"] if result.scale_doubt else []
-    lines += [f"physics.toml: {doubt}" for doubt in result.physics_doubts]
+    lines += [f"{physics}: {doubt}" for doubt in result.physics_doubts]
     residuals = result.residuals
     held_out = "no sound fit" if residuals.held_out is None else f"{residuals.held_out:.1f} nT"
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,9 @@ from magcal_service.base.errors import ConfigError, Fault
 from magcal_service.cli.common import check_method
 
 if TYPE_CHECKING:
+    from magcal_service.config.physics_file import PhysicsConfig
     from magcal_service.config.settings import CraftConfig
+    from magcal_service.recordings.recording import Recording
 
 CONFIG_HELP = "configuration of exactly one craft, or of --craft"
 
@@ -52,3 +55,14 @@ def craft_from(
     if name is not None and not named:
         raise refusal
     return crafts[0], None
+
+
+def say_undriven(physics: PhysicsConfig | None, recording: Recording) -> None:
+    """Say on stderr, before the work is done, which effects of a ``physics.toml`` the recording cannot drive."""
+    from magcal_service.physics.apply.lacking import undriven_lines
+    from magcal_service.physics.apply.model_file import parse_model
+
+    if physics is None:
+        return
+    for line in undriven_lines(physics.name, parse_model(physics.text.encode(), physics.name), recording.driving):
+        print(line, file=sys.stderr)

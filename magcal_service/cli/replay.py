@@ -18,7 +18,7 @@ from magcal_service.cli.common import (
     source_lines,
     verdict_text,
 )
-from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from
+from magcal_service.cli.craft_choice import CONFIG_HELP, craft_from, say_undriven
 
 if TYPE_CHECKING:
     from magcal_service.offline.replay import Replay
@@ -56,6 +56,7 @@ def _replay(options: argparse.Namespace) -> int:
     inspection = inspect(recording)
     refuse_hopeless(inspection.usable, inspection.lines())
     craft = configured or craft_of(inspection.to_replay)
+    say_undriven(craft.physics, recording)
     with ExitStack() as stack:
         csv = stack.enter_context(EstimateCsv(options.out)) if options.out is not None else None
         result = replay(recording, craft, options.speed, csv, as_recorded=True, inspection=inspection)
@@ -64,7 +65,8 @@ def _replay(options: argparse.Namespace) -> int:
     after = "" if result.verdict == "not_started" else f", {residuals.after:.1f} nT after"
     print(f"residual rms: {residuals.before:.1f} nT before{after} (noise {residuals.noise})")
     if result.pipeline.compensation is not None:
-        print(*compensation_lines(result.compensated, result.pipeline.compensation.model), sep="\n")
+        name = "physics.toml" if craft.physics is None else craft.physics.name
+        print(*compensation_lines(result.compensated, result.pipeline.compensation.model, name), sep="\n")
     if residuals.published is not None:
         print(f"vectors as they were published since the start: {residuals.published:.1f} nT")
     print(verdict_text(result.verdict, result.reasons, result.remedy, result.model_doubt, options.recording))

@@ -19,11 +19,16 @@ class PhysicsConfig:
     text: str
 
     @property
+    def name(self) -> str:
+        """Of the file."""
+        return self.path.name
+
+    @property
     def doubts(self) -> list[str]:
         """What the file says against acting on it, a line each."""
         from magcal_service.physics.apply.model_file import parse_model
 
-        return doubts_of(parse_model(self.text.encode(), self.path.name).doubts)
+        return doubts_of(parse_model(self.text.encode(), self.name).doubts)
 
 
 def physics_of(path: Path) -> PhysicsConfig:

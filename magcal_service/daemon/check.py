@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from magcal_service.base.errors import ConfigError, Fault, MagcalError
+from magcal_service.config.address import parse_address
 from magcal_service.config.private_files import read_key
 from magcal_service.config.settings import Config
 from magcal_service.daemon.run import check_directories, check_history
@@ -48,7 +49,28 @@ def _checked(config: Config, names: list[str]) -> list[str]:
         "recordings": None if config.record is None else config.record.directory,
         "state": None if config.state is None else config.state.directory,
     }
+    lines += _undriven(config)
     return [*lines, *(f"{what}: {path}" for what, path in named.items() if path is not None), "sound"]
+
+
+def _undriven(config: Config) -> list[str]:
+    """Which effects of a ``physics.toml`` follow channels that the recording on the link does not have, a line each.
+
+    What a link that is not a recording will bring, nobody knows yet.
+    """
+    address = parse_address(config.link)
+    if address.scheme != "recording" or not any(craft.physics for craft in config.crafts):
+        return []
+    from magcal_service.physics.apply.lacking import undriven_lines
+    from magcal_service.physics.apply.model_file import parse_model
+    from magcal_service.recordings.reader import read_recording
+
+    channels, found = read_recording(Path(address.rest)).driving, []
+    for craft in config.crafts:
+        if craft.physics is not None:
+            model = parse_model(craft.physics.text.encode(), craft.physics.name)
+            found += undriven_lines(craft.physics.name, model, channels)
+    return found
 
 
 def _check_state(config: Config) -> None:

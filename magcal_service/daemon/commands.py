@@ -75,7 +75,7 @@ class Commander:
             loaded = physics_of(path)
         except InputRefusedError as error:
             return str(error)
-        model = pipeline.load_physics(loaded.text)
+        model = pipeline.load_physics(loaded.text, name)
         effects = ", ".join(f"{term.effect} by {term.driver}" for term in model.terms) or "no effect"
         pipeline.note("physics_loaded", f"{name}: {effects}", command.source)
         return ""

@@ -65,7 +65,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         self.plain = None  # the craft without compensation, beside one that compensates
         self.settling = None  # what is to be compensated once its start is known
         if config.physics is not None:
-            self._compensate_by(config.physics.text)
+            self._compensate_by(config.physics.text, config.physics.name)
 
     @property
     def compensates(self) -> bool:
@@ -74,22 +74,23 @@ class CompensatingCraft(Craft, CompensatingMemory):
 
     # From one state to another
 
-    def load_physics(self, physics: str) -> PhysicsModel:
-        """Compensate by another model from now on; what was estimated under the one before is discarded."""
-        model = self._compensate_by(physics)
+    def load_physics(self, physics: str, name: str = "physics.toml") -> PhysicsModel:
+        """Compensate by another model from now on, of a file of a name; what was estimated before is discarded."""
+        model = self._compensate_by(physics, name)
         self.reset()
         return model
 
-    def _compensate_by(self, physics: str) -> PhysicsModel:
-        """Load the text of a ``physics.toml``; raises InputRefusedError where it is none.
+    def _compensate_by(self, physics: str, name: str) -> PhysicsModel:
+        """Load the text of a ``physics.toml`` that is called ``name``; raises InputRefusedError where it is none.
 
         Each reason for which the file says that it should not be acted on is logged as a warning.
         """
-        model = parse_model(physics.encode())
+        model = parse_model(physics.encode(), name)
         for doubt in doubts_of(model.doubts):
-            log.warning("%s: physics.toml is subtracted all the same: %s", self.config.name, doubt)
+            log.warning("%s: %s is subtracted all the same: %s", self.config.name, name, doubt)
         if model.craft and model.craft != self.config.name:
-            log.warning("%s: physics.toml is of craft %s; it is subtracted all the same", self.config.name, model.craft)
+            of = (self.config.name, name, model.craft)
+            log.warning("%s: %s is of craft %s; it is subtracted all the same", *of)
         self.compensation = Compensation(model)
         self._physics = physics
         self.ticks.wait_longer(self.compensation.wait_s)
@@ -258,7 +259,7 @@ class CompensatingCraft(Craft, CompensatingMemory):
         physics = saved.get("_physics") if isinstance(saved, dict) else None
         if isinstance(physics, str) and physics != self._physics:
             try:
-                self._compensate_by(physics)
+                self._compensate_by(physics, "physics.toml")
             except InputRefusedError as error:
                 raise SnapshotError(f"{where}._physics: {error}") from None
         if isinstance(saved, dict) and saved.get("settling") is not None and self.settling is None:

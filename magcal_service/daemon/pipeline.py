@@ -254,7 +254,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         elif self.settling is not None:
             state += "not compensated yet: the temperature at the start is being estimated; "
         elif self.compensation is not None and self.compensation.missing:
-            state += f"not compensated for want of a driver: {', '.join(self.compensation.missing)}; "
+            state += f"not compensated for want of a driver: {self.compensation.missing_in_words()}; "
         if self.model_doubt:
             state += f"{self.model_doubt}; "
         state += "".join(f"{seen}; " for seen in self.monitor.seen.values())

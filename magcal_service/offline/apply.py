@@ -211,7 +211,7 @@ def _applied(
         corrected, unknown = sample, None
         if compensation is not None:
             corrected, unknown = compensation.correct(sample), compensation.start_variance
-            tally.corrected(compensation.missing)
+            tally.corrected(compensation.missing, compensation.causes)
             partly += bool(compensation.missing)
         vector = calibrated_vector(corrected, state, given.covariance, trust, unknown)
         doubt = bool(remark) or (compensation is not None and bool(compensation.missing))
@@ -221,7 +221,7 @@ def _applied(
             doubt |= stray
         vectors.append(replace(vector, verdict=Verdict.DOUBTFUL) if doubt else vector)
     model = None if compensation is None else compensation.model
-    accounts = () if model is None else tally.accounts(model, recording.channels, "")
+    accounts = () if model is None else tally.accounts(model, recording.driving, "")
     return Applied(tuple(vectors), strayed, accounts, partly, remark, tuple(references), stopped=remark)
 
 

@@ -133,7 +133,7 @@ class Replay(NineErrors):
         """What was done with each effect of ``physics.toml``; empty where none is compensated."""
         if not isinstance(self.pipeline, ObservedPipeline) or self.pipeline.compensation is None:
             return ()
-        channels = self.inspection.recording.channels
+        channels = self.inspection.recording.driving
         return self.pipeline.tally.accounts(self.pipeline.compensation.model, channels, self.pipeline.stopped)
 
     @property

@@ -14,6 +14,7 @@ from magcal_service.base.typed_toml.kind import refuse_kinds
 from magcal_service.offline.given import Given, read_given
 from magcal_service.offline.json_file import parsed_json, refuse_others, refuse_strange
 from magcal_service.physics.apply.advice import doubts_of
+from magcal_service.physics.apply.lacking import undriven_lines
 from magcal_service.plots.of_recording import FIGURES, shown
 from magcal_service.plots.of_result import of_calibration, of_diagnosis, of_joint_diagnosis
 from magcal_service.plots.of_study import of_study
@@ -62,11 +63,10 @@ def sheet_of(
 def _doubts(recording: Recording, nine: Given | None) -> tuple[str, ...]:
     """Why a result that is shown on a recording must not be trusted, or the physics that its session compensated."""
     if nine is not None:
-        return tuple(f"{nine.name}: {one}" for one in nine.doubts())
-    craft = recording.craft
-    return (
-        () if craft is None or craft.physics is None else tuple(f"physics.toml: {one}" for one in craft.physics.doubts)
-    )
+        undriven = () if nine.model is None else undriven_lines(nine.name, nine.model, recording.driving)
+        return (*(f"{nine.name}: {one}" for one in nine.doubts()), *undriven)
+    physics = None if recording.craft is None else recording.craft.physics
+    return () if physics is None else tuple(f"{physics.name}: {one}" for one in physics.doubts)
 
 
 def _of_json(path: Path) -> Sheet:

@@ -97,6 +97,11 @@ class Recording:
         """The name of the craft, where the log or its descriptor says it."""
         return self.craft.name if self.craft is not None else self.descriptor.craft
 
+    @property
+    def driving(self) -> dict[str, bool]:
+        """The channels by name, each with whether any row has all of its values, so that it can drive anything."""
+        return {name: bool(np.isfinite(one.values).all(axis=1).any()) for name, one in self.channels.items()}
+
     @classmethod
     def from_arrays(
         cls,

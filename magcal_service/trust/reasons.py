@@ -101,7 +101,8 @@ REMEDIES: Final = {
     Reason.PHYSICS_DOUBTFUL: "physics.toml says that it should not be acted on, the log says why: diagnose again as it "
     "advises, or take the file out",
     Reason.DRIVER_MISSING: "what drives an effect of physics.toml is missing or stale, or beyond the range of its "
-    "curve, so it is not compensated: bring channel, position or reference back, or take the effect out of the file",
+    "curve, so it is not compensated: bring channel, position or reference back, correct a channel's name, or take "
+    "the effect out of the file",
 }
 
 _REASON_OF_GATE: Final = {

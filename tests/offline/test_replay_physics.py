@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +17,7 @@ from magcal_service.offline.compensated import Tally, compensation_lines
 from magcal_service.offline.held import over_of
 from magcal_service.offline.replay import craft_of, replay
 from magcal_service.physics.apply.empirical import NAME, OUTSIDE, Empirical, Kind
+from magcal_service.physics.apply.lacking import Cause
 from magcal_service.physics.apply.model_file import ModelTerm, Note, parse_model
 from magcal_service.recordings.reader import read_recording
 from magcal_service.wire.messages import CalibratedVector, Message, Verdict
@@ -104,12 +105,58 @@ def test_each_effect_is_said_to_be_compensated_or_why_not(recorded: Path) -> Non
         re.findall(r"(\S+) (\d+)(?:,|\n)", next(line for line in done.splitlines(True) if "estimates; " in line))
     )
     count = int(counters["accepted"])
-    gone = f"compensated in 0 of {count} samples; not in {count}: the recording has no channel gone"
+    gone = (
+        f"compensated in 0 of {count} samples; not in {count}: the recording has no channel gone (known: temperature)"
+    )
     assert f"physics.toml: current_loop (channel:gone): {gone}\n" in done
     missing = int(counters.get("uncompensated.thermal_bias", 0))
     assert f"physics.toml: thermal_bias (channel:temperature): compensated in {count - missing} of {count} sa" in done
     assert int(counters["uncompensated.current_loop"]) == count
     assert count - missing > 1400
+
+
+def test_a_misspelt_channel_is_told_before_the_work_by_the_files_own_name(recorded: Path) -> None:
+    """By whatever takes the file, on stderr; and as the reason of the samples that were not compensated."""
+    text = (recorded / "physics.toml").read_text(encoding="utf-8").replace("temperature", "temprature")
+    (recorded / "mine.toml").write_text(text, encoding="utf-8")
+    config, given = recorded / "mine-config.toml", recorded / "RECORDING.toml"
+    config.write_text(CONFIG.format(physics=recorded / "mine.toml"), encoding="utf-8")
+    meant = "the recording has no channel temprature (did you mean 'temperature'? known: temperature)"
+    line = f"mine.toml: effect[0].driver: 'channel:temprature': {meant}; thermal_bias is not compensated"
+    for command in (
+        ("replay", given, "--config", config),
+        ("calibrate", given, "--config", config),
+        ("apply", given, "--with", recorded / "mine.toml", "--out", recorded / "v.csv"),
+    ):
+        done = run(*command)
+        assert line in done.err.splitlines()
+        assert "physics.toml: " not in done.out
+        if command[0] != "calibrate":
+            assert re.search(
+                rf"mine.toml: thermal_bias .*: compensated in 0 of (\d+) samples; not in \1: {re.escape(meant)}\n",
+                done.out,
+            )
+    config.write_text(f'link = "recording:{given}"\n' + config.read_text(encoding="utf-8"), encoding="utf-8")
+    assert line in run("run", "--check", "--config", config).out.splitlines()
+
+
+def test_a_channel_without_a_value_and_one_that_goes_stale_are_told_apart(recorded: Path) -> None:
+    """From two recordings, one whose temperature cells are all empty, and one in which they end."""
+    rows = list(csv.reader((recorded / "samples.csv").read_text(encoding="utf-8").splitlines()))
+    column, descriptor = rows[0].index("temperature"), (recorded / "RECORDING.toml").read_text(encoding="utf-8")
+    for name, kept, why in (
+        ("empty", 0, "channel temperature of the recording has no value in any row"),
+        ("ending", 300, "the newest value of channel temperature was older than it may be"),
+    ):
+        cut = [[*row[:column], "", *row[column + 1 :]] if at > kept else row for at, row in enumerate(rows)]
+        (recorded / f"{name}.csv").write_text("\n".join(map(",".join, cut)), encoding="utf-8")
+        path = recorded / f"{name}.toml"
+        path.write_text(descriptor.replace("samples.csv", f"{name}.csv"), encoding="utf-8")
+        given = recorded / "physics.toml"
+        out = run("apply", path, "--with", given, "--out", recorded / "v.csv").out
+        (line,) = [line for line in out.splitlines() if line.startswith("physics.toml: thermal_bias")]
+        assert line.endswith(f": {why}")
+        assert ("compensated in 0 of" in line) is (kept == 0)
 
 
 def test_the_effects_are_in_the_answer_of_a_program(recorded: Path) -> None:
@@ -130,6 +177,7 @@ class _Craft:
 
     missing: tuple[str, ...] = ()
     stopped: str = ""
+    causes: dict[str, tuple[Cause, str]] = field(default_factory=dict)
     settling: object = None
 
     @property
@@ -148,7 +196,7 @@ def test_samples_are_counted_by_what_kept_an_effect_from_them() -> None:
     ):
         for _ in range(times):
             tally.sample(craft)  # type: ignore[arg-type]
-    heat, scale, loop = tally.accounts(model, ["temperature"], "it harms")
+    heat, scale, loop = tally.accounts(model, {"temperature": True}, "it harms")
     assert heat.samples == {"compensated": 2, "no_driver": 3, "start_unknown": 5, "stopped": 7}
     assert scale.samples == {"compensated": 5, "start_unknown": 5, "stopped": 7}
     assert loop.effect == "current_loop"
@@ -177,7 +225,7 @@ def test_curves_without_a_name_are_one_account() -> None:
     for missing, times in (((), 3), ((NAME,), 2), ((OUTSIDE,), 4), ((NAME, OUTSIDE), 5)):
         for _ in range(times):
             tally.sample(_Craft(missing))  # type: ignore[arg-type]
-    (account,) = tally.accounts(model, ["warm"], "")
+    (account,) = tally.accounts(model, {"warm": True}, "")
     assert account.samples == {"compensated": 3, "no_driver": 7, "driver_outside": 4}
     assert account.drivers == ("channel:warm", "computed:latitude")
     assert "not in 4: a driver was beyond the range of its curve" in str(account)
@@ -195,18 +243,18 @@ def test_what_stands_live_in_a_forms_place_is_said(effect: str, form: str, inste
     """Where it was subtracted at all."""
     model = replace(parse_model(physics(origin_ns=0).text.encode()), terms=(ModelTerm(effect, "none", form, {}),))
     done, gone = Tally(), Tally()
-    done.corrected(())
-    gone.corrected((effect,))
-    assert str(done.accounts(model, [], "")[0]) == f"{effect}: compensated in 1 of 1 samples{instead}"
-    assert "compensated in 0 of 1 samples; not in 1" in str(gone.accounts(model, [], "")[0])
+    done.corrected((), {})
+    gone.corrected((effect,), {})
+    assert str(done.accounts(model, {}, "")[0]) == f"{effect}: compensated in 1 of 1 samples{instead}"
+    assert "compensated in 0 of 1 samples; not in 1" in str(gone.accounts(model, {}, "")[0])
 
 
 def test_an_effect_that_needs_the_crafts_turn_is_said_to_lack_it() -> None:
     skew = ModelTerm("axis_skew", "none", "", {"after_x_s": np.ones(2)})
     model = replace(parse_model(physics(origin_ns=0).text.encode()), terms=(skew,))
     tally = Tally()
-    tally.corrected(("axis_skew",))
-    assert "not in 1: it needs to know how the craft turns" in str(tally.accounts(model, [], "")[0])
+    tally.corrected(("axis_skew",), {})
+    assert "not in 1: it needs to know how the craft turns" in str(tally.accounts(model, {}, "")[0])
 
 
 def test_a_form_that_no_single_moment_determines_is_said_to_be_none_for_the_daemon() -> None:
@@ -218,10 +266,10 @@ def test_a_form_that_no_single_moment_determines_is_said_to_be_none_for_the_daem
     )
     tally = Tally()
     tally.sample(_Craft(missing=("time_offset",)))  # type: ignore[arg-type]
-    accounts = tally.accounts(model, [], "")
-    assert compensation_lines(accounts, model) == [
-        "physics.toml: time_offset: compensated in 0 of 1 samples; not in 1: this form cannot be followed live",
-        "physics.toml: stated, and no field that is compensated: nutation",
+    accounts = tally.accounts(model, {}, "")
+    assert compensation_lines(accounts, model, "other.toml") == [
+        "other.toml: time_offset: compensated in 0 of 1 samples; not in 1: this form cannot be followed live",
+        "other.toml: stated, and no field that is compensated: nutation",
     ]
 
 

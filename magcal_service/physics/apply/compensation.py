@@ -11,7 +11,7 @@ What a driver is at this moment is in ``live_drivers``, attitude in ``live_spin`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final
@@ -22,6 +22,7 @@ from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array, calibrate, d_matrix
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.forward import Bound, DriverMissingError, MisfitError, bind, described, less
+from magcal_service.physics.apply.lacking import Cause, cause_of, in_words
 from magcal_service.physics.apply.live_curves import added_now, name_of
 from magcal_service.physics.apply.live_drivers import Held, Place, fresh, hold, positions_km, with_place
 from magcal_service.physics.apply.live_reference import GROWTH_NS, KNOT_S, grown, growth_of, shifts_s
@@ -111,6 +112,7 @@ class Compensation(Stateful, CompensationMemory):
         self._growth_nt = 0.0
         self._states = [{} for _ in model.terms]
         self._missing_field, self._missing_reference = [], []
+        self._causes: dict[str, tuple[Cause, str]] = {}
         count = len(set(self._terms.groups.values()))
         self._start, self._start_covariance = np.zeros(count), np.zeros((count, count))
         self._start_fields = np.zeros((count, 3))
@@ -125,6 +127,19 @@ class Compensation(Stateful, CompensationMemory):
         if not self._missing_field and not self._missing_reference:
             return ()
         return tuple(sorted({*self._missing_field, *self._missing_reference}))
+
+    @property
+    def causes(self) -> Mapping[str, tuple[Cause, str]]:
+        """Of each of ``missing`` that is known why: what kept it out last, and the driver that it is about."""
+        return {name: self._causes[name] for name in self.missing if name in self._causes}
+
+    def missing_in_words(self) -> str:
+        """``missing``, each with why."""
+        named: dict[str, list[str]] = {}
+        for name in self.missing:
+            cause = self._causes.get(name)
+            named.setdefault("" if cause is None else f" ({in_words(*cause, self._channels)})", []).append(name)
+        return "; ".join(f"{', '.join(names)}{why}" for why, names in named.items())
 
     # Temperatures at the start
 
@@ -223,14 +238,17 @@ class Compensation(Stateful, CompensationMemory):
                     else self._on(scene, index, row, in_order)
                 )
                 corrected = self._without(corrected, d, term.effect)
-            except (DriverMissingError, MisfitError):
+            except (DriverMissingError, MisfitError) as error:
                 missing.append(term.effect)
+                self._causes[term.effect] = cause_of(error, term.driver, self._channels, row.time_ns), term.driver
         for curve in self._terms.curves:
             try:
                 body, _ = added_now(curve, self._channels, scene, row.time_ns, np.array(row.field_nt))
                 corrected = self._without(corrected, body.tolist(), NAME)
             except (DriverMissingError, MisfitError) as error:
                 missing.append(name_of(error))
+                if missing[-1] == NAME:
+                    self._causes[NAME] = cause_of(error, curve.driver, self._channels, row.time_ns), curve.driver
         if in_order:
             self._last = row
         if in_order and self._terms.groups:
