@@ -22,6 +22,7 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rivals import best_of_each, is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
 from magcal_service.diagnosis.solution import exchanged, solve
+from magcal_service.diagnosis.squares import held_out_nt2, inside_nt2
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.diagnosis.sudden import slower
 from magcal_service.model import Array
@@ -41,8 +42,7 @@ LIKELIER: Final = 1.0
 """Nats by which a rival in the same class comes first at the end: odds of 3 to 1; closer, the first one found stays."""
 
 OF_BLOCKS: Final = 5.0
-"""Nats that held-out blocks may speak against a likelier rival at the end: between names of one class they scatter so;
-a choice."""
+"""Nats that held-out blocks may speak against a likelier rival at the end: choice, names of one class scatter so."""
 
 _INEXACT: Final = 0.03  # of its evidence, what a driver that is only inferred may leave for others to take
 _MOST_REFRESHED: Final = 4  # rounds of new columns; two are the rule
@@ -151,10 +151,19 @@ class Search(Screen):
         return self.compared(jumps_instead(self, settled, floor_nt), floor_nt)
 
     def again(self, problem: Problem, fit: Fit, floor_nt: float) -> Explained:
-        """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful."""
+        """The terms of a fit under another problem's noise: refitted, and without those that it makes doubtful.
+
+        One by a computed driver, exact to a few per cent, stands for what else holds no more: that is looked for again
+        where another name has taken its place.
+        """
         self.look_at(problem, self.forms(problem))
         fit = self._bounded(self.refreshed(solve(problem, fit.x, fit.terms)))
-        return self.compared(self._pruned(fit, floor_nt), floor_nt)
+        found = self.compared(self._pruned(fit, floor_nt), floor_nt)
+        are, were = ([term.hypothesis.is_inferred for term in one.terms] for one in (found.fit, fit))
+        if any(are) or not any(were):
+            return found
+        more = self.selected(found.fit, floor_nt, untold)
+        return found if more is found.fit else self.settled(more, floor_nt)
 
     def refreshed(self, fit: Fit) -> Fit:
         """Fit once more with all columns made of what the fit has found; the search continues there.
@@ -166,9 +175,9 @@ class Search(Screen):
         """
         for _ in range(_MOST_REFRESHED):
             found, scene = self.clean(fit), self.problem.scene
-            further_s = _moved(found.moved_s) - _moved(scene.moved_s)
+            moved_s, before_s = (np.zeros(1) if one is None else one for one in (found.moved_s, scene.moved_s))
             moved_nt = found.calibrated_nt - scene.calibrated_nt
-            moved_nt2 = float(np.mean(moved_nt**2 + (further_s * scene.magnitude_slope)[:, None] ** 2))
+            moved_nt2 = float(np.mean(moved_nt**2 + ((moved_s - before_s) * scene.magnitude_slope)[:, None] ** 2))
             problem = replace(self.problem, scene=scene.recalibrated(found))
             self.look_at(problem, ())  # forms and columns of the vectors before go before there are new ones
             self.look_at(problem, self.forms(problem))
@@ -239,8 +248,8 @@ class Search(Screen):
 
     def agrees(self, before: Fit, after: Fit) -> bool:
         """Whether blocks that took no part gain by the new term too."""
-        inside = float((before.sensor_residual**2).sum() - (after.sensor_residual**2).sum())
-        return inside > 0.0 and held_out(before) - held_out(after) > HELD_OUT_SHARE * inside
+        inside = inside_nt2(before) - inside_nt2(after)
+        return inside > 0.0 and held_out_nt2(before) - held_out_nt2(after) > HELD_OUT_SHARE * inside
 
     def _pruned(self, fit: Fit, floor_nt: float) -> Fit:
         """Without the terms that are redundant beside the others."""
@@ -381,18 +390,9 @@ class Search(Screen):
             most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
             if best.hypothesis.is_quickest(trial.terms[index].theta) or not all_within_physics(trial):
                 continue
-            if held_out(trial) <= held_out(fit) + most:
+            if held_out_nt2(trial) <= held_out_nt2(fit) + most:
                 return trial
         return None
 
     def _blocks(self, fit: Fit) -> NDArray[np.intp]:
         return self.problem.blocks(self.white(fit.residual))
-
-
-def _moved(moved_s: Array | None) -> Array:
-    return np.zeros(1) if moved_s is None else moved_s
-
-
-def held_out(fit: Fit) -> float:
-    """Sum of squares on rows that took no part, as the sensor's own noise [nT^2]."""
-    return float((fit.sensor_held_out**2).sum())

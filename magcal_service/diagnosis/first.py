@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from magcal_service.diagnosis.belief import posterior
-from magcal_service.diagnosis.explain import LIKELIER, OF_BLOCKS, Explained, held_out
+from magcal_service.diagnosis.explain import LIKELIER, OF_BLOCKS, Explained
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.squares import held_out_nt2
 from magcal_service.physics.interface import UNLISTED
 
 _NO_NUMBERS: Final = "a cause in no catalogue, which is likelier, has none"
@@ -36,6 +37,6 @@ def why_first(explained: Explained, index: int) -> str:
     if not all_within_physics(trial):
         return f"{name} would be beyond what its physics allows"
     noise = fit.white_rms_nt / fit.noise_gain
-    if held_out(trial) > held_out(fit) + 2.0 * noise**2 * OF_BLOCKS:
+    if held_out_nt2(trial) > held_out_nt2(fit) + 2.0 * noise**2 * OF_BLOCKS:
         return f"held-out blocks speak for {mine} against {name}"
     return f"{name} had that place before, and gave it up"

@@ -17,6 +17,7 @@ from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import exchanged, solve
+from magcal_service.diagnosis.squares import inside_nt2
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
@@ -180,12 +181,7 @@ def _moved(fit: Fit, index: int) -> Fit:
 
 def _better(fit: Fit, trials: Sequence[Fit]) -> Fit:
     """The one of all that leaves least; those that do not converge are none."""
-    return min((fit, *(trial for trial in trials if trial.converged)), key=squares_nt2)
-
-
-def squares_nt2(fit: Fit) -> float:
-    """Of what is left, as noise of the sensor's own [nT^2]."""
-    return float(fit.sensor_residual @ fit.sensor_residual)
+    return min((fit, *(trial for trial in trials if trial.converged)), key=inside_nt2)
 
 
 def _at(fit: Fit, index: int, theta: Array, amplitudes: Array) -> Fit:

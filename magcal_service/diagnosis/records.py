@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from magcal_service.diagnosis.explain import Explained, Search, held_out
+from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.squares import held_out_nt2
 from magcal_service.diagnosis.stages import Progress
 
 _TO_BEGIN_WITH: Final = 0.7
@@ -53,4 +54,4 @@ def from_records(search: Search, found: Explained, floor_nt: float, progress: Pr
 def _gained(before: Fit, after: Fit, floor_nt: float) -> float:
     """What a fit foretells better than another [nats]."""
     noise_nt = max(after.white_rms_nt, floor_nt) / after.noise_gain
-    return (held_out(before) - held_out(after)) / (2.0 * noise_nt**2)
+    return (held_out_nt2(before) - held_out_nt2(after)) / (2.0 * noise_nt**2)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.diagnosis.instants import squares_nt2
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.squares import inside_nt2
 from magcal_service.model import Array
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def _jointly(fit: Fit, index: int, at_s: float, length_s: float, sigma_nt: float
         trial = exchanged(
             fit.problem, fit, index, _over_a_while(fit.terms[index], fit.problem.scene.time_s, middle_s, length_s)
         )
-        return squares_nt2(fit) - squares_nt2(trial)
+        return inside_nt2(fit) - inside_nt2(trial)
 
     tried = {place: held(place) for place in (at_s, float(fit.terms[index].theta[0]))}
     step_s = 0.5 * length_s

@@ -265,6 +265,22 @@ def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
     assert kept.rms_nt == pytest.approx(full.rms_nt, rel=1e-3)
 
 
+def test_what_a_computed_driver_stood_for_is_looked_for_again_once_another_name_has_its_place() -> None:
+    """A guess exact to a tenth stands for 1.5 % of its evidence; what takes its place leaves that to others."""
+    slow, faint = along(0, SLOW), along(1, QUICK)
+    guess = replace(body_form("guess", "", along(0, SLOW + 0.1 * OTHER)), driver="inferred:warmth")
+    search, fit = searching(
+        flown(400.0 * slow + 50.0 * faint), guess, body_form("exact", "", slow), body_form("faint", "", faint)
+    )
+    search.close |= {form.label for form in search.hypotheses}
+    both = solve(
+        search.problem, fit.x, [Term(form, np.zeros(0), np.array([100.0])) for form in (guess, search.hypotheses[2])]
+    )
+    alone = search._pruned(both, FLOOR_NT)
+    assert labels(alone.terms) == [guess.label]
+    assert labels(search.again(search.problem, alone, FLOOR_NT).fit.terms) == ["exact", "faint"]
+
+
 # Classes
 
 

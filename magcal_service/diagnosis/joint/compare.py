@@ -17,6 +17,7 @@ from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import refitted
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
+from magcal_service.diagnosis.squares import held_out_nt2
 from magcal_service.model import Array
 
 SURE_DIFFERENCE: Final = 0.01
@@ -239,7 +240,7 @@ class Apart:
         without = self._refitted([number], apart)
         nine = self._refitted([number], ()) if apart else without
         guess = self._refitted([number], None, held)
-        squares = [_held_out(one) for one in (without, guess, own)]
+        squares = [held_out_nt2(one) for one in (without, guess, own)]
         sigma2 = max(own.white_rms_nt / own.noise_gain, self.floor * self.singles[number].noise_nt) ** 2
         blocks = own.problem.blocks(own.white_residual)
 
@@ -254,7 +255,7 @@ class Apart:
             rest = [other for other in held if joint(other).base != joint(term).base]
             bare = self._refitted([number], [other for other in self.fit.terms if other is not term], rest)
             free = own if not rest else self._refitted([number], None, rest)
-            most, kept = (_held_out(bare) - _held_out(one) for one in (free, guess))
+            most, kept = (held_out_nt2(bare) - held_out_nt2(one) for one in (free, guess))
             nats = gain(bare, free).tempered
             effects.append(Kept(kept / most, nats) if most > 0.0 else Kept(math.nan, 0.0))
         return Predicted(
@@ -268,10 +269,6 @@ class Apart:
             gain(without, own),
             tuple(effects),
         )
-
-
-def _held_out(fit: Fit) -> float:
-    return float((fit.sensor_held_out**2).sum())
 
 
 def _shared(fit: Fit, own: Sequence[Fit], others: Sequence[Fit], names: Sequence[str]) -> list[Shared]:
