@@ -68,7 +68,7 @@ def _of_term(diagnosis: Diagnosis, index: int) -> Entry:
         probability=believed.own,
         rivals=listed_rivals(believed.rivals, believed.members),
         members=believed.members,
-        separated_by=effect.separated_by,
+        separated_by=effect.separation(diagnosis.prepared.problem.scene.quantities),
         parameters=parameters,
         where=where,
         nats=diagnosis.explained.nats[index],
@@ -100,7 +100,7 @@ def _of_finding(diagnosis: Diagnosis, name: str) -> Entry:
         probability=1.0 - max(odds, finding.doubt),
         rivals=listed_rivals(finding.rivals, (name,)),
         members=(name,),
-        separated_by=effect.separated_by,
+        separated_by=effect.separation(diagnosis.prepared.problem.scene.quantities),
         parameters=finding.parameters,
         where={
             "time_s": list(finding.time_s or (0.0, end)),

@@ -100,11 +100,11 @@ def _of(entry: Entry, is_said: bool) -> Iterator[str]:
     yield from wrapped(f"{entry.effect}: {entry.extent}; {belief(entry)}")
     yield from wrapped("" if is_said else entry.says, "    ", most=4)
     yield from wrapped(_alike(entry), "    ")
+    if entry.record_next:
+        yield from wrapped(f"next time: {entry.record_next}", "    ", most=3)
     if len(entry.members) > 1 or entry.probability < SURE:
         parts = filter(None, (not_told_from(entry), f"what would tell: {next_step(entry)}"))
         yield from wrapped("; ".join(parts), "    ", most=3)
-    if entry.record_next:
-        yield from wrapped(f"next time: {entry.record_next}", "    ", most=3)
 
 
 def _vectors(diagnosis: Diagnosis) -> Iterator[str]:

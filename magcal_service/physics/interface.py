@@ -13,8 +13,7 @@ body).
 from __future__ import annotations
 
 import math
-import string
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -25,7 +24,7 @@ from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Direct, Term, Watched
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.held import Form, HeldAt
-from magcal_service.physics.saying import Said
+from magcal_service.physics.saying import Said, filled
 from magcal_service.physics.segments import Sums
 
 if TYPE_CHECKING:
@@ -312,7 +311,7 @@ class Effect:
     prior: usual size of the disturbance [nT], from and to.
     valid: where the form holds.
     confused_with: effects with similar signatures.
-    separated_by: the observation that distinguishes them.
+    separated_by: the observation that distinguishes them; ``or_record``: quantities whose record does so as well.
     source: where the form comes from.
     says: sentences of cause and size, with ``{driver}`` and properties of parameters (``saying.Said``) in braces; the
         first whose parameters are all there is used.
@@ -351,6 +350,7 @@ class Effect:
     separated_by: str
     source: str
     says: tuple[str, ...]
+    or_record: tuple[tuple[str, str], ...] = ()
     record_next: tuple[str, ...] = ()
     hypotheses: Callable[[Scene], Sequence[Hypothesis]] = lambda _: ()
     find: Callable[[View], Finding | None] | None = None
@@ -380,19 +380,17 @@ class Effect:
         drives = f"the recorded {name}" if kind == "channel" else f"the inferred {name.replace('_', ' ')}"
         if others:
             drives += f" (or {', '.join(other.partition(':')[2] for other in others)})"
-        return _filled(self.says, parameters, {"driver": drives}) or f"{self.title[0].upper()}{self.title[1:]}."
+        return filled(self.says, _said(parameters), {"driver": drives}) or f"{self.title[0].upper()}{self.title[1:]}."
 
     def next_record(self, parameters: Values, driver: str) -> str:
         """What to record otherwise of a recorded driver, as a request with its numbers; empty where nothing."""
         kind, _, name = driver.partition(":")
-        return _filled(self.record_next, parameters, {"channel": f"channel {name}"}) if kind == "channel" else ""
+        return filled(self.record_next, _said(parameters), {"channel": f"channel {name}"}) if kind == "channel" else ""
+
+    def separation(self, recorded: Collection[str]) -> str:
+        """What distinguishes it from its rivals, beside what is recorded: channels of some quantities."""
+        return "; or ".join([self.separated_by, *(what for of, what in self.or_record if of not in recorded)])
 
 
-def _filled(texts: Sequence[str], parameters: Values, words: Mapping[str, str]) -> str:
-    """The first of some texts whose fields are all there, with them; empty where there is none."""
-    said = {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}
-    for text in texts:
-        fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
-        if all(field in words or field in said for field in fields):
-            return text.format(**words, **said)
-    return ""
+def _said(parameters: Values) -> dict[str, Said]:
+    return {name: Said(v.value, v.sigma, v.unit, v.labels, v.bounds) for name, v in parameters.items()}

@@ -7,6 +7,8 @@ it is.
 
 from __future__ import annotations
 
+import string
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -163,3 +165,12 @@ def digits(number: float, sigma: float) -> str:
         significant = int(np.clip(np.floor(np.log10(max(abs(number), sigma) / sigma)) + 2, 2, 8))
         return f"{number:.{significant - 1}e}"
     return f"{number:.{places}f}"
+
+
+def filled(texts: Sequence[str], said: Mapping[str, Said], words: Mapping[str, str]) -> str:
+    """The first of some texts whose fields are all there, parameters or words, with them; empty where there is none."""
+    for text in texts:
+        fields = [field.partition(".")[0] for _, field, _, _ in string.Formatter().parse(text) if field]
+        if all(field in words or field in said for field in fields):
+            return text.format(**words, **said)
+    return ""

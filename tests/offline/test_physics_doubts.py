@@ -20,7 +20,8 @@ from tests.physics.live_models import THERMAL, craft, hot, physics, stream
 
 SAID = (
     "do not act on this: name_uncertain: less than 95 % speak for a name: other names, or a cause in no catalogue, "
-    "have the rest; make one of the measurements that stand beside the name"
+    "have the rest; make a measurement that tells the names apart: magcal diagnose lists them for each name (next "
+    "time, what would tell), and report.html (What to measure next)"
 )
 
 READERS = {

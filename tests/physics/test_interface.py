@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.base.units import CHANNEL_UNITS
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, direct
 from magcal_service.physics.apply.model_file import ModelTerm
-from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Block, Hypothesis, value_of
 
@@ -74,3 +75,15 @@ def test_what_is_no_direct_form_is_none(of: ModelTerm, columns: list[int]) -> No
 
 def test_kinds_of_reference_and_of_what_is_live() -> None:
     assert [kind for kind in ActsOn if kind.is_reference] == [ActsOn.REFERENCE, ActsOn.REFERENCE_TIME]
+
+
+def test_a_record_that_is_there_already_is_not_asked_for() -> None:
+    """Of a recorded current the eclipse edge is left; each quantity is one that a channel can have."""
+    loop = effect_named("current_loop")
+    assert loop.separation(()) == f"{loop.separated_by}; or a bus current channel"
+    assert loop.separation({"current", "temperature"}) == loop.separated_by
+    known = {unit.quantity for unit in CHANNEL_UNITS.values()}
+    asked = {effect.name: {of for of, _ in effect.or_record} for effect in catalogue() if effect.or_record}
+    assert len(asked) == 5
+    assert all(of <= known for of in asked.values())
+    assert not [effect.name for effect in catalogue() if " channel" in effect.separated_by]

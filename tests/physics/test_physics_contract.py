@@ -126,7 +126,8 @@ def test_all_but_a_few_effects_act_as_a_field_here() -> None:
 @EFFECTS
 def test_entry_says_what_a_reader_needs(effect: Effect) -> None:
     """Title, equation, validity, the separating observation, source and sentences are words; the prior is a range."""
-    texts = (effect.title, effect.equation, effect.valid, effect.separated_by, effect.source, *effect.says)
+    records = [what for _, what in effect.or_record]
+    texts = (effect.title, effect.equation, effect.valid, effect.separated_by, effect.source, *records, *effect.says)
     assert all(text.strip() for text in texts)
     assert effect.says
     assert 0.0 < effect.prior[0] < effect.prior[1]

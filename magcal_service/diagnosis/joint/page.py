@@ -23,6 +23,7 @@ from magcal_service.diagnosis.joint.words import (
     record_next,
     says,
     sentence,
+    separated_by,
 )
 from magcal_service.diagnosis.report.frame import Origin, rendered
 from magcal_service.diagnosis.rows import account_of
@@ -66,7 +67,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         "commonness": commonness(diagnosis, index),
         "name_is": name_in_words(diagnosis, index),
         "members": ", ".join(believed.members[1:]),
-        "separated_by": effect.separated_by,
+        "separated_by": separated_by(diagnosis, index),
         "record_next": record_next(diagnosis, index),
         "driver": driver_in_words(diagnosis.fit.terms[index].hypothesis.driver),
         "numbers": [_number(diagnosis, one) for one in diagnosis.compared.shared if one.index == index],

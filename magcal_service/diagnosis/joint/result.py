@@ -17,7 +17,14 @@ from magcal_service.diagnosis.joint.compare import Estimate, Kept, Predicted, Sh
 from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
-from magcal_service.diagnosis.joint.words import ONE_ALONE, effect_of, parameters, record_next, says, sentence
+from magcal_service.diagnosis.joint.words import (
+    ONE_ALONE,
+    parameters,
+    record_next,
+    says,
+    sentence,
+    separated_by,
+)
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.rows import account_of
 from magcal_service.diagnosis.term_columns import amplitude_columns
@@ -104,7 +111,7 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
         ],
         "class": list(believed.members),
         "why_first": why_first(diagnosis.explained, index),
-        "separated_by": effect_of(diagnosis, index).separated_by,
+        "separated_by": separated_by(diagnosis, index),
         "record_next": record_next(diagnosis, index),
         "driver": form.driver,
         "variant": form.variant,

@@ -85,6 +85,12 @@ def record_next(diagnosis: JointDiagnosis, index: int) -> str:
     return effect_of(diagnosis, index).next_record(parameters(diagnosis, index), driver)
 
 
+def separated_by(diagnosis: JointDiagnosis, index: int) -> str:
+    """What would tell a term from its rivals, beside what every recording has."""
+    of_each = (one.prepared.problem.scene.quantities for one in diagnosis.recordings)
+    return effect_of(diagnosis, index).separation(set.intersection(*of_each))
+
+
 def sentence(diagnosis: JointDiagnosis) -> str:
     """The verdict in one plain sentence: what is common, and what each recording has itself."""
     if diagnosis.verdict is Verdict.NONE:

@@ -31,7 +31,8 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
     "mismatch_lasts": (
         "beside what was named, too much of the mismatch still lasts from sample to sample, or could last unseen: the"
         " cause resembles the name, but may be another one",
-        "record what drives it; see in the report where the rest sits, and record longer where it is faint",
+        "record what drives it, where it is not recorded yet; see in the report where the rest sits, and record longer"
+        " where it is faint",
     ),
     "not_converged": (
         "the fit did not arrive at a solution; its numbers are where it stopped",
@@ -39,12 +40,13 @@ REASONS: Final[Mapping[str, tuple[str, str]]] = {
     ),
     "name_uncertain": (
         "less than 95 % speak for a name: other names, or a cause in no catalogue, have the rest",
-        "make one of the measurements that stand beside the name",
+        "make a measurement that tells the names apart: magcal diagnose lists them for each name (next time, what would"
+        " tell), and report.html (What to measure next)",
     ),
     "size_uncertain": (
         "no number of an effect is three times its own sigma, or one ended where the search did: it is there, but"
         " nobody can say how large",
-        "record longer, or record what drives it",
+        "record longer, or record what drives it, where it is not recorded yet",
     ),
     "rough_residual": (
         "what changes from one sample to the next is larger than any sensor's noise",

@@ -41,7 +41,8 @@ EFFECT = Effect(
     prior=(5.0, 5000.0),
     valid="smooth over the recording",
     confused_with=("thermal_bias", "external_field", "bias_step", "scale_drift"),
-    separated_by="a record of the temperature; in orbit a longer recording: warmth comes back, a drift does not",
+    separated_by="in orbit a longer recording: warmth comes back, a drift does not",
+    or_record=(("temperature", "a record of the temperature"),),
     source="nT to uT per month (Olsen et al. 2020, monthly drift of platform magnetometers)",
     says=(
         "The bias of {nt_per_s.place} drifts by {nt_per_s.signed} at first, bending by up to {nt_per_s2.size}.",

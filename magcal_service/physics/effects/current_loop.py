@@ -291,7 +291,8 @@ EFFECT = Effect(
     prior=(1.0, _MOST_NT),
     valid="the sensor is at rest against the wires; quasi-static",
     confused_with=("thermal_bias", "sun_disturbance", "torquer"),
-    separated_by="an eclipse edge at one sample a second: currents switch with the light; or a bus current channel",
+    separated_by="an eclipse edge at one sample a second: currents switch with the light",
+    or_record=(("current", "a bus current channel"),),
     source="Biot-Savart: 1 A in 10 cm2 at 10 cm: 200 nT; Springmann & Cutler 2012 (RAX); Olsen et al. 2020 (CryoSat-2)",
     says=(
         "Currents make up to {nt_per_a.size} ({nt_per_a.place}), with {driver}, {lag_s.signed} late.",

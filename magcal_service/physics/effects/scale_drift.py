@@ -47,7 +47,8 @@ EFFECT = Effect(
     prior=(5.0, 5000.0),
     valid="smooth over the recording",
     confused_with=("thermal_scale", "bias_drift"),
-    separated_by="a record of the temperature; in orbit a longer recording: warmth comes back, a drift does not",
+    separated_by="in orbit a longer recording: warmth comes back, a drift does not",
+    or_record=(("temperature", "a record of the temperature"),),
     source="Swarm: -79 ppm per year (Toeffner-Clausen et al. 2016)",
     says=(
         "The gain of {per_s.place} {per_s.falls} by {per_s.size} at first, bending by up to {per_s2.size}.",

@@ -82,7 +82,8 @@ EFFECT = Effect(
     prior=(1.0, 300.0),
     valid="no thermal delay: structure that follows the light within a sample",
     confused_with=("current_loop", "thermal_bias"),
-    separated_by="array currents beside it, or a craft that turns its panels: panels give half waves, heat full ones",
+    separated_by="a craft that turns its panels: panels give half waves, heat full ones",
+    or_record=(("current", "array currents beside it"),),
     source="Toeffner-Clausen et al. 2016 and Lesur et al. 2016 (Swarm, Sun-driven disturbance, 1-5 nT)",
     says=(
         "A field of up to {nt.size} ({nt.place}) turns with the Sun's direction in the body, by {driver}, and is "

@@ -190,6 +190,11 @@ class Scene:
         if self.memory is not None:
             self.memory.states[name] = np.array(states[self.memory.next_row])
 
+    @property
+    def quantities(self) -> set[str]:
+        """Kinds of what its channels are of."""
+        return {channel.quantity for channel in self.channels.values()}
+
     def of_quantity(self, *quantities: str) -> list[Telemetry]:
         """Channels of these kinds, in the descriptor's order."""
         return [channel for channel in self.channels.values() if channel.quantity in quantities]
