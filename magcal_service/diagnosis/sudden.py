@@ -10,6 +10,7 @@ fitted in the jump's place, and its likelihood is that of the solution.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -38,12 +39,13 @@ _MOST_NATS: Final = 50.0
 """Nats by which a slow change is counted as likelier at the most; beyond, it has long been the likelier one."""
 
 
-_NEAR_NATS: Final = -5.0
-"""Nats more than the jump holds, from which on a slow change is fitted in its place: below, it counts for nothing."""
+_LIKELY: Final = 0.05
+"""Likelihood, as ``slower`` gives it, from which on slow changes are fitted in the jump's place, the likeliest length
+first; choice: less moves no probability by more than a fortieth."""
 
-_NEARER: Final = 3
+_NEARER: Final = 2
 """Times that the way is halved by which the middle of a slow change is moved to find where its solution leaves least:
-from half of its length to a sixteenth, by which it hardly differs."""
+half of its length, then a quarter."""
 
 
 def slower(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: float) -> float:
@@ -75,30 +77,43 @@ def slower(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: flo
     lengths = _SHORTEST_S * 2.0 ** np.arange(32)
     lengths = lengths[lengths < np.ptp(time_s)]
     slow = np.array([nats(_come_about(middle, at, length)) for length in lengths]) - jumps.max()
-    for each, length in zip(slow, lengths.tolist(), strict=True):
-        if each.max() > _NEAR_NATS:
-            each += min(_jointly(fit, index, float(at[np.argmax(each), 0]), length, sigma_nt) - each.max(), 0.0)
-    beside = np.exp(np.minimum(slow, _MOST_NATS))
-    return float(np.mean(beside @ often) / (np.exp(jumps - jumps.max()) @ often))
+    shares = often / (np.exp(jumps - jumps.max()) @ often)
+
+    def likelihood() -> float:
+        return float(np.mean(np.exp(np.minimum(slow, _MOST_NATS)) @ shares))
+
+    open_ = list(range(len(lengths)))
+    while open_ and likelihood() > _LIKELY:
+        likeliest = max(open_, key=lambda each: float(slow[each].max()))
+        each, length_s = slow[likeliest], float(lengths[likeliest])
+        if each.max() < math.log(_LIKELY):
+            break
+        open_.remove(likeliest)
+        each += min(_jointly(fit, index, float(at[np.argmax(each), 0]), length_s, sigma_nt) - each.max(), 0.0)
+    return likelihood()
 
 
 def _jointly(fit: Fit, index: int, at_s: float, length_s: float, sigma_nt: float) -> float:
-    """By how much a change that takes so long holds more than a term's jump, all unknowns fitted anew [nats]; sought
-    from a place to first order, and from the jump's own."""
+    """By how much a change that takes so long holds more than a jump, all unknowns fitted anew [nats].
+
+    The change is sought from a place to first order, and from the term's own; the jump is the term, or one in the
+    middle of the change.
+    """
+    jump, time_s = fit.terms[index], fit.problem.scene.time_s
 
     def held(middle_s: float) -> float:
-        trial = exchanged(
-            fit.problem, fit, index, _over_a_while(fit.terms[index], fit.problem.scene.time_s, middle_s, length_s)
-        )
+        trial = exchanged(fit.problem, fit, index, _over_a_while(jump, time_s, middle_s, length_s))
         return inside_nt2(fit) - inside_nt2(trial)
 
-    tried = {place: held(place) for place in (at_s, float(fit.terms[index].theta[0]))}
+    tried = {place: held(place) for place in (at_s, float(jump.theta[0]))}
     step_s = 0.5 * length_s
     for _ in range(_NEARER):
         best = max(tried, key=tried.__getitem__)
         tried |= {place: held(place) for place in (best - step_s, best + step_s) if place not in tried}
         step_s *= 0.5
-    return max(tried.values()) / (2.0 * sigma_nt**2)
+    most = max(tried.values())
+    sudden = exchanged(fit.problem, fit, index, replace(jump, theta=np.array([max(tried, key=tried.__getitem__)])))
+    return (most - max(inside_nt2(fit) - inside_nt2(sudden), 0.0)) / (2.0 * sigma_nt**2)
 
 
 def _over_a_while(jump: Term, time_s: Array, middle_s: float, length_s: float) -> Term:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -106,11 +106,12 @@ def test_by_a_joint_solution_is_by_least_squares_of_all_unknowns(length_s: float
 
     start = np.concatenate([X, JUMP_NT])
     scale = np.concatenate([np.full(3, 100.0), np.full(6, 0.01), np.full(3, 100.0)])
-    sudden = optimize.least_squares(lambda x: left(x, course(of.time_s, AT_S, 1e-3)), start, x_scale=scale).cost
+    jumps = (course(of.time_s, at_s, 1e-3) for at_s in (AT_S, AT_S - 150.0, AT_S + 150.0))
+    sudden = min(optimize.least_squares(partial(left, share=share), start, x_scale=scale).cost for share in jumps)
 
     def while_over(x: Array) -> Array:
         return left(x, course(of.time_s, AT_S + 100.0 * x[12], length_s))
 
     trials = [np.append(start, place) for place in (-1.5, 0.0, 1.5)]
     over = min(optimize.least_squares(while_over, x, x_scale=np.append(scale, 1.0)).cost for x in trials)
-    assert _jointly(fit, 0, AT_S, length_s, sigma) == pytest.approx(sudden - over, abs=1.0)
+    assert _jointly(fit, 0, AT_S, length_s, sigma) == pytest.approx(sudden - over, abs=2.0)
