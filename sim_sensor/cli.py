@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import os
 import signal
 import sys
 import threading
@@ -21,6 +20,7 @@ from magcal_service.base.progress import Work, duration, is_wanted, showing
 from magcal_service.base.version import __version__
 from magcal_service.cli.common import Parser, described
 from magcal_service.cli.completion import Names, add_completion
+from magcal_service.cli.output import standard_output
 from magcal_service.links import Role, open_link
 from magcal_service.links.base import Link
 from magcal_service.links.presence import Presence
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], object] = options.command
     try:
-        with showing(options.quiet):
+        with standard_output(endless=False), showing(options.quiet):
             command(options)
     except MagcalError as error:
         print(error, file=sys.stderr)
@@ -72,8 +72,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted: what was asked for is not done", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # whoever read our output has seen enough, such as head
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

@@ -21,6 +21,7 @@ from magcal_service.cli.describe import add_describe
 from magcal_service.cli.diagnose import add_diagnose
 from magcal_service.cli.export import add_export
 from magcal_service.cli.inspect import add_inspect
+from magcal_service.cli.output import standard_output
 from magcal_service.cli.plot import add_plot
 from magcal_service.cli.record import add_record
 from magcal_service.cli.reference import add_reference
@@ -41,17 +42,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     options = whole_parser().parse_args(arguments)
     try:
-        with showing(getattr(options, "quiet", True)):
+        with standard_output(endless=getattr(options, "endless", False)), showing(getattr(options, "quiet", True)):
             code: int = options.command(options)
-        sys.stdout.flush()
     except MagcalError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         print("interrupted: what was asked for is not done", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # whoever read the output has seen enough, such as head
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read what has no end has seen enough
         return DONE
     return code
 

@@ -32,7 +32,7 @@ def add_reference(parser: Parser) -> None:
     )
     parser.more = lambda: _MORE
     parser.examples = ("magcal reference --craft demo --tle demo.tle --link zenoh:tcp/127.0.0.1:7447",)
-    parser.set_defaults(command=_reference)
+    parser.set_defaults(command=_reference, endless=True)
 
 
 def _reference(options: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ def add_run(parser: Parser) -> None:
         "magcal run --config deploy/config/zenoh-peer.toml",
         "magcal run --check --config deploy/config/zenoh-peer.toml",
     )
-    parser.set_defaults(command=_run)
+    parser.set_defaults(command=_run, endless=True)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -64,7 +64,7 @@ def add_view(parser: Parser) -> None:
         "magcal view output/paper/RECORDING.toml",
         "magcal view --link zenoh:tcp/127.0.0.1:7447",
     )
-    parser.set_defaults(command=_view)
+    parser.set_defaults(command=_view, endless=True)
 
 
 def _origin(text: str) -> str:

@@ -61,7 +61,7 @@ def add_watch(parser: Parser) -> None:
         "magcal watch flight.toml --speed 600",
         "magcal watch --config magcal.toml --once",
     )
-    parser.set_defaults(command=_watch)
+    parser.set_defaults(command=_watch, endless=True)
 
 
 class Watch:
