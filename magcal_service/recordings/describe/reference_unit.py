@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from magcal_service.base.units import FIELD_NT, FieldUnit
+from magcal_service.recordings.describe.contradictions import refuse_absurd
 from magcal_service.recordings.describe.draft import Draft, answered
 from magcal_service.recordings.describe.field import EARTH_NT, Size, UnitFound, find_unit, in_earth_field
 from magcal_service.recordings.describe.unit_answer import AnsweredUnit
@@ -49,7 +50,9 @@ def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound
 def _as_answered(draft: Draft, size: Size | None, answer: AnsweredUnit) -> UnitFound:
     found = UnitFound(answer.unit, True, answered("reference.unit"), (answer.unit,), answer.factor)
     if size is not None:
-        warn_outside(draft, f"reference.unit={answer}", size.usual * found.unit_nt)
+        amount_nt = size.usual * found.unit_nt
+        refuse_absurd("reference.unit", answer, "the reference", size.usual, amount_nt)
+        warn_outside(draft, f"reference.unit={answer}", amount_nt)
     return found
 
 

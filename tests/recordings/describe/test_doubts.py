@@ -68,14 +68,45 @@ def test_a_bad_field_is_refused_with_the_units(answer: str, tmp_path: Path) -> N
 
 def test_an_answered_unit_that_the_numbers_contradict_is_taken_with_a_warning(tmp_path: Path) -> None:
     field = maker_logs.ground()
-    log = write(tmp_path, "t_s,mx,my,mz", clock(field), field / 1e5)
-    result = describe(log, {"magnetometer.unit": "nT", "reference": "48500 nT"})
+    log = write(tmp_path, "t_s,mx,my,mz", clock(field), field / 1e2)
+    result = describe(log, {"magnetometer.unit": "uT", "reference": "48500 nT"})
     assert result.text is not None
     (warning,) = (line for line in result.said if line.startswith("warning"))
-    assert "magnetometer.unit=nT" in warning
-    assert "is 0.492 nT, where the reference has 48500 nT" in warning
-    right = describe(log, {"magnetometer.unit": "G", "reference": "48500 nT"})
+    assert "magnetometer.unit=uT" in warning
+    assert "is 491956 nT, where the reference has 48500 nT" in warning
+    right = describe(log, {"magnetometer.unit": "mG", "reference": "48500 nT"})
     assert not any(line.startswith("warning") for line in right.said)
+
+
+ABSURD = {
+    "far too strong": (1.0, "mT", {"reference": "48500 nT"}, "49.2 T, where 48.5 uT are expected", "nT"),
+    "beyond any sensor": (1e-3, "mT", {}, "49.2 mT, where 20 to 70 uT are usual near the Earth", "uT"),
+    "far too weak": (1e-3, "nT", {"reference": "48500 nT"}, "49.2 nT, where 48.5 uT are expected", "uT"),
+    "by its size": (1.0, "1000 uT", {"reference": "48500 nT"}, "49.2 T, where 48.5 uT are expected", "nT"),
+}
+
+
+@pytest.mark.parametrize("case", ABSURD)
+def test_a_unit_that_makes_the_field_absurd_is_refused_with_the_likely_one(case: str, tmp_path: Path) -> None:
+    """By hundreds: every row would be refused later, or a scale of a thousand estimated."""
+    scale, unit, given, said, likely = ABSURD[case]
+    field = maker_logs.ground() * scale
+    log = write(tmp_path, "t_s,mx,my,mz", clock(field), field)
+    with pytest.raises(InputRefusedError) as refusal:
+        describe(log, {"magnetometer.unit": unit} | given)
+    (line,) = str(refusal.value).splitlines()
+    assert line.startswith(f"--answer magnetometer.unit: '{unit}' is refused; the radius of their sphere of 'mx', ")
+    assert f"would be {said}; by the numbers {likely} is likelier; " in line
+    assert describe(log, {"magnetometer.unit": likely, "reference": "48500 nT"}).text is not None
+
+
+def test_a_unit_that_makes_the_reference_absurd_is_refused(tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    log = write(tmp_path, "t_s,mx_nT,my_nT,mz_nT,ref", clock(field), field, np.full(len(field), 48500.0))
+    with pytest.raises(
+        InputRefusedError, match=r"^--answer reference.unit: 'mT' is refused; the reference would be 48"
+    ):
+        describe(log, {"reference.columns": "ref", "reference.unit": "mT"})
 
 
 def test_stamps_that_repeat_are_counted_and_another_time_is_named(tmp_path: Path) -> None:
