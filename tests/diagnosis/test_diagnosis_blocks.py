@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.blocks import correlation_samples, gain_over, numbered
+from magcal_service.diagnosis.blocks import correlation_samples, gain_over, numbered, steady_gain
 
 COUNT = 6000
 SIGMA = 3.0
@@ -46,6 +46,30 @@ def test_noise_that_remembers_disperses_by_its_length() -> None:
     signal = 1.5 * np.std(coloured) * np.sin(0.003 * np.arange(COUNT))
     gain = gain_over(coloured + signal, coloured, numbered(coloured), float(np.var(coloured)))
     assert 19.0 / 2.0 < gain.dispersion < 19.0 * 2.0
+
+
+def test_the_one_block_with_most_does_not_speak_against_what_all_others_bear_out() -> None:
+    """A cause shows everywhere, a hundred times as much in one block, where its size is foretold a third wrong."""
+    after = noise(21)
+    signal = 0.5 * SIGMA * np.sin(0.01 * np.arange(COUNT))
+    number = numbered(after)
+    event = number == 20
+    assert np.count_nonzero(event) == 120
+    foretold = np.where(event, 0.65, 1.0)
+    cause = np.where(event, 20.0 * signal, signal)
+    before, left = after + cause, after + cause * (1.0 - foretold)
+    whole = gain_over(before, left, number, SIGMA**2)
+    others = steady_gain(before, left, number, SIGMA**2)
+    assert whole.tempered < 15.0
+    assert others.dispersion < 1.8
+    assert others.nats == pytest.approx(float((signal[~event] ** 2).sum()) / (2.0 * SIGMA**2), rel=0.15)
+
+
+def test_a_block_that_loses_is_not_left_out() -> None:
+    before, after = noise(22), noise(22)
+    after[:120] += 9.0 * SIGMA
+    both = [one(before, after, numbered(noise(22)), SIGMA**2).nats for one in (gain_over, steady_gain)]
+    assert both[0] == both[1] < 0.0
 
 
 def test_a_model_that_only_resembles_the_truth_disperses() -> None:
