@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
-from magcal_service.base.errors import ExtraMissingError, Fault, RecordingError
+from magcal_service.base.errors import ExtraMissingError, Lacking, RecordingError
 from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.mcap import INDEX_ENTRY_BYTES, MAGIC, MOST_MISSING, RawMessage, Topic
 from magcal_service.recordings.mcap_limits import LONGEST_MESSAGE, McapLimits
@@ -132,9 +132,11 @@ class McapReader:
 
     def messages(self) -> Iterator[RawMessage]:
         """Every readable message in the order of the file, which is the order in which they were recorded."""
-        if self._file.read(len(MAGIC)) != MAGIC:
+        begins = self._file.read(len(MAGIC))
+        if begins != MAGIC:
             accepted = "an MCAP file, as the recorder writes it, is accepted"
-            raise RecordingError([Fault(self.name, "not an MCAP file", accepted)])
+            what = "this is not an MCAP file" if begins else "this file is empty"
+            raise RecordingError([Lacking(self.name, what, accepted)])
         self.good_bytes = len(MAGIC)
         chunked = (
             False  # then a message outside a chunk, where it has no checksum, is another record with a flipped bit

@@ -201,7 +201,7 @@ def _check_columns(descriptor: Descriptor, table: TextTable) -> None:
                 if not times and column.isdecimal() and descriptor.form.header:
                     accepted += "; header = false under [samples] counts columns from 1"
                 if not times and len(table.header) == 1:
-                    accepted += "; the header is one cell: check delimiter under [samples]"
+                    accepted += "; the header is one cell: check delimiter under [samples], and quotes about whole rows"
                 problem = f"a column of {descriptor.samples.name} is accepted; {accepted}"
                 faults.append(Fault(f"{descriptor.path.name}: {key}", column, problem))
     if faults:

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.base.errors import Fault, FileFault, Lacking, RecordingError
 from magcal_service.base.progress import Work, counted
 from magcal_service.recordings.log_text import log_text
 from magcal_service.recordings.packed_cells import CellPacker, PackedCells
@@ -138,6 +138,8 @@ def _header(path: Path, lines: list[str], form: RowForm) -> tuple[tuple[str, ...
     first = form.skip_lines
     while form.comment and first < len(lines) and (not lines[first].strip() or _is_comment(lines[first], form)):
         first += 1
+    if not any(line.strip() for line in lines):
+        raise RecordingError([Lacking(str(path), "this file is empty", "a header line and rows below it are accepted")])
     if first >= len(lines):
         accepted = "a file with rows below the lines that are skipped is accepted; check skip_lines under [samples]"
         raise RecordingError([Fault(str(path), f"{len(lines)} lines", accepted)])

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from magcal_service.base.errors import Fault, InputRefusedError
+from magcal_service.base.errors import Fault, InputRefusedError, Lacking
 from magcal_service.base.typed_toml.parse import open_toml
 from magcal_service.base.typed_toml.table import Table
 
@@ -27,7 +27,7 @@ class TomlKind(StrEnum):
 
 
 _USUAL = {
-    TomlKind.RECORDING: "RECORDING.toml by its usual name (docs/recording-format.md)",
+    TomlKind.RECORDING: "RECORDING.toml by its usual name; magcal describe LOG --out RECORDING.toml makes one",
     TomlKind.MODEL: "physics.toml as diagnose --out writes it (docs/physics-file.md)",
     TomlKind.CONFIG: "of the daemon (docs/configuration.md)",
     TomlKind.SCENARIO: "or the name of a shipped one (docs/simulator.md)",
@@ -46,7 +46,9 @@ def kind_of(content: Mapping[str, Any]) -> TomlKind | None:
 
 
 def refuse_another(top: Table, own: TomlKind, error: type[InputRefusedError]) -> None:
-    """Raise ``error`` where a file is of another kind: one line, in place of one for each of its keys."""
+    """Raise ``error`` where a file is of another kind or empty: one line, in place of one for each of its keys."""
+    if not top.content:
+        raise error([Lacking(top.file, "this file is empty", own.accepted)])
     found = kind_of(top.content)
     if found not in (None, own):
         raise error([Fault(top.file, str(found), own.accepted)])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import re
 import tomllib
 from pathlib import Path
 
-from magcal_service.base.errors import Fault, FileFault, InputRefusedError
+from magcal_service.base.errors import Fault, FileFault, InputRefusedError, Lacking
 from magcal_service.base.typed_toml.table import Table
 
 _MAX_FILE_BYTES = 1 << 20
@@ -21,6 +22,16 @@ _MAX_DOTS = 500
 """In one key: tomllib takes time that grows with their square, and no key of ours has more than two."""
 
 _TOO_LARGE = f"a file of at most {_MAX_FILE_BYTES} bytes is accepted"
+
+_AT = re.compile(r" \(at line (\d+), column (\d+)\)$")
+_SHOWN = 80  # characters of a line that is no TOML
+
+_HINTS = {
+    '""': "a text stands between one pair of quotes",
+    "\u201c": "a text stands between straight quotes",
+    "\u201d": "a text stands between straight quotes",
+}
+"""What is mostly wrong with a line that is no TOML, by a sign in it."""
 
 _FEW_LEVELS = "valid TOML of a few levels is accepted"
 
@@ -56,11 +67,24 @@ def parse_toml(raw: bytes, where: str, file: str, error: type[InputRefusedError]
     except RecursionError:
         raise error([Fault(where, "nested too deeply", _FEW_LEVELS)]) from None
     except ValueError as exc:  # not TOML, not UTF-8, or an integer too long to be one
-        raise error([Fault(where, str(exc), "valid TOML in UTF-8 is accepted")]) from None
+        raise error([_no_toml(where, raw, exc)]) from None
     excess = _excess(content)
     if excess:
         raise error([Fault(where, *excess)])
     return Table(content, file, "", [])
+
+
+def _no_toml(where: str, raw: bytes, exc: ValueError) -> Lacking:
+    """The fault of a file that is no TOML: from where on, the line, and what is mostly wrong with such a line."""
+    if isinstance(exc, UnicodeDecodeError):
+        return Lacking(where, "this is no text in UTF-8", "valid TOML in UTF-8 is accepted")
+    said, found = str(exc), _AT.search(str(exc))
+    if found is None:
+        return Lacking(where, f"this is no TOML ({said})", "valid TOML in UTF-8 is accepted")
+    line = raw.decode("utf-8").split("\n")[int(found[1]) - 1].strip()
+    what = f"this is no TOML from line {found[1]}, column {found[2]} on ({said[: found.start()]}): {line[:_SHOWN]}"
+    hint = next((f"; {hint}" for sign, hint in _HINTS.items() if sign in line), "")
+    return Lacking(where, what, f"valid TOML in UTF-8 is accepted{hint}")
 
 
 def _has_endless_key(raw: bytes) -> bool:

@@ -127,6 +127,8 @@ def of_unequal(path: Path, lines: Sequence[str]) -> str:
             f"numbers are hexadecimal: perl -pe '{step}' {_named(path)} > log.csv makes decimals of them, the upper "
             "half of what the digits can be below 0"
         )
+    if _share(lines, lambda line: line.count('"') > 1 and line.strip().startswith('"')):
+        return f"rows stand in quotes, or have them doubled: tr -d '\"' < {_named(path)} > log.csv takes them out"
     kinds = [match["kind"] for line in lines if (match := _KIND.match(line))]
     names = [name for name, _ in Counter(kinds).most_common()]
     if lines and len(kinds) >= _MOSTLY * len(lines) and _KINDS[0] <= len(names) <= _KINDS[1]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.base.errors import Fault, FileFault, Lacking, RecordingError
 from magcal_service.recordings.describe.foreign import of_binary
 from magcal_service.recordings.log_text import log_text
 
@@ -79,7 +79,7 @@ def read_sample(path: Path) -> Sample:
     except (EOFError, zlib.error) as exc:
         raise _refused(path, str(exc), "give a readable log") from None
     if not any(piece.strip() for piece in pieces):
-        raise _refused(path, "empty", "a log with a row a line is accepted")
+        raise RecordingError([Lacking(str(path), "this file is empty", "a log with a row a line is accepted")])
     for piece in pieces:
         _refuse_binary(path, piece)
     return Sample(path, size, whole, _stretches(path, pieces, whole))
