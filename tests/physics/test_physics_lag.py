@@ -111,6 +111,20 @@ def test_samples_that_seldom_follow_one_another_have_no_form() -> None:
     assert forms_of(scene_of(turned(0.05 * np.arange(float(COUNT))), time_s)) == ()
 
 
+@pytest.mark.parametrize("step", [0.02, 0.15, 1.4])
+def test_samples_that_are_lost_one_by_one_leave_the_turn_known(step: float) -> None:
+    """One in twelve is lost, two in a row at times, so that nowhere sixty-four follow one another."""
+    rng = np.random.default_rng(11)
+    kept = rng.random(4 * COUNT) > 1.0 / 12.0
+    time_s = PERIOD_S * np.arange(4.0 * COUNT)
+    angle = step * np.cumsum(1.0 + 0.2 * np.sin(time_s / 60.0))
+    field = turned(angle) + rng.normal(0.0, 100.0, (len(angle), 3))
+    whole, some = lost(scene_of(field, time_s))[kept], lost(scene_of(field[kept], time_s[kept]))
+    inside = slice(40, -40)
+    assert some[inside] == pytest.approx(whole[inside], rel=0.03, abs=0.1 * whole.mean())
+    assert some.mean() == pytest.approx(whole.mean(), rel=0.01)
+
+
 def test_noise_of_the_step_is_smoothed() -> None:
     rate = 0.06 + 0.05 * np.sin(TIME_S / 30.0)
     field = turned(np.cumsum(rate))

@@ -7,18 +7,17 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.late import by_average, by_low_pass, longer_by_low_pass
+from magcal_service.physics.drivers.steps import LEAST_STEPS, either_side, steps2
 from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
 from magcal_service.physics.scene.memory import AT_START_S
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
 from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene
-from magcal_service.physics.scene.smooth import quintic_slope, smooth_course
 
 _AVERAGING: Final = "average of samples"
 """The form of a driver that averages: it needs samples that follow one another, and no gyro."""
@@ -40,9 +39,6 @@ _LONGEST_S: Final = 10.0
 _SELDOM: Final = 3.0
 """Prior odds [nats] against a lag that a late clock may be instead, which is met 20 times as often; a choice."""
 
-_NEXT: Final = 1.5
-"""Sample periods up to which a sample follows the one before; a longer time has others between that are not there."""
-
 _TRIED_S: Final = (0.0, 1.0, 4.0)
 """Lateness at which a lag is expanded while nothing is known of it [s], by the field's own course."""
 
@@ -57,20 +53,9 @@ _OF_ONE_COURSE: Final = 0.9
 """Share of a course's variance that another one holds where both are of one turn: of a steady spin 0.999, of a tumbling
 craft whose turn was taken for a steady one 0.6."""
 
-_EITHER_SIDE: Final = 1.0
-"""Turn [rad] to either side of a sample that a polynomial of degree five is laid through.  Where the field turns by so
-much in 18 samples, its slope has 6.8 % of one sample's noise; where the craft turns twice as fast as the field in it,
-a cubic's would be 3.1 % short, this one's 0.1 %."""
-
-_LEAST_STEPS: Final = 3  # to either side: its six numbers are then from seven samples
-_MOST_STEPS: Final = 30  # to either side: a craft that hardly turns loses nothing by its turn
-
 _LEAST_LATE_S: Final = 1e-3  # less moves the field by less than 0.1 nT in any orbit
 
 _MOST_KNOWN: Final = 16  # answers kept for what is tried again: all of a grid, and one about its best
-
-_FEWEST: Final = 64
-"""Samples from which on a stretch has a course whose steps are told from noise."""
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
@@ -82,7 +67,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         yield _low_pass(scene, turned2)
         if not scene.is_given and scene.once("turns as its rate", lambda: _is_turning_so(scene, turned2, period_s)):
             return
-    step2 = _steps2(scene, period_s)
+    step2 = steps2(scene, period_s)
     if step2 is None:
         return
     chord = np.sqrt(step2 / (scene.calibrated_nt**2).sum(axis=1))
@@ -109,10 +94,10 @@ def _is_turning_so(scene: Scene, turned2: Array, period_s: float) -> bool:
     """
     if any(channel.values.shape[1] == 3 for channel in scene.of_quantity("angular rate")):
         return True
-    step2 = _steps2(scene, period_s)
+    step2 = steps2(scene, period_s)
     if step2 is None or min(float(np.ptp(turned2)), float(np.ptp(step2))) <= 0.0:
         return True
-    if _either_side(scene, np.sqrt(step2)) >= _LEAST_STEPS:
+    if either_side(scene, np.sqrt(step2)) >= LEAST_STEPS:
         return False
     return float(np.corrcoef(turned2, step2)[0, 1]) ** 2 > _OF_ONE_COURSE
 
@@ -270,49 +255,6 @@ def _rooted(turn2: Array) -> Array:
 def _lost(scene: Scene, turned2: Array) -> Array:
     """What is lost along the field (n,) by a lag of one while the field turns by what squares to (n,)."""
     return np.asarray(-0.5 * turned2 / np.linalg.norm(scene.calibrated_nt, axis=1))
-
-
-def _steps2(scene: Scene, period_s: float) -> Array | None:
-    """Square (n,) [nT^2] of the step from a sample to the next: the chord of the turn in it.
-
-    Of a craft that turns little from one to the next, it follows from the slope of a quintic over a radian to either
-    side; else how fast the field turns changes slowly against its noise, which is smoothed away.  What the noise adds
-    in the mean is a constant, which the nine errors take up.  None where the samples do not follow one another.
-    """
-    follows = np.concatenate([[False], np.diff(scene.time_s) < _NEXT * period_s])
-    begins = np.flatnonzero(~follows)
-    single = _steps(scene.calibrated_nt, begins)
-    if len(scene) < _FEWEST or len(begins) * _FEWEST > len(scene):
-        return single if scene.is_given else None
-    half = _either_side(scene, np.sqrt(single))
-    if half < _LEAST_STEPS:
-        smooth: Array = np.concatenate([smooth_course(part) for part in np.split(single, begins[1:])])
-        return np.maximum(smooth, 0.0)
-    found: Array = np.concatenate([_even_steps2(part, half) for part in np.split(scene.calibrated_nt, begins[1:])])
-    return found
-
-
-def _either_side(scene: Scene, steps: Array) -> int:
-    """Rows to either side of a sample within which the field turns by a radian, of the steps (n,) between samples."""
-    turn = float(np.median(steps)) / float(np.mean(np.linalg.norm(scene.calibrated_nt, axis=1)))
-    return int(min(_EITHER_SIDE / max(turn, 1e-9), _MOST_STEPS))
-
-
-def _even_steps2(vectors: Array, half: int) -> Array:
-    """Square (n,) of the chord to each of vectors (n, 3) from the one before, by slopes of quintics over so many rows
-    to either side."""
-    slope2 = (quintic_slope(vectors, half) ** 2).sum(axis=1)
-    middle = 0.5 * (slope2 + np.concatenate([slope2[:1], slope2[:-1]]))
-    length2 = (vectors**2).sum(axis=1)
-    return np.asarray(4.0 * length2 * np.sin(0.5 * np.sqrt(middle / length2)) ** 2)
-
-
-def _steps(vectors: Array, begins: NDArray[np.intp]) -> Array:
-    """Square (n,) of the step to each of vectors (n, 3), that of the next one where a stretch begins."""
-    steps2 = np.concatenate([[0.0], (np.diff(vectors, axis=0) ** 2).sum(axis=1)])
-    ends = np.append(begins[1:], len(vectors))
-    steps2[begins] = np.where(ends - begins > 1, np.append(steps2, 0.0)[begins + 1], 0.0)
-    return steps2
 
 
 def _derived(parameters: Values) -> Values:
