@@ -2,7 +2,8 @@
 
 One row per magnetometer message, in the order of sending, link faults included.  What has its own rate (reference,
 position, telemetry) is interpolated linearly to the row's time stamp, and is absent (NaN) where the samples around
-that time are more than two and a half periods apart.
+that time are more than two and a half periods apart.  Telemetry keeps its last value for a period, as a log does that
+ends between two readouts.
 """
 
 from __future__ import annotations
@@ -55,8 +56,11 @@ class Series:
         self.times_ns.append(time_ns)
         self.values.append(values)
 
-    def at(self, rows_ns: Times, widest_s: float, held: bool = False) -> Floats:
-        """Values (n, k) at times (n,) [ns]: linear, or the last one before where ``held``; NaN where too far apart."""
+    def at(self, rows_ns: Times, widest_s: float, held: bool = False, kept_s: float = 0.0) -> Floats:
+        """Values (n, k) at times (n,) [ns]: linear, or the last one before where ``held``; NaN where too far apart.
+
+        The last of all is kept for ``kept_s``.
+        """
         known, first = np.unique(np.array(self.times_ns, dtype=np.int64), return_index=True)
         values = np.array(self.values, dtype=np.float64)[first]
         after = np.clip(np.searchsorted(known, rows_ns, side="left"), 0, len(known) - 1)
@@ -68,6 +72,7 @@ class Series:
         result = values[before] + steps
         outside = (rows_ns < known[0]) | (rows_ns > known[-1])
         result[outside | (span_ns > widest_s * 1e9)] = np.nan
+        result[(rows_ns > known[-1]) & (rows_ns <= known[-1] + kept_s * 1e9)] = values[-1]
         return np.asarray(result, dtype=np.float64)
 
 
@@ -136,5 +141,6 @@ def _position(simulation: Simulation, series: Series, rows_ns: Times) -> Positio
 
 
 def _channel(simulation: Simulation, name: Channel, series: Series, rows_ns: Times) -> RecordedChannel:
-    values = series.at(rows_ns, _WIDEST_PERIODS / simulation.truth.telemetry.rate_hz, held=name in _HELD)
+    period_s = 1.0 / simulation.truth.telemetry.rate_hz
+    values = series.at(rows_ns, _WIDEST_PERIODS * period_s, held=name in _HELD, kept_s=period_s)
     return make_channel(name.value, values, UNITS[name], Axes.BODY if name in _BODY else None)

@@ -64,9 +64,16 @@ class RowCount:
     shows: str = ""
 
     def __str__(self) -> str:
-        fate = "read all the same" if self.kept else "refused"
+        fate = self._kept_as if self.kept else "refused"
         shows = f" ({self.shows})" if self.shows else ""
         return f"{self.part}: {self.fault.value} x {self.count}, first on {self.place} {self.first_line}{shows}, {fate}"
+
+    @property
+    def _kept_as(self) -> str:
+        """How a row is read that has the fault."""
+        if self.part in ("reference", "position"):
+            return f"read without that {self.part}"
+        return "read without that value" if self.part.startswith("channels.") else "read all the same"
 
 
 @dataclass(frozen=True, slots=True)

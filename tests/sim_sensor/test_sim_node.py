@@ -140,6 +140,24 @@ def test_a_held_series_keeps_the_last_value() -> None:
     np.testing.assert_array_equal(series.at(np.array([0, 9, 10]) * 10**9, 25.0, held=True)[:, 0], [1.0, 1.0, 2.0])
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_the_last_value_is_kept_for_a_period_after_it(held: bool) -> None:
+    """As long as the next one would not have come; not before the first, and not into the gap after it."""
+    series = Series()
+    for second, value in ((10, 1.0), (20, 2.0)):
+        series.add(second * 10**9, (value,))
+    rows = np.array([9, 20, 21, 30, 31]) * 10**9
+    found = series.at(rows, 25.0, held=held, kept_s=10.0)[:, 0]
+    np.testing.assert_array_equal(found, [np.nan, 2.0, 2.0, 2.0, np.nan])
+
+
+def test_a_shipped_recording_has_no_faults(tmp_path: Path) -> None:
+    """Its telemetry comes every ten seconds, and the run ends between two of them."""
+    scenario = replace(load_scenario("hot-electronics"), duration_s=96.0)
+    report = read_recording(record_simulation(Simulation(scenario, 1, 96.0), tmp_path)).report
+    assert report.lines() == ["96 rows, 96 read, 0 refused"]
+
+
 def test_list_names_every_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["list"]) == 0
     printed = capsys.readouterr().out
