@@ -10,7 +10,7 @@ import numpy as np
 from magcal_service.physics.saying import measured
 from magcal_service.studies.report import shown
 from tests.benchmarks.results import read
-from tests.figures.forms import forms
+from tests.figures.forms import forms, words
 from tests.figures.markdown import table
 
 MOST_SHOWN: Final = 3  # numbers of one parameter in a cell
@@ -296,5 +296,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "just-below-over-all": just_below_over_all,
     "new-step": new_step,
     "costs": costs,
+    "forms-words": words,
     "forms": forms,
 }
