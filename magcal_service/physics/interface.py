@@ -90,6 +90,7 @@ class Nonlinear:
     Parameters
     ----------
     grid: values that are tried first (m,); empty where ``role`` says that the residual's own lines are tried.
+    spans: whether the grid spans what its physics allows, whatever the recording.
     role: ``"frequency"`` or ``"period"`` of a line of the residual, ``"instant"`` of a change, ``"edge"`` of one that
         takes a while, ``"loose"`` while a refit moves it, ``"held"`` once it has been searched (the columns jump with
         it), or ``""``.
@@ -99,6 +100,7 @@ class Nonlinear:
     unit: str
     grid: Array
     role: str = ""
+    spans: bool = False
 
 
 def _rows(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -359,11 +359,12 @@ SETTLES = ModelTerm(
 NO_FORMS = {
     "a number below those that are sought": (
         replace(LATE, nonlinear={"late_s": 1.0, "held_s": -1.0}),
-        "nonlinear.held_s: -1.0 is refused; of current_loop by channel:bus, form 'recorded late', 0 or more is ",
+        "nonlinear.held_s: -1.0 is refused; of current_loop by channel:bus, form 'recorded late', 0 to 60 s is ",
     ),
     "a time constant of 0": (
         replace(SETTLES, nonlinear={"time_constant_s": 0.0}),
-        "nonlinear.time_constant_s: 0.0 is refused; of thermal_bias by inferred:temperature, form 'settling', more ",
+        "nonlinear.time_constant_s: 0.0 is refused; of thermal_bias by inferred:temperature, form 'settling', 120 "
+        "to 14400 s is ",
     ),
     "a number of another form": (
         replace(LATE, variant=""),

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from magcal_service.physics.apply.model_file import ModelError, ModelTerm, PhysicsModel, parse_model, text_of
+from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.wire.messages import Clock
+from tests.physics.scenes import scene
 
 WARM = ModelTerm(
     "thermal_bias",
@@ -67,6 +70,10 @@ def amplitude(term: ModelTerm, **numbers: object) -> ModelTerm:
     return replace(term, amplitudes={**term.amplitudes, **{name: np.array(value) for name, value in numbers.items()}})
 
 
+def sought(term: ModelTerm, **numbers: float) -> ModelTerm:
+    return replace(term, nonlinear={**term.nonlinear, **numbers})
+
+
 def constant(term: ModelTerm, **numbers: float) -> ModelTerm:
     return replace(term, constants={**term.constants, **numbers})
 
@@ -82,6 +89,9 @@ BEYOND = {
     "amplitudes.nt: ": (amplitude(SUN, nt=np.full((3, 3), 1.1e6)), "-1e+06 to 1e+06 nT"),
     "amplitudes.per_nt2": (amplitude(CUBIC, per_nt2=[0.0, 2e-10, 0.0]), "-1.333e-10 to 1.333e-10 1/nT2"),
     "amplitudes.mean_nt: 51.0": (amplitude(FIELD, mean_nt=51.0), "-1e+06 to 50 nT"),
+    "nonlinear.held_s: 61.0": (sought(LATE, held_s=61.0), "0 to 60 s"),
+    "nonlinear.time_constant_s: 1000000000000.0": (sought(LIGHT, time_constant_s=1e12), "120 to 14400 s"),
+    "nonlinear.late_s_per_h: 7.0": (sought(FAR, late_s_per_h=7.0), "-6 to 6 s/h"),
     "constants.record_noise_a: -3.0": (constant(NOISY, record_noise_a=-3.0), "0 or more"),
     "constants.averaged: 7.0": (constant(LATE, averaged=7.0), "1"),
     "constants.mean_light: 1.5": (constant(LIGHT, mean_light=1.5), "0 to 1"),
@@ -111,3 +121,37 @@ def test_a_refit_may_end_a_little_beyond_the_range() -> None:
     assert parse_model(file_of(replace(amplitude(WARM, nt_per_k=over), sigma={"nt_per_k": np.full(3, 4.0)})))
     with pytest.raises(ModelError, match=re.escape("-300 to 300 nT/K is accepted")):
         parse_model(file_of(replace(amplitude(WARM, nt_per_k=[0.0, 0.0, 421.0]), sigma=wide)))
+
+
+def test_a_range_that_is_checked_is_one_of_every_recording() -> None:
+    """On a scene of another pace and length each number that is held to its grid has the same one."""
+    ranges: dict[tuple[str, str], set[tuple[float, float]]] = {}
+    for one in (scene(), shorter(scene())):
+        for effect in catalogue():
+            for form in effect.hypotheses(one):
+                for number in form.nonlinear:
+                    if number.spans:
+                        ends = (float(number.grid.min()), float(number.grid.max()))
+                        kept = form.variant.startswith("gradual") if number.name == "half_width" else form.driver
+                        ranges.setdefault((effect.name, f"{number.name} {kept}"), set()).add(ends)
+    assert len(ranges) > 10
+    assert [key for key, ends in ranges.items() if len(ends) > 1] == []
+
+
+def shorter(whole: Scene) -> Scene:
+    """Every second row of the first half."""
+    rows = slice(0, len(whole) // 2, 2)
+    parts = {name: replace(one, values=one.values[rows]) for name, one in whole.channels.items()}
+    arrays = {name: value[rows] for name in ("time_s", *PER_ROW) if (value := getattr(whole, name)) is not None}
+    return replace(whole, channels=parts, **arrays)
+
+
+PER_ROW = (
+    "field_nt",
+    "calibrated_nt",
+    "clean_field_nt",
+    "magnitude_nt",
+    "reference_eci_nt",
+    "position_ecef_km",
+    "body_from_eci",
+)

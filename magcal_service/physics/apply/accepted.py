@@ -53,6 +53,8 @@ _SLACK: Final = 0.2
 """How far beyond its range an amplitude may be: so many of its own sigma, for the last refit of a diagnosis may move it
 over the edge, and so much of the range at the most."""
 
+_CLOSE: Final = 1e-9  # by which a number may be beyond an end of its range, for it was found in other units
+
 _ABOVE_0: Final = math.ulp(0.0)
 
 _CONSTANTS: Final[Mapping[str, tuple[float, float, str]]] = {
@@ -217,8 +219,7 @@ class _Check:
             if value.size != len(alike):
                 self._refuse(f"nonlinear.{name}", value.tolist(), f"{_in_words(shape)} is accepted")
             elif not _within(alike[0], value):
-                least = "more than 0" if _is_positive(alike[0]) else "0 or more"
-                self._refuse(f"nonlinear.{name}", value.tolist(), f"{least} is accepted")
+                self._refuse(f"nonlinear.{name}", value.tolist(), f"{_range(alike[0])} is accepted")
 
     def _sizes(self) -> None:
         """Amplitudes that the physics of the effect never has."""
@@ -255,8 +256,19 @@ def _is_positive(number: Nonlinear) -> bool:
     return number.role in ("frequency", "period") or bool(len(number.grid) and number.grid.min() > 0.0)
 
 
+def _range(number: Nonlinear) -> str:
+    """What ``_within`` takes, in words."""
+    if number.spans:
+        unit = "" if number.unit == "1" else f" {number.unit}"
+        return f"{number.grid.min():g} to {number.grid.max():g}{unit}"
+    return "more than 0" if _is_positive(number) else "0 or more"
+
+
 def _within(number: Nonlinear, value: Array) -> bool:
-    """Whether a number has a sign that it can have: one that is sought among sizes has none below them."""
+    """Whether a number is one that it can be: in its range where that is known, else with a sign that is sought."""
+    if number.spans:
+        low, high = float(number.grid.min()), float(number.grid.max())
+        return bool(((value >= low - _CLOSE * abs(low)) & (value <= high + _CLOSE * abs(high))).all())
     if number.role in ("frequency", "period"):
         return bool((value > 0.0).all())
     if number.role or not len(number.grid) or number.grid.min() < 0.0:

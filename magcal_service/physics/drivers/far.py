@@ -65,7 +65,7 @@ def shifted(scene: Scene, effect: str, variant: str, names: tuple[str, str], wit
         return []
     later = np.arange(STEP_S, FARTHEST_S + 1.0, STEP_S)
     shift = Nonlinear(names[0], "s", np.concatenate([-later[::-1], later]))
-    growth = Nonlinear(names[1], "s/h", GROWTHS_S_PER_H)
+    growth = Nonlinear(names[1], "s/h", GROWTHS_S_PER_H, spans=True)
 
     def columns(theta: Array) -> Columns:
         knots, table = scene.once(f"shifted {with_earth}", lambda: _table(scene, with_earth))

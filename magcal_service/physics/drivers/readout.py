@@ -59,7 +59,7 @@ def late(scene: Scene, plain: Hypothesis) -> Hypothesis:
         plain,
         columns=_ahead(scene, signal),
         variant=_form(plain, _LATE),
-        nonlinear=(Nonlinear("late_s", "s", _LATE_S), Nonlinear("held_s", "s", _HELD_S)),
+        nonlinear=(Nonlinear("late_s", "s", _LATE_S, spans=True), Nonlinear("held_s", "s", _HELD_S, spans=True)),
         constants={**plain.constants, **({_AVERAGED: averaged} if averaged else {})},
         refines=plain.label,
     )

@@ -99,7 +99,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool
     """
     known = any(recorded(scene, effect, act, block))
     start = Block(f"{START}{block.name}", block.unit, block.shape, block.most)
-    constants_s = Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S)
+    constants_s = Nonlinear("time_constant_s", "s", TIME_CONSTANTS_S, spans=True)
     if settles:
         yield Hypothesis(
             effect,
@@ -123,7 +123,7 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool
         columns,
         (block, start),
         variant="answer to light",
-        nonlinear=(constants_s, Nonlinear("skin_s", "s", SKINS_S)),
+        nonlinear=(constants_s, Nonlinear("skin_s", "s", SKINS_S, spans=True)),
         odds=_AGAINST_GUESSING if known else 0.0,
         constants={"mean_light": scene.mean_light},
     )

@@ -200,7 +200,7 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     if scene.eclipses:
         lit = Hypothesis("current_loop", driver, _fixed(scene.lit[:, None]), (block,), "lit or not")
         yield lit
-        number = Nonlinear("lag_s", "s", _REGULATED_S)
+        number = Nonlinear("lag_s", "s", _REGULATED_S, spans=True)
         late = _lagged(scene, scene.lit, "regulated")
         yield replace(lit, columns=late, variant="lit or not, late", nonlinear=(number,), refines=lit.label)
     if scene.sun_body is None:
@@ -235,7 +235,7 @@ def _strings(faces: Array, used: Sequence[int], is_given: bool) -> Iterator[Hypo
         elif 2 < len(some) < len(used):
             choices[f"panels across {axes}"] = some
     block, driver = Block("nt_full_sun", "nT"), "inferred:array_current"
-    limit = Nonlinear("limit", "1", _LIMITS)
+    limit = Nonlinear("limit", "1", _LIMITS, spans=True)
     for of, some in choices.items():
         total, constants = faces[:, some].sum(axis=1, keepdims=True), _faces(some)
         whole = Hypothesis("current_loop", driver, _fixed(total), (block,), f"sum of {of}", constants=constants)

@@ -184,7 +184,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     between = scene.constant(_BETWEEN, 0.0 if scene.is_given else float(is_coarse(scene)))
     smoothed = scene.constant(_SMOOTHED, 0.0 if scene.is_given else float(smoothing(scene)))
     added = {name: value for name, value in ((_BETWEEN, between), (_SMOOTHED, smoothed)) if value}
-    width, forgets = (Nonlinear("half_width", "1", grid) for grid in (_WIDTHS, _FORGETS))
+    width, forgets = (Nonlinear("half_width", "1", grid, spans=True) for grid in (_WIDTHS, _FORGETS))
     each = Block("share", "1")
     matrix = Block("share_matrix", "1", (3, 3), labels=(("rod along x", "rod along y", "rod along z"), AXES))
     sharp = _Rods(scene, scale)

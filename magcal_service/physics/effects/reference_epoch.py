@@ -73,7 +73,7 @@ def _by_decades(scene: Scene) -> Hypothesis:
         columns,
         (Block("years", "a", (), most=_OLDEST),),
         BY_DECADES,
-        (Nonlinear("shape_years", "a", np.arange(_OLD, _OLDEST, 3.0)),),
+        (Nonlinear("shape_years", "a", np.arange(_OLD, _OLDEST, 3.0), spans=True),),
         largest_nt=_LARGEST_NT,
         least_nt=_OLD * yearly_nt,
     )

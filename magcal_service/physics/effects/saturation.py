@@ -34,7 +34,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             body[0, :, axis] = -np.sign(values) * beyond**2
             return Columns(body=body)
 
-        knee = Nonlinear("knee", "1", _KNEES)
+        knee = Nonlinear("knee", "1", _KNEES, spans=True)
         constants = {"axis": float(axis), "full_scale_nt": largest}
         block = Block("missing_nt", "nT", (), least=0.0)
         yield Hypothesis("saturation", "none", columns, (block,), f"soft knee of {name}", (knee,), constants, odds=1.0)

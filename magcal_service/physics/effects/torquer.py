@@ -78,7 +78,7 @@ def _driven(scene: Scene, moment: Array, largest: float | None, is_after: bool) 
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    decay = Nonlinear("decay_s", "s", DECAYS_S)
+    decay = Nonlinear("decay_s", "s", DECAYS_S, spans=True)
     for channel in scene.of_quantity("magnetic moment"):
         own = apart_in(scene, channel)
         used = [column for column in scene.chosen("column", list(own)) if column < channel.values.shape[1]]
