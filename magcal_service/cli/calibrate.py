@@ -113,7 +113,7 @@ def _calibrate_one(options: argparse.Namespace) -> int:
     return DONE if result.trusted else NOT_TRUSTED
 
 
-def _table(result: Calibration, path: Path, physics: str) -> str:
+def _table(result: Calibration, path: Path, physics: str = "physics.toml") -> str:
     import numpy as np
 
     from magcal_service.model import BIAS, STATE_NAMES
