@@ -61,11 +61,12 @@ def _undriven(config: Config) -> list[str]:
     address = parse_address(config.link)
     if address.scheme != "recording" or not any(craft.physics for craft in config.crafts):
         return []
+    from magcal_service.links.recording import RecordingLink
     from magcal_service.physics.apply.lacking import undriven_lines
     from magcal_service.physics.apply.model_file import parse_model
-    from magcal_service.recordings.reader import read_recording
 
-    channels, found = read_recording(Path(address.rest)).driving, []
+    with RecordingLink(address, [craft.name for craft in config.crafts]) as link:
+        channels, found = link.driving, []
     for craft in config.crafts:
         if craft.physics is not None:
             model = parse_model(craft.physics.text.encode(), craft.physics.name)

@@ -35,6 +35,10 @@ class RecordingLink(Link):
     recording: the recording itself where it has been read already; the address' file is not opened then.
     sink: is called with every message sent; without one, messages sent are only counted.
 
+    Attributes
+    ----------
+    driving: the channels that it plays by name, each with whether it has a value.
+
     Raises ``LinkAddressError`` for the address, ``RecordingError`` for the recording.
     """
 
@@ -61,6 +65,7 @@ class RecordingLink(Link):
             recording = read_recording(Path(unquote(parsed.rest)), prefer=craft)
         self.recording = recording
         self._sink = sink
+        self.driving = recording.driving if telemetry else {}
         self._stream = messages(self.recording, craft, telemetry=telemetry)
         self._life.happens(LinkEvent.OPENED)
         self._next = self._following()

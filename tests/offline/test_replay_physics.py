@@ -138,6 +138,9 @@ def test_a_misspelt_channel_is_told_before_the_work_by_the_files_own_name(record
             )
     config.write_text(f'link = "recording:{given}"\n' + config.read_text(encoding="utf-8"), encoding="utf-8")
     assert line in run("run", "--check", "--config", config).out.splitlines()
+    config.write_text(config.read_text(encoding="utf-8").replace("RECORDING.toml", "RECORDING.toml?telemetry=no"))
+    said = run("run", "--check", "--config", config).out
+    assert "'channel:temprature': the recording has no channel temprature; thermal_bias is not compensated\n" in said
 
 
 def test_a_channel_without_a_value_and_one_that_goes_stale_are_told_apart(recorded: Path) -> None:
