@@ -15,6 +15,7 @@ from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.prepare import Form
 from magcal_service.diagnosis.result import entries
 from magcal_service.model import measure
+from magcal_service.recordings.recording import Recording
 from tests.diagnosis.turntable import Bench
 from tests.physics.scenes import X, scene, spoiled
 
@@ -86,14 +87,43 @@ def test_a_lag_is_seen_by_vectors_and_by_what_it_takes_off_their_length() -> Non
     lagging = Bench(6, with_attitude=True, steady=True, lag_s=0.5, noise_nt=30.0)
     found = diagnose(lagging.recording().select(np.arange(5, 1800)))  # what it began with has decayed
     term = found.fit.terms[0]
-    assert (term.hypothesis.effect, term.hypothesis.variant) == ("time_offset", "behind the attitude")
-    assert set(posterior(found.explained, 0).members) == {"time_offset", "response_lag"}
-    assert float(term.amplitudes[0]) == pytest.approx(0.5, rel=0.02)
-    assert not found.trusted
+    assert (term.hypothesis.effect, term.hypothesis.variant) == ("response_lag", "of whole vectors")
+    assert posterior(found.explained, 0).members == ("response_lag",)
+    assert float(term.amplitudes[0]) == pytest.approx(0.5, rel=0.003)
     lagging.with_attitude = False
     (term,) = diagnose(lagging.recording()).fit.terms
     assert (term.hypothesis.effect, term.hypothesis.variant) == ("response_lag", "average of samples")
     assert float(np.sqrt(term.amplitudes[0])) * term.hypothesis.constants["period_s"] == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_lag_in_which_the_craft_hardly_turns_is_no_other_than_a_clock() -> None:
+    """Half a hundredth of a radian: what a low-pass shortens is a thousandth of what both turn."""
+    lagging = Bench(6, with_attitude=True, steady=True, lag_s=0.1, noise_nt=30.0)
+    found = diagnose(lagging.recording().select(np.arange(5, 1800)))
+    (term,) = found.fit.terms
+    assert set(posterior(found.explained, 0).members) == {"time_offset", "response_lag"}
+    assert found.reasons == ("name_uncertain",)
+    assert float(term.amplitudes[0]) == pytest.approx(0.1, rel=0.02)
+
+
+def late(made: Recording, samples: int) -> Recording:
+    """The same with vectors that are so many samples older than their tags, without the first of them."""
+    older = replace(made, field_body_nt=np.roll(made.field_body_nt, samples, axis=0))
+    return older.select(np.arange(max(samples, 30), len(made)))
+
+
+@pytest.mark.parametrize("in_a_room", [False, True])
+@pytest.mark.parametrize("lags", [False, True])
+def test_what_answers_seconds_late_is_told_from_a_clock(in_a_room: bool, lags: bool) -> None:
+    """A quarter of a radian: the clock's vectors are turned, those of a low-pass are turned less and shorter."""
+    bench = Bench(16, with_attitude=True, steady=True, in_a_room=in_a_room, lag_s=4.0 * lags, noise_nt=30.0)
+    found = diagnose(late(bench.recording(), 0 if lags else 4))
+    (term,) = found.fit.terms
+    assert term.hypothesis.effect == ("response_lag" if lags else "time_offset")
+    assert term.hypothesis.needs_vectors
+    assert posterior(found.explained, 0).members == (term.hypothesis.effect,)
+    assert float(term.amplitudes[0]) == pytest.approx(4.0, rel=0.003)
+    assert found.trusted
 
 
 def test_samples_tagged_apart_from_the_attitude_are_a_clock_s_offset() -> None:

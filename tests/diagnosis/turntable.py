@@ -6,6 +6,7 @@ Nothing of the service is used but its recordings; quaternions, courses and nois
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,16 @@ def alike(rng: np.random.Generator, time_s: Array, count: int) -> Array:
     return np.stack([first, *found], axis=1)
 
 
+def low_passed(drive: Array, steps: float) -> Array:
+    """What a low-pass of so many steps answers to a drive (n, 3) that is straight in each step: exactly."""
+    kept = np.exp(-1.0 / steps)
+    share = steps * (1.0 - kept)
+    found = [drive[0]]
+    for before, now in pairwise(drive):
+        found.append(kept * found[-1] + (share - kept) * before + (1.0 - share) * now)
+    return np.array(found)
+
+
 @dataclass
 class Bench:
     """What is wrong with the sensor, and what was recorded.
@@ -103,8 +114,8 @@ class Bench:
         if self.is_still:
             quaternion = np.tile(quaternion[:1], (len(fine_s), 1))
         body = np.array(turned(quaternion, reference + self.reference_off_nt))
-        for row in range(1, len(body)) if self.lag_s else ():
-            body[row] = body[row - 1] + (body[row] - body[row - 1]) / (1.0 + self.lag_s * _FINE)
+        if self.lag_s:
+            body = low_passed(body, self.lag_s * _FINE)
         quaternion, reference, body = quaternion[::_FINE], reference[::_FINE], body[::_FINE]
         w = body @ self.sensor_from_body.T + self.added_nt + rng.normal(0.0, self.noise_nt, (self.count, 3))
         matrix = np.eye(3) + np.array([[0.02, 0.004, -0.006], [0.004, -0.03, 0.008], [-0.006, 0.008, 0.01]])

@@ -261,3 +261,54 @@ def test_the_time_constant_is_known_by_the_power_that_is_seen(order: float, sigm
     """Of tau^2 = 4 +- 0.2: by the turn, which grows with tau^2, half as well known as by the course, if 5 % are."""
     seen = {"tau2_s2": value_of(4.0, 0.2, "s2"), "order": value_of(order, np.nan, "1")}
     assert float(LAG.derived(seen)["tau_s"].sigma) == pytest.approx(sigma_s)
+
+
+# Whole vectors
+
+
+def whole(effect: str, variant: str, scene: Scene) -> Hypothesis:
+    return next(one for one in effect_named(effect).hypotheses(scene) if one.variant == variant)
+
+
+def moved_by(scene: Scene, effect: str, variant: str, size_s: float) -> Array:
+    """The vectors (n, 3) as a form has them where it is made at its own size, or at first, where nothing is known."""
+    form = whole(effect, variant, scene)
+    column = form.columns(np.array([number.grid[0] for number in form.nonlinear])).body
+    assert column is not None
+    return np.asarray(scene.calibrated_nt + size_s * column[0])
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.02, 0.2])
+@pytest.mark.parametrize("tau_s", [0.1, 0.5, 4.0])
+def test_a_low_pass_of_whole_vectors_is_that_of_a_turn(rate_rad_s: float, tau_s: float) -> None:
+    """The part across the axis is divided by 1 + i w tau, from the first sample on; beside a gap too."""
+    time_s = TIME_S + 40.0 * (np.arange(COUNT) >= 250)
+    angle = rate_rad_s * time_s
+    phase, size = np.arctan(rate_rad_s * tau_s), 1.0 / np.hypot(1.0, rate_rad_s * tau_s)
+    read = turned(angle - phase) * np.array([size, size, 1.0])
+    scene = replace(scene_of(turned(angle), time_s), moved_s=np.full(COUNT, -tau_s))
+    off_nt = np.linalg.norm(moved_by(scene, "response_lag", "of whole vectors", tau_s) - read, axis=1)
+    since_s = np.where(np.arange(COUNT) < 250, time_s, time_s - time_s[250])
+    inside = (since_s > 10.0 * tau_s + 3.0) & ~np.isin(np.arange(COUNT), (248, 249, 398, 399))
+    assert off_nt[inside].max() < 0.5
+    assert off_nt.max() < 0.015 * np.linalg.norm(turned(angle) - read, axis=1).max()
+
+
+@pytest.mark.parametrize(("variant", "sign"), [("ahead of the attitude", 1.0), ("behind the attitude", -1.0)])
+def test_vectors_of_another_time_are_those_of_the_turn_then(variant: str, sign: float) -> None:
+    """A third of a radian later, or before, past both ends of each stretch as well."""
+    rate_rad_s, size_s = 0.1, 3.3
+    time_s = TIME_S + 40.0 * (np.arange(COUNT) >= 250)
+    scene = replace(scene_of(turned(rate_rad_s * time_s), time_s), moved_s=np.full(COUNT, sign * size_s))
+    found = moved_by(scene, "time_offset", variant, size_s)
+    off_nt = np.linalg.norm(found - turned(rate_rad_s * (time_s + sign * size_s)), axis=1)
+    assert off_nt[50:200].max() < 0.1
+    assert off_nt.max() < 50.0  # of 10 uT
+
+
+def test_what_a_low_pass_of_whole_vectors_began_with_fades() -> None:
+    scene = replace(scene_of(turned(0.05 * TIME_S)), moved_s=np.full(COUNT, -2.0))
+    begun = whole("response_lag", "of whole vectors, from its start", scene).columns(np.array([2.0])).body
+    assert begun is not None
+    assert begun.shape == (4, COUNT, 3)
+    assert begun[1:, 8] == pytest.approx(np.eye(3) * np.exp(-8 * PERIOD_S / 2.0))

@@ -13,6 +13,7 @@ from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.late import by_average, by_low_pass, longer_by_low_pass
 from magcal_service.physics.drivers.steps import LEAST_STEPS, either_side, steps2
+from magcal_service.physics.drivers.whole_vectors import LARGEST_NT, answers_late
 from magcal_service.physics.interface import START, Block, Effect, Hypothesis, Nonlinear, Value, Values, value_of
 from magcal_service.physics.scene.memory import AT_START_S
 from magcal_service.physics.scene.motion import FEWEST_FOR_MEANS
@@ -24,6 +25,12 @@ _AVERAGING: Final = "average of samples"
 
 _BY_STEPS: Final = "by the steps"
 """Form of a low-pass whose turn is taken from samples that follow one another: of a craft of which no rate is known."""
+
+_OF_VECTORS: Final = "of whole vectors"
+"""The form that vectors show beside a recorded attitude."""
+
+_LARGEST_NT: Final = 5000.0
+"""Largest part in a magnitude: of 10 s at the field's steepest 0.5 uT, and a tenth of a field that turns."""
 
 _BEGUN: Final = "from its start"
 """Added to the form of a low-pass that held something else when the recording began than the turn before would tell."""
@@ -59,6 +66,12 @@ _MOST_KNOWN: Final = 16  # answers kept for what is tried again: all of a grid, 
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
+    yield from answers_late(scene, "response_lag", _OF_VECTORS, "tau_s", _LONGEST_S)
+    yield from (replace(form, largest_nt=_LARGEST_NT) for form in _of_magnitudes(scene))
+
+
+def _of_magnitudes(scene: Scene) -> Iterator[Hypothesis]:
+    """Forms that a magnitude shows, too: by what is lost of a vector's length, and by its delay."""
     period_s = scene.constant("period_s", scene.period_s)
     if scene.rate_body is not None:
         slope = scene.field_slope
@@ -261,6 +274,8 @@ def _derived(parameters: Values) -> Values:
     """The time constant, from what is lost across the field, which grows as tau^2; or the share of a new sample."""
     if "memory" in parameters:
         return _of_average(parameters["memory"], parameters)
+    if "tau_s" in parameters:
+        return {}
     loss = parameters["tau2_s2"]
     tau = float(np.sqrt(max(float(loss.value), 0.0)))
     if tau <= 0.0:
@@ -316,7 +331,7 @@ EFFECT = Effect(
         "order": "1",
         "start_nt": "nT",
     },
-    prior=(5.0, 5000.0),
+    prior=(5.0, LARGEST_NT),
     valid="any turn in a time constant, as far as it is known; an average of samples: none of the driver is left out",
     confused_with=("axis_skew", "scale_drift", "spin_rate", "time_offset"),
     separated_by="another spin rate: at a steady rate it is a late clock, with a gain that nine errors take up",
@@ -328,6 +343,7 @@ EFFECT = Effect(
     ),
     derived=_derived,
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
+    not_live=(_OF_VECTORS, f"{_OF_VECTORS}, {_BEGUN}"),
     live_as=lambda form: "what its turn alone shortens, without its delay" if form else "",
     absorbed="at a constant spin rate the nine errors take up gain and angle of the lag; its delay is a late clock's",
 )

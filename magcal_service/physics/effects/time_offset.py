@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.drivers.far import NEAR_S, shifted, within
-from magcal_service.physics.drivers.whole_vectors import another_time
+from magcal_service.physics.drivers.whole_vectors import LARGEST_NT, another_time
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
 _MOST_DRIFT_PPM = 1e4
 """Drift of a clock at the most [1e-6]: of a resistor and a capacitor in a microcontroller, 1 %; quartz has 100."""
+
+_LARGEST_NT = 5000.0
+"""Largest part in a magnitude [nT]: two minutes of the field's steepest course in a low orbit."""
 
 _AHEAD, _BEHIND = "ahead of the attitude", "behind the attitude"
 """Forms where samples and attitude are tagged apart: a vector is that of another attitude, whatever the field does."""
@@ -22,7 +26,13 @@ _AHEAD, _BEHIND = "ahead of the attitude", "behind the attitude"
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     yield another_time(scene, "time_offset", _AHEAD, "ahead_s", 1.0, NEAR_S)
-    yield another_time(scene, "time_offset", _BEHIND, "behind_s", -1.0, NEAR_S, as_well=("response_lag",))
+    yield another_time(scene, "time_offset", _BEHIND, "behind_s", -1.0, NEAR_S)
+    yield from (replace(form, largest_nt=_LARGEST_NT) for form in _of_magnitudes(scene))
+    yield from shifted(scene, "time_offset", "by minutes", ("late_s", "late_s_per_h"), with_earth=True)
+
+
+def _of_magnitudes(scene: Scene) -> Iterator[Hypothesis]:
+    """Forms by the course of the reference's magnitude."""
     slope = scene.magnitude_slope
     if float(np.std(slope)) <= 1e-3 and not scene.is_given:
         return
@@ -44,7 +54,6 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
         "with drift",
         moves_s=lambda a: a[0] + a[1] * drifted_s,
     )
-    yield from shifted(scene, "time_offset", "by minutes", ("late_s", "late_s_per_h"), with_earth=True)
 
 
 EFFECT = Effect(
@@ -63,7 +72,7 @@ EFFECT = Effect(
         "late_s_per_h": "s/h",
         "share": "1",
     },
-    prior=(10.0, 5000.0),
+    prior=(10.0, LARGEST_NT),
     valid=(
         "to second order in the offset: below two minutes in low orbit; by minutes, up to 20 of them; by an attitude "
         "within half a radian of turning"
