@@ -81,6 +81,7 @@ MEANS: Final = {
     "second degree and light": "and the light itself",
     "ahead of the attitude": "samples are of a later time than the attitude recorded with them",
     "behind the attitude": "of an earlier time",
+    "of whole vectors": "a low-pass of the vector, by its direction as well",
     "with drift": "and the clocks drift apart",
     "by minutes": "the reference is that of another time, minutes away",
     "commands after their rows": "a command that a row holds was given after its sample",

@@ -49,9 +49,9 @@ _LARGEST_NT: Final = MAX_SAMPLE_FIELD_NT
 """Of an amplitude in nT that has no narrower range of its own: more is no reading of a magnetometer."""
 
 _SLACK_SIGMA: Final = 3.0
-_SLACK: Final = 0.2
-"""How far beyond its range an amplitude may be: so many of its own sigma, for the last refit of a diagnosis may move it
-over the edge, and so much of the range at the most."""
+"""Of its own sigma, how far beyond its range an amplitude may be: the last refit may move it over the edge."""
+
+_SLACK: Final = 0.2  # of the range, the most that this is; choice: more is another number
 
 _CLOSE: Final = 1e-9  # by which a number may be beyond an end of its range, for it was found in other units
 
