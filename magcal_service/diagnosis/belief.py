@@ -279,18 +279,6 @@ def _part(left: float, held: float) -> float:
     return left / (left + held) if left > 0.0 else 0.0
 
 
-def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...]:
-    """Drivers of a term that this recording cannot tell apart, with their probabilities, most probable first.
-
-    Of each driver of the term's own effect its best form; those within ``CLASS_NATS`` of the best.
-    """
-    ranked = explained.drivers[index]
-    weights = [math.exp(max(c.nats - ranked[0].nats, -_MOST_NATS)) for c in ranked]
-    total = sum(weights)
-    alike = [(c, w) for c, w in zip(ranked, weights, strict=True) if c.nats > ranked[0].nats - CLASS_NATS]
-    return tuple((c.hypothesis.driver, w / total) for c, w in alike)
-
-
 def unlisted(explained: Explained, index: int) -> str:
     """What is no effect and does as well as a term, in words: a signal of a channel, what acts exactly so, or a change
     that takes minutes; empty where nothing does."""

@@ -15,6 +15,7 @@ from magcal_service.diagnosis.field_level import likelier_by
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.sized import has_size
+from magcal_service.diagnosis.which_driver import otherwise
 from magcal_service.model import BIAS, D_ALL, STATE_SIZE, Array
 from magcal_service.physics.interface import Finding
 from magcal_service.residuals import MEDIAN_TO_SIGMA
@@ -156,7 +157,8 @@ def listed(
 def concerned(explained: Explained, findings: Mapping[str, Finding]) -> dict[str, tuple[str, ...]]:
     """The effects that each reason is about, by the reason, for those that are about single ones."""
     names = [term.hypothesis.effect for term in explained.fit.terms]
-    unsure = [name for index, name in enumerate(names) if posterior(explained, index).own < SURE]
+    sure = [min(posterior(explained, index).own, 1.0 - otherwise(explained, index)) for index in range(len(names))]
+    unsure = [name for name, least in zip(names, sure, strict=True) if least < SURE]
     unsure += [name for name, one in findings.items() if 1.0 - one.doubt < SURE]
     sized = [has_size(explained.fit, i) and not any(explained.courses[i : i + 1]) for i in range(len(names))]
     unsized = [name for name, is_sized in zip(names, sized, strict=True) if not is_sized]

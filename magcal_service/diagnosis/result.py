@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import drivers_of, posterior, unlisted
+from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.cycle import CYCLE
 from magcal_service.diagnosis.diagnose import Diagnosis, Verdict
 from magcal_service.diagnosis.entry import Entry, listed_rivals, plain
@@ -21,6 +21,7 @@ from magcal_service.diagnosis.separation import separations, switched_off
 from magcal_service.diagnosis.signals import strongest_signal
 from magcal_service.diagnosis.wander import TWO_LEVELS
 from magcal_service.diagnosis.where import lines, span, where_of_term
+from magcal_service.diagnosis.which_driver import drivers_of
 from magcal_service.diagnosis.words import percent
 from magcal_service.model import BIAS
 from magcal_service.physics.acting import ActsOn

@@ -144,11 +144,12 @@ def test_a_recorded_driver_leaves_less_to_what_is_in_no_catalogue() -> None:
         ("steps at 2 instants", 0.97),
         ("steps at 3 instants", 0.94),
         ("steps at 5 instants", 0.88),
-        ("switched at 5 instants", 0.97),
+        ("switched at 5 instants", 0.97 / 2.0),
     ],
 )
 def test_many_jumps_each_by_its_own_are_believed_less(variant: str, own: float) -> None:
-    """What swells and fades is met by steps, too; what is switched on and off by one vector is not."""
+    """What swells and fades is met by steps, too; what is switched on and off by one vector is a load
+    or a bias, and no more."""
     jumps = next(one for one in effect_named("bias_step").hypotheses(scene()) if one.variant == variant)
     named = explained([])
     (term,) = named.fit.terms
@@ -178,7 +179,7 @@ def test_what_is_switched_once_an_orbit_follows_the_orbit(again_s: float, own: f
     (term,) = named.fit.terms
     theta = np.array([500.0, 1700.0, 500.0 + again_s, 1690.0 + again_s])
     fit = replace(named.fit, terms=(replace(term, hypothesis=jumps, theta=theta),))
-    assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own)
+    assert posterior(replace(named, fit=fit), 0).own == pytest.approx(own / 2.0)  # the other half is a load's
 
 
 @pytest.mark.parametrize(
@@ -235,7 +236,7 @@ def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[floa
         ("torquer", "sign of dB/dt", True, ("torquer",)),
         ("torquer", "momentum dumped at intervals", True, ("torquer", UNLISTED)),
         ("bias_step", "switched at 2 instants", False, ("bias_step", "current_loop")),
-        ("bias_step", "switched at 2 instants", True, ("bias_step",)),
+        ("bias_step", "switched at 2 instants", True, ("bias_step", "current_loop")),
         ("bias_step", "steps at 2 instants", False, ("bias_step",)),
         ("scale_drift", "", False, ("scale_drift",)),
     ],
@@ -243,7 +244,8 @@ def test_a_duty_along_a_line_may_be_what_two_lines_beat_by(direction: tuple[floa
 def test_what_a_load_does_as_well_is_not_told_from_it(
     effect: str, variant: str, channels: bool, members: tuple[str, ...]
 ) -> None:
-    """A constant current on a duty, as of a heater, is a coil's field; one that is switched would show in a record."""
+    """A constant current on a duty, as of a heater, is a coil's field; one that is switched a bias that comes and goes,
+    whatever other circuits were recorded."""
     of = scene() if channels else replace(scene(), channels={})
     switched = next(one for one in effect_named(effect).hypotheses(of) if one.variant == variant)
     named = explained([])

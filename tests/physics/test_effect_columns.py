@@ -856,3 +856,17 @@ def test_what_changes_as_slowly_as_warmth_in_counts_may_be_warmth(course: Array,
         recorded = [form for (driver, _), form in found.items() if driver == "channel:one"]
         assert {form.as_well == ("thermal_bias",) for form in recorded} == {expected}
         assert {form.variant for form in recorded} == {"", "lagging", "recorded late"}
+
+
+def test_a_drift_swings_by_what_a_warming_sensor_may_at_the_most() -> None:
+    """3000 nT over the recording; a parabola that comes back has four times the slope; none where a model is given."""
+    span_s = float(np.ptp(TIME_S))
+    found = forms("bias_drift")
+    assert found["none", ""].blocks[0].most * span_s == pytest.approx(3000.0)
+    slope, bend = found["none", "quadratic"].blocks
+    share = np.linspace(0.0, 1.0, 101)
+    swing_nt = slope.most * span_s * share - bend.most * span_s**2 * share**2
+    assert np.ptp(swing_nt) == pytest.approx(3000.0, rel=1e-3)
+    assert found["none", "relaxing"].blocks[0].most == pytest.approx(3000.0)
+    given = forms("bias_drift", replace(scene(), given={}))
+    assert {block.most for form in given.values() for block in form.blocks} == {math.inf}

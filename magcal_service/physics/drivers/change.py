@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -38,17 +39,24 @@ def step(scene: Scene, effect: str, act: Act, block: Block, variant: str = "") -
 
 
 def drifts(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypothesis]:
-    """Linear, quadratic, and relaxing towards an end value, all zero at the origin of time."""
+    """Linear, quadratic, and relaxing towards an end value, all zero at the origin of time.
+
+    ``block``: of the linear one, its most being a swing over the span; a parabola swings as much by four times that.
+    """
     elapsed = scene.time_s
     span = max(float(elapsed[-1]), 1.0)
     linear = act(elapsed)
     yield Hypothesis(effect, "none", lambda _: linear, (block,))
-    curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape)
+    most = 4.0 * block.most
+    curve = Block(block.name.replace("per_s", "per_s2"), f"{block.unit}2", block.shape, most / span)
     both = joined(linear, act(elapsed**2))
-    yield Hypothesis(effect, "none", lambda _: both, (block, curve), "quadratic")
+    yield Hypothesis(effect, "none", lambda _: both, (replace(block, most=most), curve), "quadratic")
     tau = Nonlinear("time_constant_s", "s", span * np.array(RELAXATION_SHARES))
     end = Block(
-        f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"), block.unit[:-2], block.shape
+        f"{block.name.removesuffix('_per_s').removesuffix('per_s')}_end".lstrip("_"),
+        block.unit[:-2],
+        block.shape,
+        block.most * span,
     )
 
     def relaxing(theta: Array) -> Columns:

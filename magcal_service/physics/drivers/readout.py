@@ -32,6 +32,8 @@ _AVERAGED: Final = "averaged"
 _BY_CHANCE: Final = 0.05
 """Share of rows that may be the one before by their last digit; of a record held for two rows every other is."""
 
+_FEWEST_READOUTS: Final = 30  # changes of value from which on how far apart they are is a rule; a choice
+
 RECORD_NEXT: Final = (
     "read {channel} out with every sample: its record is {late_s.size} older than its row, and a mean over "
     "{averaged_s.size}",
@@ -89,6 +91,27 @@ def noisy(scene: Scene, plain: Hypothesis) -> Iterator[Hypothesis]:
 def noise_in(scene: Scene, channel: Telemetry, column: int) -> float:
     """Noise of its own that a column's record has, 1 sigma; 0 where it has hardly any."""
     return scene.once(f"noise of {channel.name} {column}", partial(noise_of, channel.values[:, column]))
+
+
+def lost_by_hold(scene: Scene, channel: Telemetry) -> float:
+    """Share of a record's variance, in its column that loses most, by which it is not what flows at its rows, where its
+    values are held from one readout to the next: half of the mean square of the steps, as of a course without a memory.
+
+    It is held where values change after two rows or more, or multiples of that; a load that is constant changes at any.
+    """
+
+    def found() -> float:
+        whole = np.mean((channel.values - channel.values.mean(axis=0)) ** 2, axis=0)
+        step = np.diff(channel.values, axis=0)
+        changes = np.flatnonzero(np.any(step != 0.0, axis=1))
+        runs = np.diff(changes)
+        held = float(np.percentile(runs, 5.0)) if len(runs) >= _FEWEST_READOUTS else 1.0
+        off = np.abs(runs / held - np.rint(runs / held))
+        if held < 2.0 or float(np.mean(off * held > 1.0)) > _BY_CHANCE:
+            return 0.0
+        return float(np.max(0.5 * np.mean(step[changes] ** 2, axis=0) / np.maximum(whole, 1e-300)).clip(0.0, 1.0))
+
+    return scene.once(f"lost by hold {channel.name}", found)
 
 
 def derived(parameters: Values) -> Values:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Final
+
+import numpy as np
 
 from magcal_service.physics.acting import ActsOn, Watched
 from magcal_service.physics.columns import along_axes
@@ -13,11 +17,16 @@ from magcal_service.physics.drivers.temperature import warms_unseen
 from magcal_service.physics.interface import Block, Effect, Hypothesis
 from magcal_service.physics.scene.scene import Scene
 
+_MOST_NT: Final = 3000.0
+"""Swing of one axis in a recording at the most [nT]: 30 K of a cheap sensor's 100 nT/K, where nobody recorded them."""
+
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    smooth = drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s"))
-    between = ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT"), at_once="bias_step")
-    end = relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT"), at_once="bias_step")
+    most = math.inf if scene.is_given else _MOST_NT  # a model of one recording may act in another, which is longer
+    span_s = max(float(np.ptp(scene.time_s)), 1.0)
+    smooth = drifts(scene, "bias_drift", along_axes, Block("nt_per_s", "nT/s", most=most / span_s))
+    between = ramp(scene, "bias_drift", along_axes, Block("nt_between", "nT", most=most), at_once="bias_step")
+    end = relaxing_from(scene, "bias_drift", along_axes, Block("nt_end", "nT", most=most), at_once="bias_step")
     for form in (*smooth, between, end):
         yield replace(form, as_well=("thermal_bias",) if warms_unseen(scene) else ())
 

@@ -48,6 +48,13 @@ _FAR: Final = (9, 10, 11, 12)
 _FADES_SIGMAS: Final = 3.0
 """Sampling errors by which a memory has to be seen to fade: what does not show that it fades may be slow physics."""
 
+_TURNED_AWAY: Final = 48  # samples within which a craft that tumbles or spins has turned away; a choice
+_AWAY: Final = -0.3  # cosine of the turn, from which on it has
+_FEWEST_AWAY: Final = 100  # pairs of samples: fewer show a tenth only by three of its sigma
+
+_ALONG_SIGMAS: Final = 6.0
+"""Sigmas of white noise by which they have to go along: of 48 lags, of a memory that doubles them."""
+
 _OWN: Final = 0.85
 """Share of the stated noise's square that may change from one sample to the next if the noise has a memory.
 
@@ -187,6 +194,8 @@ def is_noise(view: View) -> bool:
     less if it has a memory, unless all of it is as large as stated; and a memory begins to fade within ten samples.
     """
     unit, e = view.scene.unit, view.residual_nt
+    if _is_of_reference(view):
+        return False
     zero, one = (covariance(unit, e, lag) for lag in (0, 1))
     turned = _dot(unit[1:], unit[:-1])
     sampling = 1.0 / math.sqrt(max(float(turned @ turned), 1.0))
@@ -198,6 +207,26 @@ def is_noise(view: View) -> bool:
         return _fades(view, _FADING, sampling * zero)
     has_room = zero - one < _OWN * stated**2 or _OF_LEVEL[0] < zero / stated**2 < _OF_LEVEL[1]
     return has_room and _fades(view, 0.5 * _FADING, sampling * zero)
+
+
+def _is_of_reference(view: View) -> bool:
+    """Whether samples go along with one another though the body has turned away between them: as of a reference, whose
+    errors are magnitudes and do not turn.
+
+    Noise fixed in the body is seen with the other sign there, or has faded.  What a field model errs by was taken for a
+    memory that fades within ten samples, for a craft had turned by a half meanwhile.
+    """
+    unit, e = view.scene.unit, view.residual_nt
+    level = max(float(np.mean(e**2)), 1e-300)
+    for lag in range(1, min(_TURNED_AWAY, len(e) // 4)):
+        away = _dot(unit[:-lag], unit[lag:]) < _AWAY
+        count = int(np.count_nonzero(away))
+        if count < _FEWEST_AWAY:
+            continue
+        along = float(np.mean((e[:-lag] * e[lag:])[away])) / level
+        if along * math.sqrt(count) > _ALONG_SIGMAS:
+            return True
+    return False
 
 
 def _fades(view: View, share: float, sampling: float) -> bool:
