@@ -257,8 +257,8 @@ def test_noise_with_a_memory_is_told_with_its_correlation_and_explains_no_mismat
 
 @pytest.mark.parametrize("of_magnitudes", [False, True])
 def test_a_memory_that_does_not_turn_with_the_body_is_the_references(of_magnitudes: bool) -> None:
-    """Errors of a field model last for half a minute; a sensor's own noise points elsewhere as the body turns."""
-    rng, kept = np.random.default_rng(31), 0.94
+    """Errors of a field model last for half a turn; a sensor's own noise points elsewhere as the body turns."""
+    rng, kept = np.random.default_rng(31), 0.8
     noise = rng.normal(0.0, NOISE_NT, (COUNT, 3))
     for row in range(1, COUNT):
         noise[row] = kept * noise[row - 1] + math.sqrt(1.0 - kept**2) * noise[row]
@@ -266,7 +266,7 @@ def test_a_memory_that_does_not_turn_with_the_body_is_the_references(of_magnitud
     field = 30e3 * np.stack([np.cos(angle), np.sin(angle), 0.2 * np.ones(COUNT)], axis=1)
     unit = field / np.linalg.norm(field, axis=1)[:, None]
     seen = noise[:, 0] if of_magnitudes else np.einsum("ni,ni->n", noise, unit)
-    assert is_noise(viewed(field, seen + rng.normal(0.0, NOISE_NT, COUNT))) is not of_magnitudes
+    assert is_noise(viewed(field, seen + rng.normal(0.0, 0.3 * NOISE_NT, COUNT))) is not of_magnitudes
 
 
 @pytest.mark.parametrize(
