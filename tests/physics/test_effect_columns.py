@@ -870,3 +870,27 @@ def test_a_drift_swings_by_what_a_warming_sensor_may_at_the_most() -> None:
     assert found["none", "relaxing"].blocks[0].most == pytest.approx(3000.0)
     given = forms("bias_drift", replace(scene(), given={}))
     assert {block.most for form in given.values() for block in form.blocks} == {math.inf}
+
+
+@pytest.mark.parametrize(
+    ("faces", "quantity", "sun", "as_well"),
+    [
+        (4, "current", False, ("sun_disturbance",)),
+        (4, "counts", False, ("sun_disturbance",)),
+        (2, "current", False, ()),
+        (4, "current", True, ()),
+    ],
+)
+def test_cells_of_three_faces_and_more_may_stand_for_the_suns_direction(
+    faces: int, quantity: str, sun: bool, as_well: tuple[str, ...]
+) -> None:
+    """A field that turns with the Sun follows them, too; where the Sun's direction is known, that one is told."""
+    angle = 0.2 * TIME_S[:, None] + 0.5 * np.pi * np.arange(faces)
+    cells = Telemetry("cells", quantity, 0.4 * np.maximum(np.cos(angle), 0.0))
+    load = Telemetry("load", "current", 0.5 + 0.1 * np.sin(TIME_S / 700.0)[:, None])
+    found = {"cells": cells, "load": load, **({"sun": scene().channels["sun"]} if sun else {})}
+    blind = replace(scene(), channels=found, body_from_eci=None, position_ecef_km=None)
+    by = [h for h in effect_named("current_loop").hypotheses(blind) if h.driver == "channel:cells"]
+    assert by
+    assert {h.as_well for h in by} == {as_well}
+    assert {h.as_well for h in forms("current_loop", blind).values() if h.driver == "channel:load"} == {()}

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magcal_service.model import Array
 from magcal_service.physics.acting import LIGHT, ActsOn, Direct, Term, Watched, direct
@@ -47,6 +48,12 @@ take; three panels at once give 1.7."""
 _MOST_TOGETHER: Final = 12
 """Circuits that are tried all at once: 36 amplitudes; more of them explain one another."""
 
+_FACES: Final = 3  # records of cells from which on they tell a direction
+_SHADE: Final = 0.05  # of its largest, what a cell gives in the shade at the most; a choice
+
+_OFTEN_IN_SHADE: Final = 0.2
+"""Share of the rows in which a face is in the shade at the least, and in the Sun; choice: in orbit half is usual."""
+
 _LIKE_CURRENTS: Final = ("counts", "dimensionless", "fraction", "power")
 """Kinds of channels that may go along with a current though they are none: raw readings, states, duties, loads."""
 
@@ -85,6 +92,7 @@ def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
             (block,),
             largest_nt=_largest(channel.values[:, circuits]),
             constants={f"column_{index}": float(column) for index, column in enumerate(circuits)},
+            as_well=("sun_disturbance",) if _may_be_the_sun(scene, channel.values[:, circuits]) else (),
         )
         for column in circuits if len(circuits) > 1 or scene.is_given else ():
             one = Block("nt_per_a", "nT/A", most=_MOST_PER_A_NT)
@@ -97,7 +105,27 @@ def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
                 f"circuit {column + 1}",
                 largest_nt=_largest(signal),
                 constants={"column_0": float(column)},
+                as_well=("sun_disturbance",) if _may_be_the_sun(scene, signal) else (),
             )
+
+
+def _may_be_the_sun(scene: Scene, values: Array) -> bool:
+    """Whether records (n, k) may stand for the Sun's direction: those of cells on three faces and more tell it, where
+    nothing else does, and one of them goes along with it."""
+    if not scene.in_orbit or scene.sun_body is not None or any(map(is_sun_vector, scene.channels.values())):
+        return False
+
+    def faces() -> int:
+        return sum(int(np.count_nonzero(_shaded(c.values))) for c in scene.of_quantity("current", *_LIKE_CURRENTS))
+
+    return bool(_shaded(values).all()) and scene.once("faces in the Sun", faces) >= _FACES
+
+
+def _shaded(values: Array) -> NDArray[np.bool_]:
+    """Which of records (n, k) are nothing for a good part of the time, and something at others."""
+    most = np.max(np.abs(values), axis=0)
+    in_shade = np.mean(np.abs(values) < _SHADE * most, axis=0)
+    return np.asarray((in_shade > _OFTEN_IN_SHADE) & (in_shade < 1.0 - _OFTEN_IN_SHADE))
 
 
 def _named(used: Sequence[int], own: Mapping[int, Sequence[int]], names: Sequence[str]) -> tuple[str, ...]:
@@ -126,7 +154,11 @@ def _alike(scene: Scene) -> Iterator[Hypothesis]:
                 (Block("nt_per_unit", "nT/unit"),),
                 f"column {column + 1}" if several else "",
                 constants={"column_0": float(column)},
-                as_well=("thermal_bias",) if _may_be_warmth(scene, channel.values[:, column]) else (),
+                as_well=("thermal_bias",)
+                if _may_be_warmth(scene, channel.values[:, column])
+                else ("sun_disturbance",)
+                if _may_be_the_sun(scene, channel.values[:, [column]])
+                else (),
             )
 
 
@@ -158,7 +190,11 @@ def _lagging(scene: Scene) -> Iterator[Hypothesis]:
             (number,),
             largest_nt=_largest(signal) if is_current else _MOST_NT,
             refines=f"current_loop by {driver}",
-            as_well=("thermal_bias",) if not is_current and _may_be_warmth(scene, signal[:, 0]) else (),
+            as_well=("thermal_bias",)
+            if not is_current and _may_be_warmth(scene, signal[:, 0])
+            else ("sun_disturbance",)
+            if _may_be_the_sun(scene, signal)
+            else (),
         )
 
 
@@ -188,8 +224,17 @@ def _together(scene: Scene) -> Iterator[Hypothesis]:
     labels = (_named(used, own, names), AXES)
     block = Block("nt_per_a", "nT/A", (len(used), 3), _MOST_PER_A_NT, labels=labels)
     constants = {f"column_{i}": float(column) for i, column in enumerate(used)}
-    largest_nt, act = _largest(signals[:, used]), _fixed(signals[:, used])
-    yield Hypothesis("current_loop", driver, act, (block,), TOGETHER, (), constants, largest_nt=largest_nt)
+    yield Hypothesis(
+        "current_loop",
+        driver,
+        _fixed(signals[:, used]),
+        (block,),
+        TOGETHER,
+        (),
+        constants,
+        largest_nt=_largest(signals[:, used]),
+        as_well=("sun_disturbance",) if _may_be_the_sun(scene, signals[:, used]) else (),
+    )
 
 
 def _inferred(scene: Scene) -> Iterator[Hypothesis]:
