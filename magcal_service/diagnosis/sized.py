@@ -8,6 +8,7 @@ import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.term_columns import amplitude_columns
+from magcal_service.physics.drivers.loads import jumps_along
 
 _OF_ITS_SIGMA: Final = 3.0
 """Times its own sigma that one number of what an effect says of itself has to be."""
@@ -36,11 +37,12 @@ def has_size(fit: Fit, index: int) -> bool:
 
 def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
     """Effects that a term may as well be, by its form: those that act exactly so, and those that are met by what
-    completes its form, where nothing else of it stands out."""
+    completes its form, where nothing else of it stands out, or where a recorded current jumps along."""
     hypothesis = fit.terms[index].hypothesis
-    if not hypothesis.if_completed or _stands_out(fit, index):
-        return hypothesis.exactly_alike
-    return tuple(dict.fromkeys((*hypothesis.exactly_alike, *hypothesis.if_completed)))
+    completed = hypothesis.if_completed and not _stands_out(fit, index)
+    along = hypothesis.if_along and jumps_along(fit.problem.scene, fit.terms[index].theta)
+    others = (*(hypothesis.if_completed if completed else ()), *(hypothesis.if_along if along else ()))
+    return tuple(dict.fromkeys((*hypothesis.exactly_alike, *others)))
 
 
 def _stands_out(fit: Fit, index: int) -> bool:

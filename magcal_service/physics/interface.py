@@ -153,6 +153,7 @@ class Hypothesis:
     needs_vectors: whether only whole vectors show it, beside a recorded attitude.
     inexact: of its evidence, what its form leaves for others to take, as where its course is guessed.
     if_completed: other effects that it may as well be where only blocks that complete its form stand out.
+    if_along: other effects that a jump may as well be where a record jumps along with it.
     samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
         none.
     moves_s: from its amplitudes (k,) to how far along the recording's course it moves the reference [s], one number or
@@ -181,6 +182,7 @@ class Hypothesis:
     needs_vectors: bool = False
     inexact: float = 0.0
     if_completed: tuple[str, ...] = ()
+    if_along: tuple[str, ...] = ()
     samples_in: Callable[[Array], int] | None = None
     moves_s: Callable[[Array], Array | float] | None = None
 

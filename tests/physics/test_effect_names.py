@@ -49,7 +49,8 @@ def references(tree: ast.AST) -> set[int]:
     return {
         id(part)
         for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg in ("confused_with", "as_well", "at_once", "if_completed")
+        if isinstance(node, ast.keyword)
+        and node.arg in ("confused_with", "as_well", "at_once", "if_completed", "if_along")
         for part in ast.walk(node.value)
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 from magcal_service.physics.acting import ActsOn, Watched
@@ -17,7 +18,8 @@ _MOST_NT: Final = 20_000.0
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
-    yield step(scene, "bias_step", along_axes, Block("step_nt", "nT", most=_MOST_NT))
+    jump = step(scene, "bias_step", along_axes, Block("step_nt", "nT", most=_MOST_NT))
+    yield replace(jump, if_along=("current_loop",))
     switched, steps = Block("switched_nt", "nT", most=_MOST_NT), Block("steps_nt", "nT", most=_MOST_NT)
     # what a load that nobody recorded by itself draws shows in a record of all loads among what the others do
     yield from several(scene, "bias_step", along_axes, switched, steps, as_well=("current_loop",))
