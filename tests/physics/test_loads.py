@@ -29,7 +29,7 @@ def recorded(*currents: Array) -> Scene:
 
 SLOW = 0.8 + 0.3 * np.sin(TIME_S / 900.0)
 LOAD = 0.5 * (TIME_S >= AT_S)
-OFTEN = 2.0 * (np.sin(TIME_S / 60.0) > 0.0)
+OFTEN = 2.0 * (np.sin(TIME_S / 60.0 + 1.8) > 0.0)  # in the middle of a pulse at the jump
 
 
 @pytest.mark.parametrize(
