@@ -14,7 +14,7 @@ from magcal_service.diagnosis.doubts import STANDS_OUT, added_noise_nt, concerne
 from magcal_service.diagnosis.empirical.modelled import Modelled, modelled
 from magcal_service.diagnosis.expansion import clean_vectors, where_moved
 from magcal_service.diagnosis.explain import Explained, Search
-from magcal_service.diagnosis.leftover import Structure, unexplained_share
+from magcal_service.diagnosis.leftover import Structure, significant, unexplained_share
 from magcal_service.diagnosis.misled import Misled
 from magcal_service.diagnosis.noise import sensor_noise_nt
 from magcal_service.diagnosis.prepare import FEWEST_ROWS, Form, Prepared
@@ -346,7 +346,7 @@ def _beside_disturbances(
     turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(spin.across_nt)
     body, _ = disturbances(fit.terms, fit.problem.scene)
     excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
-    left_nt2 = max((float(np.mean(one.signal**2)) for one in left[:1]), default=0.0)
+    left_nt2 = max((one.squares / len(fit.residual) for one in left[:1] if significant(one)), default=0.0)
     error = fit.problem.field_error
     model_nt2 = 0.0 if error is None else error.usual_nt**2
     disturbed_nt2 = max(float((body**2).sum(axis=1).mean()), 3.0 * max(excess_nt2, left_nt2), model_nt2)

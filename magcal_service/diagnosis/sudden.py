@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
-from magcal_service.diagnosis.squares import inside_nt2
 from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
 
 if TYPE_CHECKING:
     from magcal_service.diagnosis.problem import Fit
@@ -82,29 +82,34 @@ def slower(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: flo
     def likelihood() -> float:
         return float(np.mean(np.exp(np.minimum(slow, _MOST_NATS)) @ shares))
 
-    open_ = list(range(len(lengths)))
+    open_ = list(range(len(lengths))) if type(hypothesis) is Hypothesis else []  # several recordings': to first order
     while open_ and likelihood() > _LIKELY:
         likeliest = max(open_, key=lambda each: float(slow[each].max()))
         each, length_s = slow[likeliest], float(lengths[likeliest])
         if each.max() < math.log(_LIKELY):
             break
         open_.remove(likeliest)
-        each += min(_jointly(fit, index, float(at[np.argmax(each), 0]), length_s, sigma_nt) - each.max(), 0.0)
+        jointly = _jointly(search, fit, index, float(at[np.argmax(each), 0]), length_s)
+        each += min(jointly / sigma_nt**2 - each.max(), 0.0)
     return likelihood()
 
 
-def _jointly(fit: Fit, index: int, at_s: float, length_s: float, sigma_nt: float) -> float:
-    """By how much a change that takes so long holds more than a jump, all unknowns fitted anew [nats].
+def _jointly(search: Screen, fit: Fit, index: int, at_s: float, length_s: float) -> float:
+    """By how much a change that takes so long holds more than a jump, all unknowns fitted anew [nats nT^2].
 
     The change is sought from a place to first order, and from the term's own; the jump is the term, or one in the
     middle of the change.
     """
     jump, time_s = fit.terms[index], fit.problem.scene.time_s
 
-    def held(middle_s: float) -> float:
-        trial = exchanged(fit.problem, fit, index, _over_a_while(jump, time_s, middle_s, length_s))
-        return inside_nt2(fit) - inside_nt2(trial)
+    def squares(one: Fit) -> float:
+        white = search.white(one.residual) * (fit.noise_gain / one.noise_gain)
+        return 0.5 * float(white @ white) if one.converged else math.inf
 
+    def held(middle_s: float) -> float:
+        return before - squares(exchanged(fit.problem, fit, index, _over_a_while(jump, time_s, middle_s, length_s)))
+
+    before = squares(replace(fit, converged=True))
     tried = {place: held(place) for place in (at_s, float(jump.theta[0]))}
     step_s = 0.5 * length_s
     for _ in range(_NEARER):
@@ -113,7 +118,7 @@ def _jointly(fit: Fit, index: int, at_s: float, length_s: float, sigma_nt: float
         step_s *= 0.5
     most = max(tried.values())
     sudden = exchanged(fit.problem, fit, index, replace(jump, theta=np.array([max(tried, key=tried.__getitem__)])))
-    return (most - max(inside_nt2(fit) - inside_nt2(sudden), 0.0)) / (2.0 * sigma_nt**2)
+    return most - max(before - squares(sudden), 0.0)
 
 
 def _over_a_while(jump: Term, time_s: Array, middle_s: float, length_s: float) -> Term:

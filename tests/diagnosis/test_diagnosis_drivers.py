@@ -77,8 +77,13 @@ def test_a_record_that_is_held_may_lack_the_evidence_that_it_does_not_show() -> 
     lost = lost_by_hold(replace(of), Telemetry("held", "current", held[:, None]))
     assert lost == pytest.approx(float(np.mean((held - walk) ** 2) / np.var(held)), rel=0.35)
     assert lost_by_hold(replace(of), Telemetry("fresh", "current", walk[:, None])) == 0.0
-    switched = 1.0 * (np.random.default_rng(79).random(COUNT) < 0.03).cumsum() % 2
-    assert lost_by_hold(replace(of), Telemetry("load", "current", switched[:, None])) == 0.0
+    for switched in (
+        (np.random.default_rng(79).random(COUNT) < 0.03).cumsum() % 2,
+        np.arange(COUNT) // 20 % 2,  # on a beat: that is no readout
+    ):
+        assert lost_by_hold(replace(of), Telemetry("load", "current", 1.0 * switched[:, None])) == 0.0
+    steps = np.repeat(np.random.default_rng(80).normal(size=COUNT // 2), 2)[:COUNT]
+    assert lost_by_hold(replace(of), Telemetry("steps", "current", steps[:, None])) == 0.5  # of 1, at the most
 
 
 def every_second(name: str) -> Recording:

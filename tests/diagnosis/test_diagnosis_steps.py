@@ -170,16 +170,19 @@ def test_a_nutation_is_doubted_by_what_is_left_without_a_name() -> None:
     """
     spin: Any = SimpleNamespace(across_nt=np.full(3, 30_000.0))
     prepared: Any = SimpleNamespace(baseline=SimpleNamespace(rms_nt=1000.0), problem=SimpleNamespace(noise_nt=1000.0))
-    quiet: Any = SimpleNamespace(terms=(), problem=SimpleNamespace(scene=scene(), field_error=None))
-    left: Any = [SimpleNamespace(signal=np.full(COUNT, 100.0)), SimpleNamespace(signal=np.full(COUNT, 900.0))]
+    bare = SimpleNamespace(scene=scene(), field_error=None)
+    quiet: Any = SimpleNamespace(terms=(), problem=bare, residual=np.zeros(COUNT))
+    left: Any = [SimpleNamespace(nats=20.0, squares=COUNT * 100.0**2), SimpleNamespace(nats=9.0, squares=COUNT * 9e5)]
     size = math.sqrt(3.0) * 100.0 / 30_000.0
     assert _beside_disturbances(finding(angle_deg=math.degrees(0.99 * size)), prepared, quiet, left, spin) is None
     twice = _beside_disturbances(finding(angle_deg=math.degrees(2.0 * size)), prepared, quiet, left, spin)
     assert twice is not None
     assert twice.doubt == pytest.approx(1.0 / 16.0, rel=1e-3)
-    alone = _beside_disturbances(finding(angle_deg=math.degrees(2.0 * size)), prepared, quiet, [], spin)
-    assert alone is not None
-    assert alone.doubt == 0.0
+    noise: Any = [SimpleNamespace(nats=3.0, squares=COUNT * 900.0**2)]
+    for nothing in ([], noise):
+        alone = _beside_disturbances(finding(angle_deg=math.degrees(2.0 * size)), prepared, quiet, nothing, spin)
+        assert alone is not None
+        assert alone.doubt == 0.0
 
 
 @pytest.mark.parametrize(("angle_deg", "imitated"), [(0.04, True), (0.05, False)])

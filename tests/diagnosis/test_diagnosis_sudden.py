@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 
 import numpy as np
@@ -17,6 +18,7 @@ from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.sudden import _jointly, slower
 from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Hypothesis
 from tests.physics.scenes import NOISE_NT, X, scene, spoiled
 
 JUMP_NT = np.array([220.0, -140.0, 90.0])  # 3.4 sigma
@@ -97,7 +99,7 @@ def test_a_slow_change_that_comes_near_to_first_order_counts_as_it_does_by_a_joi
 @pytest.mark.parametrize("length_s", [600.0, 1200.0])
 def test_by_a_joint_solution_is_by_least_squares_of_all_unknowns(length_s: float) -> None:
     """The second way: scipy's least squares of the magnitudes, the middle of the change among the unknowns."""
-    fit = jump(700.0, 1.0)[1]
+    search, fit = jump(700.0, 1.0)
     of, sigma = fit.problem.scene, fit.white_rms_nt
 
     def left(x: Array, share: Array) -> Array:
@@ -114,4 +116,18 @@ def test_by_a_joint_solution_is_by_least_squares_of_all_unknowns(length_s: float
 
     trials = [np.append(start, place) for place in (-1.5, 0.0, 1.5)]
     over = min(optimize.least_squares(while_over, x, x_scale=np.append(scale, 1.0)).cost for x in trials)
-    assert _jointly(fit, 0, AT_S, length_s, sigma) == pytest.approx(sudden - over, abs=2.0)
+    assert _jointly(search, fit, 0, AT_S, length_s) / sigma**2 == pytest.approx(sudden - over, abs=2.0)
+
+
+def test_of_several_recordings_a_slow_change_is_held_against_a_jump_to_first_order() -> None:
+    """Their forms are made of each one's own, and have no columns that a course could be laid over."""
+
+    @dataclass(frozen=True, slots=True, eq=False)
+    class Several(Hypothesis):
+        pass
+
+    search, fit = jump(1500.0, 1.0)
+    form = fit.terms[0].hypothesis
+    several = Several(**{field.name: getattr(form, field.name) for field in fields(form)})
+    joint = replace(fit, terms=(replace(fit.terms[0], hypothesis=several),))
+    assert slower(search, joint, 0, search.workspace(fit, 0), fit.white_rms_nt) > 1e3

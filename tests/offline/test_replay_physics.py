@@ -122,7 +122,8 @@ def test_a_misspelt_channel_is_told_before_the_work_by_the_files_own_name(record
     config, given = recorded / "mine-config.toml", recorded / "RECORDING.toml"
     config.write_text(CONFIG.format(physics=recorded / "mine.toml"), encoding="utf-8")
     meant = "the recording has no channel temprature (did you mean 'temperature'? known: temperature)"
-    line = f"mine.toml: effect[0].driver: 'channel:temprature': {meant}; thermal_bias is not compensated"
+    then = "describe that channel, correct its name here, or take the effect out"
+    line = f"mine.toml: effect[0].driver: 'channel:temprature': {meant}; thermal_bias is not compensated: {then}"
     for command in (
         ("replay", given, "--config", config),
         ("calibrate", given, "--config", config),
@@ -140,7 +141,10 @@ def test_a_misspelt_channel_is_told_before_the_work_by_the_files_own_name(record
     assert line in run("run", "--check", "--config", config).out.splitlines()
     config.write_text(config.read_text(encoding="utf-8").replace("RECORDING.toml", "RECORDING.toml?telemetry=no"))
     said = run("run", "--check", "--config", config).out
-    assert "'channel:temprature': the recording has no channel temprature; thermal_bias is not compensated\n" in said
+    assert (
+        f"'channel:temprature': the recording has no channel temprature; thermal_bias is not compensated: {then}\n"
+        in said
+    )
 
 
 def test_a_channel_without_a_value_and_one_that_goes_stale_are_told_apart(recorded: Path) -> None:

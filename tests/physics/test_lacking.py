@@ -69,5 +69,6 @@ def test_a_name_that_is_misspelt_is_told_with_the_one_that_was_meant() -> None:
     (line,) = undriven_lines("mine.toml", parse_model(text.encode()), {"temperature": True})
     assert line == (
         "mine.toml: effect[0].driver: 'channel:temprature': the recording has no channel temprature (did you mean "
-        "'temperature'? known: temperature); thermal_bias is not compensated"
+        "'temperature'? known: temperature); thermal_bias is not compensated: describe that channel, correct its "
+        "name here, or take the effect out"
     )

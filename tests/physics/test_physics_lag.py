@@ -125,6 +125,15 @@ def test_samples_that_are_lost_one_by_one_leave_the_turn_known(step: float) -> N
     assert some.mean() == pytest.approx(whole.mean(), rel=0.01)
 
 
+def test_stamps_that_jitter_leave_the_turn_as_it_is() -> None:
+    """Rows fall on the places that they are nearest to from the first on, and not each by its own step."""
+    rng = np.random.default_rng(12)
+    time_s = PERIOD_S * np.arange(4.0 * COUNT)
+    jittered = time_s + 0.4 * PERIOD_S * rng.uniform(-1.0, 1.0, len(time_s))
+    even, found = (lost(scene_of(turned(0.1 * time_s / PERIOD_S), at)) for at in (time_s, jittered))
+    assert found.mean() == pytest.approx(even.mean(), rel=0.02)
+
+
 def test_noise_of_the_step_is_smoothed() -> None:
     rate = 0.06 + 0.05 * np.sin(TIME_S / 30.0)
     field = turned(np.cumsum(rate))

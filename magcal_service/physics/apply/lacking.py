@@ -106,7 +106,8 @@ def undriven_lines(name: str, model: PhysicsModel, channels: Mapping[str, bool])
     of += [(f"empirical[{at}]", NAME, curve.driver) for at, curve in enumerate(model.empirical)]
     lacking = [(where, effect, driver, lacking_channels([driver], channels)) for where, effect, driver in of]
     return [
-        f"{name}: {where}.driver: {driver!r}: {'; '.join(said)}; {effect} is not compensated"
+        f"{name}: {where}.driver: {driver!r}: {'; '.join(said)}; {effect} is not compensated: describe that channel, "
+        "correct its name here, or take the effect out"
         for where, effect, driver, said in lacking
         if said
     ]

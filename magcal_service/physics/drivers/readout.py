@@ -32,7 +32,8 @@ _AVERAGED: Final = "averaged"
 _BY_CHANCE: Final = 0.05
 """Share of rows that may be the one before by their last digit; of a record held for two rows every other is."""
 
-_FEWEST_READOUTS: Final = 30  # changes of value from which on how far apart they are is a rule; a choice
+_FEWEST_READOUTS: Final = 30  # changes of value, and values, from which on how far apart they are is a rule; a choice
+_MOST_LOST: Final = 0.5  # share of its evidence that a held record is given at the most; choice: half has to be seen
 
 RECORD_NEXT: Final = (
     "read {channel} out with every sample: its record is {late_s.size} older than its row, and a mean over "
@@ -97,19 +98,22 @@ def lost_by_hold(scene: Scene, channel: Telemetry) -> float:
     """Share of a record's variance, in its column that loses most, by which it is not what flows at its rows, where its
     values are held from one readout to the next: half of the mean square of the steps, as of a course without a memory.
 
-    It is held where values change after two rows or more, or multiples of that; a load that is constant changes at any.
+    It is held where values, of which there are many, change after two rows or more, or multiples of that; a load is
+    constant for any time, and one on a beat goes between two levels.
     """
 
     def found() -> float:
         whole = np.mean((channel.values - channel.values.mean(axis=0)) ** 2, axis=0)
         step = np.diff(channel.values, axis=0)
         changes = np.flatnonzero(np.any(step != 0.0, axis=1))
-        runs = np.diff(changes)
-        held = float(np.percentile(runs, 5.0)) if len(runs) >= _FEWEST_READOUTS else 1.0
-        off = np.abs(runs / held - np.rint(runs / held))
-        if held < 2.0 or float(np.mean(off * held > 1.0)) > _BY_CHANCE:
+        if len(changes) < _FEWEST_READOUTS or len(np.unique(channel.values, axis=0)) < _FEWEST_READOUTS:
             return 0.0
-        return float(np.max(0.5 * np.mean(step[changes] ** 2, axis=0) / np.maximum(whole, 1e-300)).clip(0.0, 1.0))
+        held = float(np.percentile(np.diff(changes), 5.0))
+        readouts = (changes - changes[0]) / held
+        if held < 2.0 or float(np.mean(np.abs(readouts - np.rint(readouts)) > 0.25)) > _BY_CHANCE:
+            return 0.0
+        squares = np.sum(step[changes] ** 2, axis=0) / max(float(readouts[-1]), 1.0)
+        return float(np.max(0.5 * squares / np.maximum(whole, 1e-300)).clip(0.0, _MOST_LOST))
 
     return scene.once(f"lost by hold {channel.name}", found)
 

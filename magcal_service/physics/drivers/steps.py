@@ -46,7 +46,7 @@ def steps2(scene: Scene, period_s: float) -> Array | None:
     if len(scene) < _FEWEST or len(begins) * _FEWEST > len(scene):
         single = _steps(scene.calibrated_nt, np.flatnonzero(after_s >= _NEXT * period_s))
         return single if scene.is_given else None
-    placed = np.maximum(np.rint(after_s / period_s), 1.0)
+    placed = np.rint(scene.time_s / period_s)
     parts = [_Stretch.of(*part) for part in _split(begins, scene.calibrated_nt, placed)]
     half = either_side(scene, np.sqrt(np.concatenate([part.steps2[part.place] for part in parts])))
     found: Array = np.concatenate([part.smoothed(half) for part in parts])
@@ -69,8 +69,9 @@ class _Stretch:
 
     @classmethod
     def of(cls, there: Array, placed: Array) -> _Stretch:
-        """Of the vectors (n, 3) that are there, and by how many periods (n,) each comes after the one before."""
-        place = np.concatenate([[0], np.cumsum(placed[1:])]).astype(np.intp)
+        """Of the vectors (n, 3) that are there, and the sample periods (n,) that they are nearest to."""
+        rows = np.arange(len(placed))
+        place = (np.maximum.accumulate(placed - placed[0] - rows) + rows).astype(np.intp)  # no two at one place
         steps2 = _steps(there, np.zeros(1, dtype=np.intp))
         if len(there) == place[-1] + 1:
             return cls(there, place, steps2)

@@ -65,7 +65,7 @@ def refuse_absurd(
         return
     off = 1.0 if expected_nt is None else _OFF
     near = [str(unit) for unit in FieldUnit if low / off <= number * FIELD_NT[unit] <= high * off]
-    usual = "20 to 70 uT are usual near the Earth" if expected_nt is None else f"{_shown(expected_nt)} are expected"
+    usual = "18 to 75 uT are usual near the Earth" if expected_nt is None else f"{_shown(expected_nt)} are expected"
     likely = f"; by the numbers {' or '.join(near)} is likelier" if near else ""
     accepted = (
         f"{what} would be {_shown(amount_nt)}, where {usual}{likely}; of counts give the size of one, as '0.1 uT'"

@@ -187,7 +187,7 @@ def _said_unit(size: Size, said: str, shown: str, possible: tuple[str, ...]) -> 
     amount = size.best * FIELD_NT[FieldUnit(said)] / 1e3
     if said in possible:
         return UnitFound(said, True, f"the names say {said}, and {shown} is {amount:.3g} uT", possible)
-    why = f"the names say {said}, but {shown} would be {amount:.3g} uT, where 20 to 70 uT are usual near the Earth"
+    why = f"the names say {said}, but {shown} would be {amount:.3g} uT, where 18 to 75 uT are usual near the Earth"
     return UnitFound("", False, why, possible)
 
 

@@ -80,7 +80,7 @@ def test_an_answered_unit_that_the_numbers_contradict_is_taken_with_a_warning(tm
 
 ABSURD = {
     "far too strong": (1.0, "mT", {"reference": "48500 nT"}, "49.2 T, where 48.5 uT are expected", "nT"),
-    "beyond any sensor": (1e-3, "mT", {}, "49.2 mT, where 20 to 70 uT are usual near the Earth", "uT"),
+    "beyond any sensor": (1e-3, "mT", {}, "49.2 mT, where 18 to 75 uT are usual near the Earth", "uT"),
     "far too weak": (1e-3, "nT", {"reference": "48500 nT"}, "49.2 nT, where 48.5 uT are expected", "uT"),
     "by its size": (1.0, "1000 uT", {"reference": "48500 nT"}, "49.2 T, where 48.5 uT are expected", "nT"),
 }
