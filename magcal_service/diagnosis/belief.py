@@ -50,7 +50,7 @@ _OF_A_COURSE: Final = 0.005
 """Of a name's evidence, what a course that is inferred loses by not being the true one: up to a tenth of it squared,
 half of that as a rule.  A rival behind by some times as much may be the cause: of six within 3 % one was."""
 
-_OF_A_RECORD: Final = 0.01
+OF_A_RECORD: Final = 0.01
 """Of a name's evidence that follows no record, what a recorded driver loses by its own noise and lag; choice: a tenth
 of a course, squared.  A relaxing drift was 3 % before a thermometer that had recorded what caused it."""
 
@@ -79,7 +79,7 @@ is none."""
 
 _SLOW: Final = "a drift over minutes by a cause in no catalogue"
 
-_MOST_NATS: Final = 700.0
+MOST_NATS: Final = 700.0
 """Largest exponent that a double takes."""
 
 
@@ -114,7 +114,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     ranked, own = explained.rivals[index], explained.own_nats(index)
     ahead = [(c.nats - own) / _inexact_by(explained, index, c.hypothesis) for c in ranked]
     weights = {
-        c.hypothesis.effect: math.exp(float(np.clip(one, -_MOST_NATS, _MOST_NATS)))
+        c.hypothesis.effect: math.exp(float(np.clip(one, -MOST_NATS, MOST_NATS)))
         for c, one in zip(ranked, ahead, strict=True)
     }
     weights[name] = 1.0
@@ -172,7 +172,7 @@ def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
         return 1.0 + _OF_A_RAMP * max(explained.own_nats(index), 0.0)
     if rival.driver == mine.driver:
         return 1.0
-    by_record = _OF_A_RECORD if _is_name_of_record(rival) and not is_recorded(mine) else 0.0
+    by_record = OF_A_RECORD if _is_name_of_record(rival) and not is_recorded(mine) else 0.0
     by_course = _OF_A_COURSE if mine.is_inferred else 0.0
     return 1.0 + max(by_record, by_course) * max(explained.own_nats(index), 0.0)
 

@@ -7,32 +7,35 @@ from typing import Final
 
 import numpy as np
 
+from magcal_service.diagnosis.belief import MOST_NATS, OF_A_RECORD
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
+from magcal_service.diagnosis.rivals import is_recorded
+from magcal_service.diagnosis.screen import Candidate
 from magcal_service.model import Array
 from magcal_service.physics.drivers.readout import lost_by_hold
 from magcal_service.physics.scene.scene import Scene
 
-_OF_A_RECORD: Final = 0.01
-"""Of a term's evidence, what the true driver's record loses by its own noise and lag; choice: a tenth, squared."""
-
 _ALONG: Final = 0.9
 """Correlation from which on two records rise and fall together, so that numbers by the one are those by the other."""
-
-_MOST_NATS: Final = 700.0
-"""Largest exponent that a double takes."""
 
 
 def drivers_of(explained: Explained, index: int) -> tuple[tuple[str, float], ...]:
     """Drivers of a term that this recording cannot tell apart, with their probabilities, most probable first.
 
-    Of each driver of the term's own effect its best form; those within ``CLASS_NATS`` of the best.  A record that is
-    held from one readout to the next loses evidence by what it does not show in between, and each by its own noise and
-    lag: it may be the cause, and another that goes along with it fits better.
+    Of each driver of the term's own effect its best form; those within ``CLASS_NATS`` of the best.  Of records, one
+    that is held from one readout to the next loses evidence by what it does not show in between, and each by its own
+    noise and lag: it may be the cause, and another that goes along with it fits better.
     """
     ranked, scene = explained.drivers[index], explained.fit.problem.scene
-    own = max(ranked[0].nats, 0.0)
-    short = [max(own - c.nats - _lost(scene, c.hypothesis.driver) * own, 0.0) for c in ranked]
-    weights = [math.exp(-min(one / (1.0 + _OF_A_RECORD * own), _MOST_NATS)) for one in short]
+    own, first = max(ranked[0].nats, 0.0), ranked[0].hypothesis
+
+    def short(other: Candidate) -> float:
+        """Nats that it lacks; of two records, beyond what either may be short of by itself."""
+        if not is_recorded(first) or not is_recorded(other.hypothesis):
+            return own - other.nats
+        return (own - other.nats - _lost(scene, other.hypothesis.driver) * own) / (1.0 + OF_A_RECORD * own)
+
+    weights = [math.exp(-float(np.clip(short(one), 0.0, MOST_NATS))) for one in ranked]
     total = sum(weights)
     alike = [(c.hypothesis.driver, w / total) for c, w in zip(ranked, weights, strict=True)]
     likely = [(driver, p) for driver, p in alike if p * total > math.exp(-CLASS_NATS)]

@@ -253,7 +253,7 @@ def test_a_dictionary_as_default_is_each_instances_own() -> None:
         (b"a" + b".a" * 501 + b" = 1", "nested too deeply"),
         (b"a = " + b"[" * 33 + b"]" * 33, "nested too deeply"),
         (b"a = " + b"9" * 400, "an integer of hundreds of digits"),
-        (b"a = \xff", "utf-8"),
+        (b"a = \xff", "no text in UTF-8"),
         (b"a = ", "Invalid value"),
     ],
 )

@@ -101,6 +101,8 @@ class Compensation(Stateful, CompensationMemory):
     missing: effects that the newest sample or reference was not corrected for.
     """
 
+    worked_out = ("_causes",)  # of the newest sample, and again with the next
+
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
         self._terms = live_terms(model)
