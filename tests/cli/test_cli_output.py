@@ -76,5 +76,5 @@ def test_an_output_that_is_closed_is_none(recording: Path, tmp_path: Path) -> No
 
 
 def test_what_has_no_end_ends_when_nobody_reads_on(recording: Path) -> None:
-    code, err = unread("watch", recording, "--speed", "1")
+    code, err = unread("watch", recording, "--speed", "100")
     assert (code, err) == (0, "")
