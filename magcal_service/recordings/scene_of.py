@@ -118,12 +118,18 @@ def telemetry(channel: Channel) -> Telemetry:
 
 
 def _reference_eci(recording: Recording, ecef: FloatArray | None) -> Array | None:
+    """The reference in axes that do not turn (n, 3) [nT].
+
+    Without a date their x axis is where the vernal equinox would be if the log's time were counted from 1970: how the
+    Earth turns below the craft is known, where it began is not, and no effect of the turn asks.  A recorded inertial
+    attitude does, so beside one there is none.
+    """
     reference = recording.reference
     if reference.vector_nt is None or not np.isfinite(reference.vector_nt).all():
         return _model_direction(recording, ecef)
     if reference.frame is Frame.ECI:
         return reference.vector_nt
-    if recording.clock is not Clock.UTC:
+    if recording.clock is not Clock.UTC and _is_attitude_inertial(recording):
         return None
     if reference.frame is Frame.ECEF:
         return geomagnetic.eci_from_ecef(recording.time_ns, reference.vector_nt)
@@ -132,6 +138,11 @@ def _reference_eci(recording: Recording, ecef: FloatArray | None) -> Array | Non
     latitude, longitude, _ = geomagnetic.geodetic_from_ecef(ecef)
     fixed = geomagnetic.ecef_from_ned(latitude, longitude, reference.vector_nt)
     return geomagnetic.eci_from_ecef(recording.time_ns, fixed)
+
+
+def _is_attitude_inertial(recording: Recording) -> bool:
+    attitude = recorded_attitude(recording)
+    return attitude is not None and attitude[0] is Axes.ECI
 
 
 def _model_direction(recording: Recording, ecef: FloatArray | None) -> Array | None:

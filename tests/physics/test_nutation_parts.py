@@ -11,7 +11,7 @@ import pytest
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.effects.nutation import _near, _peak, _spectrum
+from magcal_service.physics.effects.nutation import _distance, _peak, _spectrum
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.view import View
@@ -29,8 +29,12 @@ def flown(
     count: int = COUNT,
     reference: bool = True,
     grown: float = 0.0,
+    nearer: tuple[float, float] = (0.0, 0.0),
+    still: tuple[float, float] = (0.0, 0.0),
 ) -> Finding | None:
     """What is found where the axis moves by a line of so much of the field across it, and more in the second half.
+
+    ``nearer`` and ``still`` are two further lines, size and frequency [Hz].
 
     The spin is about z; the field across it turns in space to and fro meanwhile, as on an orbit.
     """
@@ -39,6 +43,8 @@ def flown(
     field = np.stack([ACROSS_NT * np.cos(turn), ACROSS_NT * np.sin(turn), np.full(count, 15e3)], axis=1)
     course = np.where(np.arange(count) < count // 2, size, size + grown)
     moved = ACROSS_NT * course * np.cos(turn + 2.0 * math.pi * line_hz * time_s)
+    for further, further_hz in (nearer, still):
+        moved += ACROSS_NT * further * np.cos(turn + 2.0 * math.pi * further_hz * time_s)
     misfit = moved + np.random.default_rng(7).normal(0.0, noise_nt, count)
     eci = np.tile([0.0, 0.0, 15e3], (count, 1)) + np.outer(np.sin(time_s / 900.0), [9e3, 4e3, 0.0])
     scene = Scene(time_s, 0, False, field, field, field, np.linalg.norm(field, axis=1), eci if reference else None)
@@ -97,9 +103,24 @@ def test_a_motion_counts_from_a_tenth_of_the_noise_on(of_noise: float, found: bo
 
 def test_a_line_beside_those_of_what_is_fixed_is_no_nutation() -> None:
     """Beside zero its image is beside twice the spin; beside the spin the image at three times the spin is told."""
-    assert flown(0.001, 0.0015) is None
-    beside = numbers(flown(0.002, SPIN_HZ - 0.0015))
-    assert beside["frequency_hz"][0] == pytest.approx(3.0 * SPIN_HZ - 0.0015, abs=5e-4)
+    assert flown(0.001, 0.001) is None
+    beside = numbers(flown(0.002, SPIN_HZ - 0.001))
+    assert beside["frequency_hz"][0] == pytest.approx(3.0 * SPIN_HZ - 0.001, abs=5e-4)
+
+
+def test_a_line_near_those_of_what_is_fixed_counts_where_nothing_nearer_is_higher() -> None:
+    """Of a cone at 1.6 mHz what stands beyond 2 mHz was taken for a nutation of half the angle."""
+    told = numbers(flown(0.05, 0.0016))
+    assert told["frequency_hz"][0] == pytest.approx(0.0016, abs=1e-5)
+    assert told["angle_deg"][0] == pytest.approx(math.degrees(0.5 * math.asin(0.1)), rel=0.02)
+    assert flown(0.05, 0.0016, nearer=(0.06, 0.0009)) is None
+
+
+@pytest.mark.parametrize(("size", "found"), [(0.003, True), (0.002, False)])
+def test_a_side_line_is_lower_than_two_thirds_of_its_own(size: float, found: bool) -> None:
+    """Beside one of 0.4 per cent that something nearer to the still lines keeps from being a nutation."""
+    told = flown(size, 0.0021, count=6000, nearer=(0.004, 0.0015), still=(0.01, 0.0005))
+    assert (told is not None) is found
 
 
 @pytest.mark.parametrize("line_hz", [0.003, SPIN_HZ - 0.003])
@@ -137,11 +158,11 @@ def test_a_peak_between_the_lines_has_its_frequency_and_height(offset: float) ->
     assert height == pytest.approx(5.0 * COUNT, rel=1e-4)
 
 
-def test_a_line_is_near_its_own_frequency_of_either_sign_and_where_it_is_folded_to() -> None:
+def test_distance_is_from_a_line_of_either_sign_and_from_where_it_is_folded_to() -> None:
     frequency = np.array([0.10, 0.13, -0.11, -0.24, 0.20, 0.0])
-    assert _near(frequency, 0.11, 0.015, 2.0).tolist() == [True, False, True, False, False, False]
-    assert _near(frequency, 0.30, 0.015, 2.0).tolist() == [False, False, False, False, True, False]
-    assert _near(frequency, 0.0, 0.015, 2.0).tolist() == [False] * 5 + [True]
+    assert _distance(frequency, 0.11, 2.0) == pytest.approx([0.01, 0.02, 0.0, 0.13, 0.09, 0.11])
+    assert _distance(frequency, 0.30, 2.0) == pytest.approx([0.10, 0.07, 0.09, 0.04, 0.0, 0.20])
+    assert _distance(frequency, 0.0, 2.0) == pytest.approx([0.10, 0.13, 0.11, 0.24, 0.20, 0.0])
 
 
 def test_the_flank_of_another_line_has_no_peak() -> None:

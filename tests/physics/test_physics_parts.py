@@ -10,7 +10,7 @@ import pytest
 from magcal_service.model import Array
 from magcal_service.physics.drivers import far
 from magcal_service.physics.effects.coloured_noise import Whitener, autoregression, covariance, long_memory
-from magcal_service.physics.effects.nutation import _near, _peak, _spectrum
+from magcal_service.physics.effects.nutation import _distance, _peak, _spectrum
 from magcal_service.physics.effects.quantisation import step_of
 from magcal_service.physics.effects.spin_rate import _fitted, _tolerance
 from magcal_service.physics.scene import steady_spin
@@ -158,8 +158,8 @@ def test_a_transform_has_its_line_where_the_signal_turns_back() -> None:
 
 def test_frequencies_near_a_line_of_either_sign_or_its_fold_are_known() -> None:
     frequency = np.array([0.1, -0.1, 0.112, 0.15, 0.4, -0.4])
-    assert _near(frequency, 0.1, 0.011, 1.0).tolist() == [True, True, False, False, False, False]
-    assert _near(frequency, 0.6, 0.011, 1.0).tolist() == [False, False, False, False, True, True]
+    assert (_distance(frequency, 0.1, 1.0) < 0.011).tolist() == [True, True, False, False, False, False]
+    assert (_distance(frequency, 0.6, 1.0) < 0.011).tolist() == [False, False, False, False, True, True]
 
 
 # Noise with a memory

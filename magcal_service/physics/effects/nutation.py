@@ -32,7 +32,16 @@ _STEEPEST: Final = 0.999
 """Largest sine of twice the angle: beyond 44 degrees both sides of 45 coincide, and the derivative has a pole."""
 
 _SLOWEST_HZ: Final = 2e-3
-"""Distance from the spin's lines within which nothing is nutation [Hz]: eleven times the orbit's frequency."""
+"""Distance from the spin's lines within which what falls off from them is no nutation [Hz]: eleven times the orbit's
+frequency, to which the edges of eclipses reach."""
+
+_ORBITS_HZ: Final = 7e-4
+"""Distance from the spin's lines within which nothing is nutation [Hz]: four times the orbit's frequency, which a field
+that goes round twice an orbit has in a product of two."""
+
+_LARGER: Final = 1.5
+"""Times a line's height, what stands within four times the orbit's frequency beside it makes it a side line of that;
+choice: above the height that a line loses between two places of the transform."""
 
 
 def _find(view: View) -> Finding | None:
@@ -50,15 +59,11 @@ def _find(view: View) -> Finding | None:
     frequency, line = _spectrum(scene.time_s, product, scene.period_s)
     turn_hz = spin.rate_rad_s / (2.0 * math.pi)
     span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
-    side_hz = max(_SLOWEST_HZ, span_hz)  # what is fixed in the body or in space has its lines there
-    allowed = np.ones(len(frequency), dtype=bool)
-    for still_hz in (0.0, turn_hz, 2.0 * turn_hz):
-        allowed &= ~_near(frequency, still_hz, side_hz, scene.period_s)
-    if not allowed.any():
+    allowed, best = _line_apart(frequency, np.abs(line), turn_hz, span_hz, scene.period_s)
+    if best is None:
         return None
     power_of, elapsed = np.abs(turning) ** 2, scene.time_s - scene.time_s[0]
     power = float(power_of.sum())
-    best = int(np.argmax(np.where(allowed, np.abs(line), 0.0)))
     peak = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
     if peak is None:
         return None
@@ -92,6 +97,28 @@ def _find(view: View) -> Finding | None:
     return Finding(parameters, nats, min(1.0, explained / excess))
 
 
+def _line_apart(
+    frequency: Array, height: Array, turn_hz: float, span_hz: float, period_s: float
+) -> tuple[NDArray[np.bool_], int | None]:
+    """Where nutation may stand (k,), and the place of its line; None where none stands apart from the still lines.
+
+    What is fixed in the body or in space has its lines at a difference of none, one or two turns.  Near them what grows
+    towards them belongs to them; a line that is higher than all between it and them is one of its own.
+    """
+    still = (0.0, turn_hz, 2.0 * turn_hz)
+    distance = np.min([_distance(frequency, still_hz, period_s) for still_hz in still], axis=0)
+    allowed, near = distance >= max(_SLOWEST_HZ, span_hz), distance >= max(_ORBITS_HZ, span_hz)
+    if not near.any():
+        return allowed, None
+    best = int(np.argmax(np.where(near, height, 0.0)))
+    if not allowed[best] and height[best] <= float(np.max(height[distance < distance[best]])):
+        if not allowed.any():
+            return allowed, None
+        best = int(np.argmax(np.where(allowed, height, 0.0)))
+    beside = np.abs(frequency - frequency[best]) < _ORBITS_HZ
+    return allowed, None if float(height[beside].max()) > _LARGER * float(height[best]) else best
+
+
 def _spectrum(time_s: Array, signal: Complex, period_s: float) -> tuple[Array, Complex]:
     """Two-sided frequencies [Hz] and sum of signal exp(+i 2 pi f t) of samples put on an even grid."""
     slot = np.rint((time_s - time_s[0]) / period_s).astype(np.intp)
@@ -120,11 +147,11 @@ def _peak(time_s: Array, signal: Complex, near_hz: float, width_hz: float) -> tu
     return found_hz, top - 0.25 * (low - high) * share
 
 
-def _near(frequency: Array, line_hz: float, width_hz: float, period_s: float) -> NDArray[np.bool_]:
-    """Whether frequencies lie at a line, of either sign, or where it is folded to."""
+def _distance(frequency: Array, line_hz: float, period_s: float) -> Array:
+    """How far frequencies (k,) are from a line, of either sign, or from where it is folded to [Hz]."""
     rate = 1.0 / period_s
     distance = [np.abs((frequency - sign * line_hz + rate / 2.0) % rate - rate / 2.0) for sign in (1.0, -1.0)]
-    return np.asarray(np.minimum(*distance) < width_hz, dtype=np.bool_)
+    return np.asarray(np.minimum(*distance))
 
 
 EFFECT = Effect(
