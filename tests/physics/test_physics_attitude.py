@@ -54,6 +54,42 @@ def test_axis_and_rate_are_those_of_the_motion() -> None:
     assert found.rate_rpm == pytest.approx(RATE_RAD_S / RPM, rel=1e-6)
 
 
+@pytest.mark.parametrize(("off_deg", "tilt_nt"), [(60.0, 50.0), (45.0, 300.0), (85.0, 50.0)])
+def test_the_axis_is_found_while_the_field_stays_near_a_plane(off_deg: float, tilt_nt: float) -> None:
+    """Over a short arc of an orbit the field leaves a plane by little: the plane's normal was mixed into the axis, and
+    a craft that turns evenly changed its rate by five sigmas."""
+    time_s = np.arange(0.0, 900.0, 0.5)
+    plane = triad(AXIS_ECI)
+    normal = math.cos(math.radians(off_deg)) * plane[2] + math.sin(math.radians(off_deg)) * plane[0]
+    one, other = triad(normal)[:2]
+    course = 1.6 * time_s / time_s[-1] - 0.4
+    field = 4e4 * (np.outer(np.cos(course), one) + np.outer(np.sin(course), other))
+    field += tilt_nt * np.outer(np.sin(3.0 * course), normal)
+    turned_rad = 1.06 * time_s + 0.2
+    body = np.einsum("nij,nj->ni", turning(AXIS_BODY, AXIS_ECI, turned_rad), field)
+    body += np.random.default_rng(81).normal(0.0, 100.0, body.shape)
+    body *= (np.linalg.norm(field, axis=1) / np.linalg.norm(body, axis=1))[:, None]
+    flown = replace(
+        scene(),
+        time_s=time_s,
+        field_nt=body,
+        calibrated_nt=body,
+        clean_field_nt=body,
+        magnitude_nt=np.linalg.norm(field, axis=1),
+        reference_eci_nt=field,
+        position_ecef_km=None,
+        channels={},
+        body_from_eci=None,
+    )
+    found = spin(flown, rate=1.06)
+    assert angle_deg(found.axis_body, AXIS_BODY) < 0.3
+    assert angle_deg(found.axis_eci, AXIS_ECI) < 0.3
+    assert found.rate_rad_s == pytest.approx(1.06, abs=2e-5)
+    finding = effect_named("spin_rate").find
+    assert finding is not None
+    assert finding(replace(view(flown), spin=found, nominal_rate_rad_s=1.06)) is None
+
+
 def test_attitude_is_that_of_the_motion() -> None:
     """Body from ECI is right to a tenth of a degree at every sample, and a rotation."""
     found = spin(turned(PHASE)).body_from_eci

@@ -1,14 +1,15 @@
 """Attitude of a craft that turns about one axis, from calibrated and reference vectors of a whole recording.
 
-With a_b the axis in the body and a_i in inertial space, w . a_b = H . a_i at every instant, whatever the phase: the six
-numbers are the singular vector of [w, -H] with the smallest singular value.  The phase at each sample follows from the
-parts across the axes, one complex number each.  Nothing is assumed of the rate: it may change.
+With a_b the axis in the body and a_i in inertial space, w . a_b = H . a_i at every instant, whatever the phase: of all
+pairs of unit vectors they come nearest to that.  The phase at each sample follows from the parts across the axes, one
+complex number each.  Nothing is assumed of the rate: it may change.
 
 Source: the axis condition is that of Shuster & Oh 1981 for one common direction; phase as in spin-plane demodulation.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,10 +24,16 @@ LARGEST_MISFIT: Final = 0.3
 ORBITAL_RATE_RAD_S: Final = 1.1e-3
 """Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
 
+_CLEAR_MISFIT: Final = 0.03
+"""Of |H|, what an axis misses by that is one whatever else comes near: gains as launched are off by as much."""
+
 _KNOT_TURNS: Final = 12.0
 """Turns between knots of the smoothed phase; choice: more stiffen a changing rate, fewer let noise in."""
 
 _LEAST_ACROSS: Final = 0.1  # of |H|
+
+_HALVINGS: Final = 60
+"""Of the range of a multiplier, to where a double has no more digits."""
 
 _SURE_ACROSS: Final = 0.2
 """Part of the field across the axis, of its mean size, at which a sample moves the tracked turn half as much as usual:
@@ -160,15 +167,40 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
 
 
 def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
-    """Axis in the body and in inertial space (3,) each; None where the two are not both unit vectors."""
+    """Axis in the body and in inertial space (3,) each; None where no two unit vectors come near the condition.
+
+    They make |w . a_b - H . a_i| least among pairs of one length.  While the field stays near a plane, as over a short
+    arc, H . a_i is small for another direction as well, and the singular vector alone is a mixture of the two.
+    """
     rows = np.hstack([w, -reference])
     normal = rows.T @ rows
     _, vectors = np.linalg.eigh(normal)
-    body, inertial = vectors[:3, 0], vectors[3:, 0]
-    sizes = np.linalg.norm(body), np.linalg.norm(inertial)
-    if min(sizes) < 0.5 * max(sizes):
+    sizes = np.linalg.norm(vectors[:3, 0]), np.linalg.norm(vectors[3:, 0])
+    pair = _of_one_length(normal)
+    misfit = math.sqrt(4.0 * max(float(pair @ normal @ pair), 0.0) / float(np.trace(normal)))  # of |H|
+    if misfit > _CLEAR_MISFIT and min(sizes) < 0.5 * max(sizes):
         return None
-    return body / sizes[0], inertial / sizes[1]
+    body, inertial = pair[:3], pair[3:]
+    return body / np.linalg.norm(body), inertial / np.linalg.norm(inertial)
+
+
+def _of_one_length(normal: Array) -> Array:
+    """(6,) that makes x' N x least among vectors of length one whose halves are of one length.
+
+    That is where the smallest eigenvalue of N - m J is largest, J being 1 on the first half and -1 on the second; it is
+    concave in m, so the difference of the halves' lengths, its slope, changes sign once.
+    """
+    signs = np.repeat([1.0, -1.0], 3)
+    low, high = -float(np.trace(normal)), float(np.trace(normal))
+    vector = np.linalg.eigh(normal)[1][:, 0]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        vector = np.linalg.eigh(normal - middle * np.diag(signs))[1][:, 0]
+        if float(signs @ vector**2) > 0.0:  # the first half is longer: it has to cost more
+            high = middle
+        else:
+            low = middle
+    return np.asarray(vector)
 
 
 def turns_of(w: Array, reference: Array, axis_body: Array, axis_eci: Array) -> tuple[Array, Array]:
