@@ -19,6 +19,9 @@ _OF_ONE_RECORDING: Final = ("middle_s", "span_s")
 _LARGEST: Final = ("full_sun", "full_scale_nt", "largest_am2", "scale_nt")
 """Constants that scale a signal to its largest value."""
 
+_BY_THE_DATA: Final = ("as_well", "imitated_by", "if_completed", "if_along")
+"""Fields of a hypothesis that say what else a recording may be showing."""
+
 _NUMBERED: Final = ("face", "column")
 """Constants that list what is used: in several recordings, what is used in any."""
 
@@ -81,8 +84,13 @@ class Forms:
             warmed = self._warmed.setdefault((name, key), Warmed(MOST_WARMED))
             given = replace(part, scene=under(part.scene, started(part.scene, dict(key)), warmed))
             forms = {form.label: form for form in hypotheses_of([effect], given)}
-            found |= {label: forms[label] for label in labels if label in forms}
+            found |= {label: _as_on(plain.get(label), forms[label]) for label in labels if label in forms}
         return found
+
+
+def _as_on(plain: Hypothesis | None, given: Hypothesis) -> Hypothesis:
+    """A form under given constants, with what may be taken for it by the data, which a given model is not asked."""
+    return given if plain is None else replace(given, **{name: getattr(plain, name) for name in _BY_THE_DATA})
 
 
 def _forms(

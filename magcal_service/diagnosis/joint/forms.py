@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,19 @@ OF_CHANGES: Final = frozenset({"instant", "edge"})
 common one."""
 
 _OF_TIME: Final = OF_CHANGES | {"loose"}
+
+OF_THE_FORM: Final = (
+    "effect",
+    "driver",
+    "constants",
+    "is_free",
+    "by_samples",
+    "is_whole",
+    "in_place",
+    "at_once",
+    "needs_vectors",
+)
+"""What a hypothesis has by its form, alike in all recordings; all else is put together of the recordings' own."""
 
 EACH_ITS_OWN: Final = "each its own"
 """Added to the variant of a form whose amplitudes differ from recording to recording."""
@@ -85,6 +99,7 @@ class JointHypothesis(Hypothesis):
     solo: the recording that it is a form of, where it is one of a single recording; else empty.
     names: of the recordings.
     counts, offsets: samples of each recording, and what is added to its time on the common clock [s].
+    timed: indices of the nonlinear numbers that are times, whatever their role has become.
     """
 
     base: str
@@ -95,6 +110,7 @@ class JointHypothesis(Hypothesis):
     names: tuple[str, ...]
     counts: tuple[int, ...]
     offsets: tuple[float, ...]
+    timed: tuple[int, ...]
 
     @property
     def common(self) -> tuple[Block, ...]:
@@ -108,15 +124,19 @@ class JointHypothesis(Hypothesis):
     def theta_of(self, number: int, theta: Array) -> Array:
         """The nonlinear numbers (m,) on the clock of one recording."""
         found = np.array(theta)
-        for index, nonlinear in enumerate(self.nonlinear):
-            if nonlinear.role in _OF_TIME:
-                found[index] -= self.offsets[number]
+        found[list(self.timed)] -= self.offsets[number]
         return found
 
     def loosened(self) -> JointHypothesis:
         """As ``Hypothesis.loosened``, in every recording."""
         parts = tuple(None if part is None else part.loosened() for part in self.parts)
         return replace(self, nonlinear=loose(self.nonlinear), parts=parts)
+
+    def holding(self, *held: int) -> JointHypothesis:
+        """As ``Hypothesis.holding``, in every recording."""
+        found = Hypothesis.holding(self, *held)
+        assert isinstance(found, JointHypothesis)
+        return replace(found, parts=tuple(None if part is None else part.holding(*held) for part in self.parts))
 
     def term_of(self, number: int, term: Term) -> Term | None:
         """A term of this hypothesis as one recording has it."""
@@ -159,19 +179,16 @@ def joined(
         return JointColumns(parts=tuple(made), index=index, counts=samples, size=size)
 
     found = JointHypothesis(
-        effect=label.effect,
-        driver=label.driver,
+        **{name: getattr(label, name) for name in OF_THE_FORM},
+        **_together(parts, counts),
         columns=columns,
         blocks=blocks,
         variant=", ".join(filter(None, (label.variant, said))),
         nonlinear=nonlinear,
-        constants=label.constants,
-        odds=label.odds,
-        largest_nt=max(part.largest_nt for part in parts if part is not None),
-        is_free=label.is_free,
-        is_whole=label.is_whole,
         proposals=_proposals(label, acting, samples, shift),
-        in_place=label.in_place,
+        refines=_also(label.refines, label.effect, said),
+        samples_in=_samples_in(given, lambda k, theta: found.theta_of(k, theta)),
+        moves_s=_moves_s(given, index, samples),
         base=label.label,
         parts=given,
         index=index,
@@ -180,8 +197,62 @@ def joined(
         names=tuple(names),
         counts=samples,
         offsets=tuple(offsets),
+        timed=tuple(k for k, number in enumerate(label.nonlinear) if number.role in _OF_TIME),
     )
     return found
+
+
+def _together(parts: Sequence[Hypothesis | None], counts: Sequence[int]) -> dict[str, Any]:
+    """What the recordings' own hypotheses say each by itself, as it holds of all: a doubt in one of them is one of all.
+
+    Parameters
+    ----------
+    parts: of each recording, None where the effect does not act on it; ``counts``: its samples.
+    """
+    acting = [part for part in parts if part is not None]
+    least = sum(n * part.least_nt**2 for part, n in zip(parts, counts, strict=True) if part is not None)
+    said = dict.fromkeys(part.imitated_by for part in acting if part.imitated_by)
+    return {
+        "odds": max(part.odds for part in acting),
+        "largest_nt": max(part.largest_nt for part in acting),
+        "least_nt": math.sqrt(least / sum(counts)),  # as the residual's rms, over the samples of all
+        "inexact": max(part.inexact for part in acting),
+        "imitated_by": " or ".join(said),
+        **{
+            name: tuple(dict.fromkeys(other for part in acting for other in getattr(part, name)))
+            for name in ("as_well", "if_completed", "if_along")
+        },
+    }
+
+
+def _also(label: str, effect: str, said: str) -> str:
+    """The label of a form of an effect with more added to its variant; empty where there is none."""
+    form = label.removeprefix(effect)
+    variant, _, driver = form[1:].rpartition("]") if form.startswith("[") else ("", "", form)
+    return f"{effect}[{', '.join(filter(None, (variant, said)))}]{driver}" if label and said else label
+
+
+def _samples_in(
+    parts: Sequence[Hypothesis | None], theta_of: Callable[[int, Array], Array]
+) -> Callable[[Array], int] | None:
+    """How many samples of all recordings see a change come about; None where it is none."""
+    each = [(k, part.samples_in) for k, part in enumerate(parts) if part is not None and part.samples_in is not None]
+    return (lambda theta: sum(count(theta_of(k, theta)) for k, count in each)) if each else None
+
+
+def _moves_s(
+    parts: Sequence[Hypothesis | None], index: Sequence[NDArray[np.intp]], counts: Sequence[int]
+) -> Callable[[Array], Array] | None:
+    """How far amplitudes of all move the reference [s], one number a sample of all recordings; None: they do not."""
+    moves = [None if part is None else part.moves_s for part in parts]
+    if all(one is None for one in moves):
+        return None
+
+    def moves_s(amplitudes: Array) -> Array:
+        rows = zip(moves, index, counts, strict=True)
+        return np.concatenate([np.zeros(n) + (0.0 if one is None else one(amplitudes[at])) for one, at, n in rows])
+
+    return moves_s
 
 
 def _proposals(label: Hypothesis, acting: Sequence[int], counts: Sequence[int], shift: float) -> Proposals | None:

@@ -73,7 +73,14 @@ def frozen(form: JointHypothesis, known: Term) -> JointHypothesis:
     def columns(_: Array) -> Columns:
         return FrozenColumns(base=part.columns(known.theta), known=amplitudes, free=numbers)
 
-    held = replace(part, columns=columns, blocks=own, nonlinear=())
+    def moves_s(free: Array) -> Array | float:
+        assert part.moves_s is not None
+        every = np.array(amplitudes)
+        every[numbers] = free
+        return part.moves_s(every)
+
+    moved = None if part.moves_s is None else moves_s
+    held = replace(part, columns=columns, blocks=own, nonlinear=(), samples_in=None, moves_s=moved)
     return joined(held, [held], form.names, form.counts, form.offsets)
 
 
