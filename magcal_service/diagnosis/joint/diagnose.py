@@ -24,7 +24,7 @@ from magcal_service.diagnosis.field_error import SCALES, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.compare import Apart, Compared
-from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, joint, transferred
+from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, transferred
 from magcal_service.diagnosis.joint.light import LightSeen, light_seen
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
@@ -231,8 +231,20 @@ class _Run:
         self._dispersion = 1.0
         self._relative: tuple[float, ...] = ()
         self._of_alone: list[tuple[Scale, float] | None] = [None] * len(self.prepared)
+        self._searched: JointSearch | None = None
         self.singles = self._scaled()
         self.catalogue = Forms.of(self.effects, self.singles)
+
+    def _search(self, problem: JointProblem) -> JointSearch:
+        """A search on a problem, which knows what came near in those before it: its rivals are among these."""
+        forms, before = self.catalogue.on(problem.parts, self.names), self._searched
+        search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
+        if before is not None:
+            search.close |= before.close
+            search.follow(before)
+            search.look_at(problem, forms)
+        self._searched = search
+        return search
 
     def _scaled(self) -> list[Problem]:
         triples = zip(self.prepared, self._usual, self._scales, strict=True)
@@ -245,8 +257,7 @@ class _Run:
         while True:
             problem = JointProblem.of(self.singles)
             baseline = solve(problem, np.concatenate([one.baseline.x for one in self.prepared]))
-            forms = self.catalogue.on(problem.parts, self.names)
-            search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
+            search = self._search(problem)
             floor = FLOOR * problem.noise_nt
             if found is not None and (names_hold or not found.fit.terms):
                 return self._arrived(search, search.again(problem, found.fit, floor))
@@ -300,7 +311,8 @@ class _Run:
     def _with_own(self, fit: Fit, numbers: Sequence[int]) -> Explained:
         """The fit with every amplitude of some terms each recording's own."""
         problem = JointProblem.of(self.singles, self._dispersion, self._relative)
-        forms = self.catalogue.on(problem.parts, self.names)
+        search = self._search(problem)
+        forms = [form for form in search.hypotheses if isinstance(form, JointHypothesis)]
         by_label = {form.label: form for form in forms}
         terms = []
         for number, term in enumerate(fit.terms):
@@ -308,9 +320,9 @@ class _Run:
             if number in numbers:
                 own = [one for one in forms if one.base == form.base and one.variant.endswith(EACH_ITS_OWN)]
                 terms.append(transferred(term, own[0]))
+                search.close -= {one.label for one in forms if one.base == form.base}  # it is not common: that is known
             else:
                 terms.append(transferred(term, by_label[form.label]))
-        search = JointSearch(problem, forms, self.effects, catalogue=self.catalogue, names=self.names)
         floor = FLOOR * problem.noise_nt
         return search.compared(search.arrived(search.refreshed(solve(problem, fit.x, terms))), floor)
 
