@@ -17,6 +17,7 @@ from magcal_service.diagnosis.signals import said
 from magcal_service.diagnosis.sized import may_as_well_be, numbers_of
 from magcal_service.model import Array
 from magcal_service.physics.interface import UNLISTED, Hypothesis
+from magcal_service.physics.scene.scene import Scene
 from magcal_service.recordings.inspect.motion import kepler_rad_s
 
 _MOST_UNLISTED: Final = 0.999
@@ -168,7 +169,8 @@ def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
     """
     fit = explained.fit
     mine = fit.terms[index].hypothesis
-    if rival.effect == mine.at_once and fit.problem.field_error is not None:
+    errs = any(part.field_error is not None for part, _ in fit.problem.acting(fit.terms[index]))
+    if rival.effect == mine.at_once and errs:
         return 1.0 + _OF_A_RAMP * max(explained.own_nats(index), 0.0)
     if rival.driver == mine.driver:
         return 1.0
@@ -214,17 +216,18 @@ def _is_within_another(explained: Explained, index: int) -> bool:
 
 
 def _share_an_orbit(fit: Fit, index: int) -> bool:
-    """Whether a name and another one follow no record, in less than an orbit: two of any kind together are met by a
-    third cause, as a drift and a hysteresis were by a warmth that nobody recorded."""
+    """Whether a name and another one follow no record, and it is seen for less than an orbit in all: two of any kind
+    together are met by a third cause, as a drift and a hysteresis were by a warmth that nobody recorded."""
     unrecorded = [number for number, term in enumerate(fit.terms) if not is_recorded(term.hypothesis)]
-    orbit_s, scene = _orbit_s(fit), fit.problem.scene
-    return index in unrecorded and len(unrecorded) > 1 and float(np.ptp(scene.time_s)) < orbit_s
+    scenes = [part.scene for part, _ in fit.problem.acting(fit.terms[index])]
+    seen_s = sum(float(np.ptp(scene.time_s)) for scene in scenes)
+    return index in unrecorded and len(unrecorded) > 1 and seen_s < max(map(_orbit_s, scenes))
 
 
-def _orbit_s(fit: Fit) -> float:
+def _orbit_s(scene: Scene) -> float:
     """Time that an orbit takes [s]; 0 where there is none."""
-    place = fit.problem.scene.position_ecef_km
-    if place is None or not fit.problem.scene.in_orbit:
+    place = scene.position_ecef_km
+    if place is None or not scene.in_orbit:
         return 0.0
     return 2.0 * math.pi / kepler_rad_s(float(np.linalg.norm(place, axis=1).mean()))
 
@@ -253,7 +256,8 @@ def _directions(term: Term) -> Array:
 
 def _is_each_orbit(fit: Fit, index: int) -> bool:
     """Whether a term's instants come again an orbit later, every second one: something follows the orbit, as light."""
-    instants, orbit_s = np.sort([at for number, at in numbers_of(fit, "instant") if number == index]), _orbit_s(fit)
+    instants = np.sort([at for number, at in numbers_of(fit, "instant") if number == index])
+    orbit_s = max(_orbit_s(part.scene) for part, _ in fit.problem.acting(fit.terms[index]))
     if orbit_s == 0.0 or len(instants) < _FEWEST_SWITCHED:
         return False
     return bool(np.all(np.abs((instants[2:] - instants[:-2]) / orbit_s - 1.0) < _EACH_ORBIT))

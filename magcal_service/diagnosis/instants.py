@@ -78,8 +78,9 @@ def in_stages(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: 
     fit: with the term; ``index``: its number; ``space``: the residual as if it had never been fitted.
     sigma_nt: noise that evidence is counted in [nT].
     """
-    jumps = fit.terms[index].hypothesis.at_once
-    forms = [form for form in search.hypotheses if jumps and form.effect == jumps]
+    mine = fit.terms[index].hypothesis
+    jumps = mine.at_once
+    forms = [form for form in search.beside(mine) if jumps and form.effect == jumps]
     single = [form for form in forms if _is_of(form, 1)]
     pair = [form for form in forms if _is_of(form, 2)]
     if not single or not pair or any(term.hypothesis.effect == jumps for term in fit.terms):
@@ -115,10 +116,11 @@ def jumps_instead(search: Screen, fit: Fit, floor_nt: float) -> Fit:
     """
     for term in fit.terms:
         jumps = term.hypothesis.at_once
-        beside = next((other for other in fit.terms if other.hypothesis.effect == jumps), None)
+        forms = [form for form in search.beside(term.hypothesis) if form.effect == jumps]
+        labels = {form.label for form in forms}
+        beside = next((other for other in fit.terms if other.hypothesis.label in labels), None)
         if beside is None:
             continue
-        forms = [form for form in search.hypotheses if form.effect == jumps]
         without = solve(search.problem, fit.x, [other for other in fit.terms if other is not term])
         space, sigma = search.workspace(without), max(without.white_rms_nt, floor_nt)
         single = [form for form in forms if _is_of(form, 1)]

@@ -27,7 +27,7 @@ from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.linear import fold_solutions, folds, held_out
-from magcal_service.diagnosis.slopes import HELD, number_slopes, room_slopes, unknown_slopes
+from magcal_service.diagnosis.slopes import HELD, lengths, number_slopes, room_slopes, unknown_slopes
 from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Hypothesis
@@ -152,6 +152,10 @@ class Problem:
     def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float = np.inf) -> Fit:
         """What ``evaluate`` gives."""
         return _evaluated(self, x, terms, derivatives, most_nt2)
+
+    def acting(self, term: Term) -> list[tuple[Problem, Term]]:
+        """Each recording's own problem in which a term acts, with the term as it is there."""
+        return [(self, term)]
 
     @cached_property
     def passes(self) -> NDArray[np.intp] | None:
@@ -356,17 +360,17 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
         clean = problem.target(x)
         residual = (w - clean).reshape(-1)
     else:
-        length, wanted = _lengths(w), scene.magnitude_nt + magnitude
+        length, wanted = lengths(w), scene.magnitude_nt + magnitude
         residual = length - wanted - problem.noise_nt**2 / scene.magnitude_nt
         # all of the noise that is seen, for the columns of effects are made of such vectors too
         clean = w + step_to_clean(w / length[:, None], problem.noise_covariance) * (wanted - length)[:, None]
-        clean *= (wanted / _lengths(clean))[:, None]
+        clean *= (wanted / lengths(clean))[:, None]
     bare = Fit(problem, x, tuple(terms), residual, np.zeros((len(residual), 0)), np.zeros((0, 3)), w, np.zeros(0))
     if not derivatives or not bare.squares <= min(most_nt2, _FINITE_NT2):  # what is no number is beyond any
         return bare
     inverse = np.linalg.inv(np.eye(3) + d_matrix(x[:STATE_SIZE]))
     measured = scene.field_nt + (clean - w) @ inverse.T
-    unit = clean / _lengths(clean)[:, None]
+    unit = clean / lengths(clean)[:, None]
     parts = [-unknown_slopes(measured, unit, problem.target_slopes(x))]
     ties = [np.repeat([PRIOR_BIAS_NT**-2, PRIOR_D**-2], [3, 6]), problem.tie_beside]
     slopes: list[Array] = []
@@ -384,10 +388,6 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     fit = replace(bare, columns=columns, unit=unit, tie=tie)
     fit.__dict__["white_residual"] = bare.white_residual  # known already
     return fit
-
-
-def _lengths(vectors: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", vectors, vectors)))
 
 
 def _required(rows: Array | None) -> Array:

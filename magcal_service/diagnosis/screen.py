@@ -106,6 +106,10 @@ class Screen:
             self._whitener = Whitener(self.whitening, self.problem.scene.unit)
         return self._whitener.white(rows.reshape(len(rows), -1)).reshape(rows.shape)
 
+    def beside(self, _form: Hypothesis) -> Sequence[Hypothesis]:
+        """Forms that act in the recordings in which one does."""
+        return self.hypotheses
+
     @property
     def is_symmetric(self) -> bool:
         """Whether the noise's whitening is a symmetric matrix that takes a while, so that products go without it."""

@@ -40,7 +40,8 @@ def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
     completes its form, where nothing else of it stands out, or where a recorded current jumps along."""
     hypothesis = fit.terms[index].hypothesis
     completed = hypothesis.if_completed and not _stands_out(fit, index)
-    along = hypothesis.if_along and jumps_along(fit.problem.scene, fit.terms[index].theta)
+    each = fit.problem.acting(fit.terms[index])
+    along = hypothesis.if_along and any(jumps_along(part.scene, own.theta) for part, own in each)
     others = (*(hypothesis.if_completed if completed else ()), *(hypothesis.if_along if along else ()))
     return tuple(dict.fromkeys((*hypothesis.exactly_alike, *others)))
 

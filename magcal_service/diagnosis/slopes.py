@@ -14,6 +14,11 @@ HELD: Final = ("instant", "edge", "held")
 """Roles of nonlinear numbers that a refit leaves where the search has put them: columns jump or bend with them."""
 
 
+def lengths(vectors: Array) -> Array:
+    """Of each of some vectors (n, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", vectors, vectors)))
+
+
 def room_slopes(room_from_body: Array, field: Array, magnitude_nt: Array) -> Array:
     """d target / d H0 (n, 3, 3): only the direction of H0 (3,) counts, its length is as stated."""
     size = float(np.linalg.norm(field))

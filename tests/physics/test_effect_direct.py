@@ -140,11 +140,7 @@ def test_cells_of_three_faces_and_more_may_stand_for_the_suns_direction(
     load = Telemetry("load", "current", 0.5 + 0.1 * np.sin(TIME_S / 700.0)[:, None])
     found = {"cells": cells, "load": load, **({"sun": scene().channels["sun"]} if sun else {})}
     blind = replace(scene(), channels=found, body_from_eci=None, position_ecef_km=None)
-    without_shadow = replace(scene(), channels=found, position_ecef_km=None)
-    for of in (blind, without_shadow):
-        by = [h for h in effect_named("current_loop").hypotheses(of) if h.driver == "channel:cells"]
-        assert by
-        assert {h.as_well for h in by} == {as_well}
-    whole = replace(scene(), channels=found)
-    assert {h.as_well for h in forms("current_loop", whole).values() if h.driver == "channel:cells"} == {()}
+    by = [h for h in effect_named("current_loop").hypotheses(blind) if h.driver == "channel:cells"]
+    assert by
+    assert {h.as_well for h in by} == {as_well}
     assert {h.as_well for h in forms("current_loop", blind).values() if h.driver == "channel:load"} == {()}

@@ -181,6 +181,11 @@ class JointProblem(Problem):
             for number, (part, own) in enumerate(zip(self.parts, self.unknowns_of(x), strict=True))
         ]
 
+    def acting(self, term: Term) -> list[tuple[Problem, Term]]:
+        """As ``Problem.acting``."""
+        each = ((part, joint(term).term_of(number, term)) for number, part in enumerate(self.parts))
+        return [(part, own) for part, own in each if own is not None]
+
     def terms_of(self, number: int, terms: Sequence[Term]) -> list[Term]:
         """The terms as one recording has them, without those that do not act on it."""
         found = [joint(term).term_of(number, term) for term in terms]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.entry import listed_rivals, plain
 from magcal_service.diagnosis.first import why_first
 from magcal_service.diagnosis.handover import model_term, spin_of
@@ -19,6 +19,7 @@ from magcal_service.diagnosis.joint.forms import joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.joint.words import (
     ONE_ALONE,
+    drivers,
     parameters,
     record_next,
     says,
@@ -110,10 +111,13 @@ def _effect(diagnosis: JointDiagnosis, index: int) -> dict[str, Any]:
             {"effect": name, "probability": round(p, 6)} for name, p in listed_rivals(believed.rivals, believed.members)
         ],
         "class": list(believed.members),
+        "as_well": list(form.exactly_alike),
         "why_first": why_first(diagnosis.explained, index),
         "separated_by": separated_by(diagnosis, index),
         "record_next": record_next(diagnosis, index),
         "driver": form.driver,
+        "drivers": [{"driver": name, "probability": round(p, 6)} for name, p in drivers(diagnosis, index)],
+        "unlisted": unlisted(diagnosis.explained, index),
         "variant": form.variant,
         "parameters": {name: _value(value) for name, value in parameters(diagnosis, index).items()},
         "constants": dict(form.constants),

@@ -46,6 +46,11 @@ class JointSearch(Search):
     only: tuple[JointHypothesis, ...] | None = None
     held: Mapping[str, Term] = field(default_factory=dict)
 
+    def beside(self, form: Hypothesis) -> Sequence[Hypothesis]:
+        """As ``Screen.beside``: of a form of one recording alone, those of that one."""
+        assert isinstance(form, JointHypothesis)
+        return [one for one in self.hypotheses if isinstance(one, JointHypothesis) and one.solo == form.solo]
+
     def forms(self, problem: Problem) -> list[Hypothesis]:
         """Every hypothesis of the catalogue on a problem of several recordings."""
         assert isinstance(problem, JointProblem)

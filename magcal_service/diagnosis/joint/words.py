@@ -20,6 +20,7 @@ from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_
 from magcal_service.diagnosis.joint.light import light_lines
 from magcal_service.diagnosis.parameters import parameters_of
 from magcal_service.diagnosis.summary import reason_lines, verdict_line
+from magcal_service.diagnosis.which_driver import drivers_of
 from magcal_service.diagnosis.words import (
     IN_DOUBT,
     agreed,
@@ -35,7 +36,7 @@ from magcal_service.diagnosis.words import (
     titles,
 )
 from magcal_service.physics.apply.advice import advice
-from magcal_service.physics.interface import START, Effect, Values
+from magcal_service.physics.interface import START, Effect, Values, by_name
 
 ONE_ALONE: Final = (
     "numbers of one recording alone are of the same form, with the constants of all recordings, fitted to that one; a "
@@ -58,11 +59,11 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
     term = diagnosis.fit.terms[index]
     form = joint(term)
     found = dict(parameters_of(diagnosis.fit, index, effect_of(diagnosis, index)))
-    for number, nonlinear in enumerate(form.nonlinear):
-        if nonlinear.role in OF_CHANGES:
-            acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
-            own = form.theta_of(acting, term.theta)[number]
-            found[nonlinear.name] = replace(found[nonlinear.name], value=np.asarray(own))
+    acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
+    times = {number.name for number in form.nonlinear if number.role in OF_CHANGES}
+    for name, own in by_name(form.nonlinear, form.theta_of(acting, term.theta)).items():
+        if name in times:
+            found[name] = replace(found[name], value=np.asarray(own))
     return {
         name: replace(value, sigma=diagnosis.compared.spread(index, name) * value.sigma)
         for name, value in found.items()
@@ -73,10 +74,17 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
 def says(diagnosis: JointDiagnosis, index: int) -> str:
     """What a term is, in a sentence with its numbers."""
     form = joint(diagnosis.fit.terms[index])
-    sentence = effect_of(diagnosis, index).sentence(parameters(diagnosis, index), form.driver)
+    others = [driver for driver, _ in drivers(diagnosis, index) if driver != form.driver]
+    sentence = effect_of(diagnosis, index).sentence(parameters(diagnosis, index), form.driver, others)
     if form.solo:
         return f"In {form.solo}: {sentence}"
     return sentence if form.common else f"In each recording its own, in the order of the recordings: {sentence}"
+
+
+def drivers(diagnosis: JointDiagnosis, index: int) -> tuple[tuple[str, float], ...]:
+    """Drivers of a term that the recordings cannot tell apart, with their probabilities; empty where it has none."""
+    has_none = diagnosis.fit.terms[index].hypothesis.driver == "none"
+    return () if has_none else drivers_of(diagnosis.explained, index)
 
 
 def record_next(diagnosis: JointDiagnosis, index: int) -> str:

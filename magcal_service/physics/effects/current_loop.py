@@ -112,8 +112,7 @@ def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
 def _may_be_the_sun(scene: Scene, values: Array) -> bool:
     """Whether records (n, k) may stand for the Sun's direction: those of cells on three faces and more tell it, where
     nothing else does, and one of them goes along with it."""
-    is_told = scene.sun_body is not None and scene.lit is not None  # without places the shadow is not known
-    if not scene.in_orbit or is_told or any(map(is_sun_vector, scene.channels.values())):
+    if not scene.in_orbit or scene.sun_body is not None or any(map(is_sun_vector, scene.channels.values())):
         return False
 
     def faces() -> int:

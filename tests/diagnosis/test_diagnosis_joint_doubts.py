@@ -1,0 +1,133 @@
+"""Several recordings together: what speaks against a name in one of them speaks against it in all."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
+from magcal_service.diagnosis.joint.gather import gather
+from magcal_service.diagnosis.joint.result import as_json
+from magcal_service.diagnosis.which_driver import otherwise
+from magcal_service.model import Array
+from magcal_service.physics.catalogue import effect_named
+from magcal_service.physics.interface import Effect
+from magcal_service.recordings.recording import Channel
+from tests.diagnosis.joint_days import COUNT, TIME_S, Day, day
+
+PER_K = np.array([12.0, -8.0, 15.0])
+PER_A = np.array([250.0, -150.0, 100.0])
+OF_A_LOAD = np.array([300.0, -200.0, 150.0])
+NONE = np.zeros(3)
+
+
+def catalogued(*names: str) -> tuple[Effect, ...]:
+    return tuple(effect_named(name) for name in names)
+
+
+STEPS = catalogued("thermal_bias", "current_loop", "bias_step")
+
+
+def together(days: list[Day], effects: tuple[Effect, ...]) -> JointDiagnosis:
+    gathered = gather([one.recording for one in days])
+    return diagnose_together(gathered.inspections, gathered.names, effects)
+
+
+def effect(found: JointDiagnosis, name: str) -> dict[str, Any]:
+    return next(one for one in json.loads(as_json(found))["effects"] if one["effect"] == name)
+
+
+def on_from(from_s: float, to_s: float = np.inf) -> Array:
+    return np.asarray(((from_s <= TIME_S) & (to_s > TIME_S)).astype(np.float64))
+
+
+def test_what_is_switched_in_one_recording_may_be_a_loads_current() -> None:
+    """Nobody recorded the load by itself: its field comes and goes as a magnet's would that is switched."""
+    added = [None, np.outer(on_from(1200.0, 2600.0), OF_A_LOAD)]
+    found = together([day(k, 3.0 * PER_K, 3.0 * PER_A, added[k], seed=970) for k in range(2)], STEPS)
+    step = effect(found, "bias_step")
+    assert step["recordings"] == ["arrays-2"]
+    assert np.abs(np.array(step["parameters"]["at_s"]["value"]) - (1200.0, 2600.0)).max() < 10.0
+    assert (step["as_well"], step["class"]) == (["current_loop"], ["bias_step", "current_loop"])
+    assert step["probability"] < 0.51
+    assert "name_uncertain" in found.reasons
+
+
+def test_a_jump_with_which_a_recorded_current_jumps_may_be_a_loads_in_that_recording() -> None:
+    """The load's wires lie elsewhere than those of all loads together, whose current was recorded."""
+    currents = [None, 0.6 + 0.1 * np.sin(TIME_S / 300.0) + 0.9 * on_from(2500.0)]
+    added = [None, np.outer(on_from(2500.0), OF_A_LOAD)]
+    found = together([day(k, PER_K, PER_A, added[k], seed=971, current=currents[k]) for k in range(2)], STEPS)
+    step = effect(found, "bias_step")
+    assert (step["recordings"], step["class"]) == (["arrays-2"], ["bias_step", "current_loop"])
+    assert step["probability"] < 0.51
+    quiet = together([day(k, PER_K, PER_A, added[k], seed=971) for k in range(2)], STEPS)
+    assert effect(quiet, "bias_step")["class"] == ["bias_step"]  # no record jumps along
+
+
+def battery_and_bus(number: int) -> Day:
+    """A day whose battery's current makes the field, recorded held for 60 s; the bus takes what the battery gives."""
+    rng = np.random.default_rng(972 + number)
+    flows = np.convolve(np.cumsum(rng.normal(0.0, 1.0, COUNT + 5)), np.ones(6) / 6.0, "valid")
+    flows = 0.6 * (flows - flows.mean()) / flows.std()
+    one = day(number, NONE, PER_A, seed=973, current=flows)
+    of = one.recording.channels["bus"]
+    held, bus = flows[np.arange(COUNT) // 12 * 12], 0.3 - flows + rng.normal(0.0, 0.06, COUNT)
+    channels = {
+        "board": one.recording.channels["board"],
+        "bus": replace(of, values=bus[:, None]),
+        "battery": Channel(replace(of.spec, name="battery"), held[:, None]),
+    }
+    return replace(one, recording=replace(one.recording, channels=channels))
+
+
+@pytest.fixture(scope="module")
+def powered() -> JointDiagnosis:
+    return together([battery_and_bus(k) for k in range(2)], catalogued("thermal_bias", "current_loop"))
+
+
+def test_a_bus_beside_a_held_record_of_the_battery_is_no_driver_to_act_on(powered: JointDiagnosis) -> None:
+    """Its numbers have the other sign; in both recordings either may be what makes the field."""
+    loop = effect(powered, "current_loop")
+    assert {one["driver"] for one in loop["drivers"]} >= {"channel:bus", "channel:battery"}
+    assert otherwise(powered.explained, 0) > 0.1
+    assert powered.reasons == ("name_uncertain",)
+    assert "battery" in loop["says"]
+
+
+def test_names_that_came_near_in_the_search_are_rivals_at_its_end(powered: JointDiagnosis) -> None:
+    """The fit is made again under the scatter that its blocks have, by a search that has not looked at any name."""
+    assert [one.hypothesis.effect for one in powered.explained.rivals[0]] == ["current_loop", "thermal_bias"]
+
+
+def test_two_jumps_that_follow_one_another_in_one_recording_are_not_told_from_a_drift() -> None:
+    """To a sensor of some noise they are an even change; it was named for sure."""
+    added = [None, np.outer(on_from(2000.0) + on_from(2150.0), [120.0, -80.0, 60.0])]
+    days = [day(k, PER_K, NONE, added[k], seed=983) for k in range(2)]
+    found = together(days, catalogued("thermal_bias", "bias_step", "bias_drift"))
+    drift = effect(found, "bias_drift")
+    assert (drift["recordings"], drift["class"]) == (["arrays-2"], ["bias_drift", "bias_step"])
+    assert drift["probability"] < 0.95
+    assert found.reasons == ("name_uncertain",)
+
+
+def late(number: int, by_s: float) -> Day:
+    """A day whose samples are tagged earlier than they were taken: their reference is that of before."""
+    one = day(number, NONE, NONE, seed=974)
+    vector = one.recording.reference.vector_nt
+    assert vector is not None
+    then = np.stack([np.interp(TIME_S - by_s, TIME_S, axis) for axis in vector.T], axis=1)
+    reference = replace(one.recording.reference, vector_nt=then, magnitude_nt=np.linalg.norm(then, axis=1))
+    return replace(one, recording=replace(one.recording, reference=reference))
+
+
+def test_a_clock_that_is_off_by_the_same_in_all_recordings_is_predicted_from_the_others() -> None:
+    """It moves the reference, in a recording that is held at the others' numbers as well."""
+    found = together([late(k, 8.0) for k in range(2)], catalogued("time_offset", "thermal_bias"))
+    clock = effect(found, "time_offset")
+    assert clock["common"]
+    assert all(one.kept > 0.9 for one in found.compared.predicted)
