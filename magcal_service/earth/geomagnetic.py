@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -140,20 +141,45 @@ def igrf_ecef_nt(times_utc_ns: Times, position_ecef_km: Floats, max_degree: int 
     not in it.  Raises InputRefusedError outside the domain.
     Source: IAGA, IGRF-14; within 0.2 nT of the Fortran ``igrf14syn``.
     """
-    times = np.asarray(times_utc_ns, dtype=np.int64).reshape(-1)
-    position = np.asarray(position_ecef_km, dtype=np.float64).reshape(-1, 3)
-    if times.shape[0] != position.shape[0]:
-        accepted = "one time for each position is accepted"
-        raise InputRefusedError([Fault("igrf", f"{len(times)} times, {len(position)} positions", accepted)])
-    _refuse_outside_domain(times, position)
-    field = np.empty_like(position)
-    intervals = (times.astype("datetime64[ns]").astype("datetime64[Y]").astype(np.int64) + 1970) // 5 * 5
-    intervals = np.clip(intervals, IGRF_YEARS[0], IGRF_YEARS[1] - 5)
-    for year in np.unique(intervals):
-        rows = np.flatnonzero(intervals == year)
-        for part in np.array_split(rows, max(1, math.ceil(len(rows) / _ROWS))):
-            field[part] = _within_interval(int(year), times[part], position[part], max_degree)
-    return field
+    return Places(position_ecef_km, max_degree).field_nt(times_utc_ns, max_degree)
+
+
+class Places:
+    """Positions (n, 3) ECEF [km] at which the main field is wanted at more than one date, or to more than one degree.
+
+    What depends on the place alone takes most of the time: of no more than ``_ROWS`` positions, which are 20 MB of it,
+    it is computed once.
+
+    Parameters
+    ----------
+    max_degree: the highest that is asked for.
+    """
+
+    def __init__(self, position_ecef_km: Floats, max_degree: int = igrf14.HIGHEST_DEGREE) -> None:
+        self._position: Floats = np.asarray(position_ecef_km, dtype=np.float64).reshape(-1, 3)
+        self._degree = max_degree
+
+    def field_nt(self, times_utc_ns: Times, max_degree: int) -> Floats:
+        """As ``igrf_ecef_nt`` at these places, one for each time."""
+        times = np.asarray(times_utc_ns, dtype=np.int64).reshape(-1)
+        position = self._position
+        if times.shape[0] != position.shape[0]:
+            accepted = "one time for each position is accepted"
+            raise InputRefusedError([Fault("igrf", f"{len(times)} times, {len(position)} positions", accepted)])
+        _refuse_outside_domain(times, position)
+        field = np.empty_like(position)
+        intervals = (times.astype("datetime64[ns]").astype("datetime64[Y]").astype(np.int64) + 1970) // 5 * 5
+        intervals = np.clip(intervals, IGRF_YEARS[0], IGRF_YEARS[1] - 5)
+        for year in np.unique(intervals):
+            rows = np.flatnonzero(intervals == year)
+            for part in np.array_split(rows, max(1, math.ceil(len(rows) / _ROWS))):
+                there = self._whole if len(part) == len(position) else _There(position[part], max_degree)
+                field[part] = there.within_interval(int(year), times[part], max_degree)
+        return field
+
+    @cached_property
+    def _whole(self) -> _There:
+        return _There(self._position, self._degree)
 
 
 def _refuse_outside_domain(times: Times, position: Floats) -> None:
@@ -173,26 +199,32 @@ def _refuse_outside_domain(times: Times, position: Floats) -> None:
         raise InputRefusedError(faults)
 
 
-def _within_interval(year: int, times: Times, position: Floats, max_degree: int) -> Floats:
-    """Field of positions whose times lie in one five-year interval.
+class _There:
+    """What the field at positions (n, 3) ECEF [km] depends on beside the date."""
 
-    The coefficients are linear in time between epochs, so the field at fixed place is too: two epochs (one outer
-    product over positions) and a weight per sample are exact, at the cost of one date.
-    """
-    x, y, z = position.T
-    radius = np.linalg.norm(position, axis=1)
-    colatitude = np.clip(np.degrees(np.arctan2(np.hypot(x, y), z)), _POLE_DEG, 180.0 - _POLE_DEG)
-    longitude = np.arctan2(y, x)
-    theta = np.radians(colatitude)
-    parts = igrf14.field((year, year + 5), radius, theta, longitude, max_degree)
-    weight = (times - _epoch_ns(year)) / float(_epoch_ns(year + 5) - _epoch_ns(year))
-    up, south, east = (part[0] + weight * (part[1] - part[0]) for part in parts)
-    across = up * np.sin(theta) + south * np.cos(theta)
-    cosine, sine = np.cos(longitude), np.sin(longitude)
-    return np.stack(
-        [across * cosine - east * sine, across * sine + east * cosine, up * np.cos(theta) - south * np.sin(theta)],
-        axis=-1,
-    )
+    def __init__(self, position: Floats, max_degree: int) -> None:
+        x, y, z = position.T
+        colatitude = np.clip(np.degrees(np.arctan2(np.hypot(x, y), z)), _POLE_DEG, 180.0 - _POLE_DEG)
+        self._longitude = np.arctan2(y, x)
+        self._theta = np.radians(colatitude)
+        self._basis = igrf14.basis_at(np.linalg.norm(position, axis=1), self._theta, self._longitude, max_degree)
+
+    def within_interval(self, year: int, times: Times, max_degree: int) -> Floats:
+        """Field (n, 3) [nT] at times (n,) that lie in one five-year interval.
+
+        The coefficients are linear in time between epochs, so the field at fixed place is too: two epochs (one outer
+        product over positions) and a weight per sample are exact, at the cost of one date.
+        """
+        theta, longitude = self._theta, self._longitude
+        parts = igrf14.field((year, year + 5), self._basis, max_degree)
+        weight = (times - _epoch_ns(year)) / float(_epoch_ns(year + 5) - _epoch_ns(year))
+        up, south, east = (part[0] + weight * (part[1] - part[0]) for part in parts)
+        across = up * np.sin(theta) + south * np.cos(theta)
+        cosine, sine = np.cos(longitude), np.sin(longitude)
+        return np.stack(
+            [across * cosine - east * sine, across * sine + east * cosine, up * np.cos(theta) - south * np.sin(theta)],
+            axis=-1,
+        )
 
 
 def igrf_eci_nt(times_utc_ns: Times, position_eci_km: Floats) -> Floats:

@@ -35,25 +35,30 @@ def coefficients() -> tuple[tuple[int, ...], tuple[tuple[int, int], ...], Floats
     return years, orders, np.array([[float(one) for one in row[2:]] for row in cells])
 
 
-def field(years: tuple[int, ...], radius_km: Floats, colatitude: Floats, longitude: Floats, max_degree: int) -> Floats:
+def field(years: tuple[int, ...], basis: Floats, max_degree: int) -> Floats:
     """Field of the coefficients of some epochs.
 
     Parameters
     ----------
     years: epochs of the table.
-    radius_km, colatitude, longitude: geocentric (n,) [km], [rad]; no colatitude on the axis.
+    basis: of n places, to ``max_degree`` at least.
     max_degree: terms above this degree are left out, 1 to 13.
 
     Returns (3, epochs, n) [nT]: radially outwards, south, east.
     """
-    known, orders, table = coefficients()
-    kept = [row for row, (n, _) in enumerate(orders) if n <= max_degree]
-    chosen = table[np.ix_(kept, [known.index(year) for year in years])].T
-    return np.stack([chosen @ part for part in _basis(radius_km, colatitude, longitude, max_degree)])
+    known, _, table = coefficients()
+    count = max_degree * (max_degree + 2)
+    chosen = table[np.ix_(range(count), [known.index(year) for year in years])].T
+    return np.stack([chosen @ part[:count] for part in basis])
 
 
-def _basis(radius_km: Floats, theta: Floats, phi: Floats, max_degree: int) -> Floats:
-    """What one unit of each coefficient gives (3, k, n), in the order of the table."""
+def basis_at(radius_km: Floats, theta: Floats, phi: Floats, max_degree: int) -> Floats:
+    """What one unit of each coefficient up to a degree gives (3, k, n), in the order of the table.
+
+    Parameters
+    ----------
+    radius_km, theta, phi: geocentric radius, colatitude and longitude (n,) [km], [rad]; no colatitude on the axis.
+    """
     if len(theta) > 1:
         return _basis_of_many(radius_km, theta, phi, max_degree)
     # Python's own numbers: a position alone takes a fifth of the time

@@ -147,6 +147,18 @@ def test_fewer_degrees_leave_the_higher_ones_out() -> None:
     np.testing.assert_allclose(near[2], 2.0 * (6371.2 / 7000.0) ** 3 * -29350.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("count", [1, 200, 4097])
+def test_places_that_are_asked_again_have_the_same_bits(count: int) -> None:
+    """At another date, across an epoch, and to fewer degrees, as of each asked for alone."""
+    place = sphere(count, 6900.0, 5)
+    places = geo.Places(place)
+    across = utc_ns(2024, 12, 31) + np.arange(count) * 10**12
+    for times in (np.full(count, utc_ns(2023, 5, 1)), across, np.full(count, utc_ns(1983, 5, 1))):
+        for degree in (13, 4):
+            alone = geo.igrf_ecef_nt(times, place, degree)
+            assert places.field_nt(times, degree).tolist() == alone.tolist()
+
+
 def test_sidereal_time_against_a_published_example() -> None:
     """Vallado 2013, example 3-5: 1992-08-20 12:14 UT1 has GMST 152.578788 deg."""
     got = np.degrees(geo.gmst_rad(np.array([utc_ns(1992, 8, 20, 12, 14)])))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service.earth import geomagnetic
+from magcal_service.earth.geomagnetic import Places
 from magcal_service.model import Array
 from magcal_service.physics.effects.external_field import ring_current
 from magcal_service.physics.effects.position_offset import gradients
@@ -84,7 +85,7 @@ def test_geodetic_latitude_and_height_read_as_geocentric() -> None:
     meridian = np.stack([-place[:, 0] * sine, -place[:, 1] * sine, radius * (1.0 - sine**2)], axis=1)
     meridian /= np.linalg.norm(meridian, axis=1)[:, None]
     read = place + north_rad[:, None] * radius[:, None] * meridian + (further_km / radius)[:, None] * place
-    expected = scene().model_magnitude(place) - scene().model_magnitude(read)
+    expected = scene().model_magnitude(Places(place)) - scene().model_magnitude(Places(read))
     assert grown(form, [1.0])[knots] == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
 
 

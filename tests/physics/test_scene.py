@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from magcal_service.earth import geomagnetic
+from magcal_service.earth.geomagnetic import Places
 from magcal_service.model import Array
 from magcal_service.physics.scene.memory import Memory
 from magcal_service.physics.scene.motion import smooth_slope
@@ -293,9 +294,10 @@ def test_the_model_knows_the_field_where_time_and_place_are_known() -> None:
     rows = scene().knots
     places = scene().position_ecef_km[rows]
     expected = np.linalg.norm(geomagnetic.igrf_ecef_nt(scene().time_ns[rows], places), axis=1)
-    assert scene().model_magnitude(places) == pytest.approx(expected)
+    assert scene().model_magnitude() == pytest.approx(expected)
+    assert scene().model_magnitude(Places(places)) == pytest.approx(expected)
     short = np.linalg.norm(geomagnetic.igrf_ecef_nt(scene().time_ns[rows], places, 8), axis=1)
-    assert scene().model_magnitude(places, degree=8) == pytest.approx(short)
+    assert scene().model_magnitude(degree=8) == pytest.approx(short)
     assert not replace(scene(), position_ecef_km=None).has_model
     assert not replace(scene(), origin_ns=8 * 10**18).has_model
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from magcal_service.earth import geomagnetic
+from magcal_service.earth.geomagnetic import Places
 from magcal_service.earth.igrf14 import RADIUS_KM
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn, Watched
@@ -36,8 +37,8 @@ def gradients(scene: Scene) -> dict[str, Array]:
     found = {}
     for name, direction in (("radial", up), ("along", np.cross(normal, up)), ("cross", normal)):
         step = geomagnetic.ecef_from_eci(scene.time_ns[rows], _STEP_KM * direction)
-        change = scene.model_magnitude(position + step) - scene.model_magnitude(position - step)
-        found[name] = scene.from_knots(change / (2.0 * _STEP_KM))
+        further, nearer = (scene.model_magnitude(Places(position + way * step)) for way in (1.0, -1.0))
+        found[name] = scene.from_knots((further - nearer) / (2.0 * _STEP_KM))
     found["speed"] = scene.from_knots(np.linalg.norm(velocity, axis=1))
     return found
 
@@ -51,7 +52,7 @@ def _as_geocentric(scene: Scene) -> Array:
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     unit = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
     read = (RADIUS_KM + height_km)[:, None] * np.stack(unit, axis=1)
-    return np.asarray(scene.from_knots(scene.model_magnitude(position) - scene.model_magnitude(read)))
+    return np.asarray(scene.from_knots(scene.model_magnitude() - scene.model_magnitude(Places(read))))
 
 
 def _there(scene: Scene, gradient: dict[str, Array]) -> dict[str, Array]:

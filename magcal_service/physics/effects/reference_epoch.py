@@ -35,11 +35,8 @@ DEGREES: Final[tuple[int, ...]] = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
 
 def yearly_change(scene: Scene) -> Array:
     """(n,) growth of |H| in the last year [nT], by the secular variation of the five years before."""
-    rows = scene.knots
-    assert scene.position_ecef_km is not None
-    position, now = scene.position_ecef_km[rows], scene.time_ns[rows]
-    before = now - round(_BASE_YEARS * _YEAR_NS)
-    return scene.from_knots((scene.model_magnitude(position) - scene.model_magnitude(position, before)) / _BASE_YEARS)
+    before = scene.time_ns[scene.knots] - round(_BASE_YEARS * _YEAR_NS)
+    return scene.from_knots((scene.model_magnitude() - scene.model_magnitude(times_ns=before)) / _BASE_YEARS)
 
 
 def change_over(scene: Scene, age: float) -> Array:
@@ -52,10 +49,9 @@ def change_over(scene: Scene, age: float) -> Array:
 
 def _since(scene: Scene, age: float) -> Array:
     """(n,) growth of |H| [nT] since coefficients of an age [years], computed once."""
-    assert scene.position_ecef_km is not None
-    position, now = scene.position_ecef_km[scene.knots], scene.time_ns[scene.knots]
-    today = scene.once("whole series", lambda: scene.model_magnitude(position))
-    then = scene.once(f"{age} years ago", lambda: scene.model_magnitude(position, now - round(age * _YEAR_NS)))
+    before = scene.time_ns[scene.knots] - round(age * _YEAR_NS)
+    today = scene.once("whole series", scene.model_magnitude)
+    then = scene.once(f"{age} years ago", lambda: scene.model_magnitude(times_ns=before))
     return scene.from_knots(today - then)
 
 
@@ -81,10 +77,8 @@ def _by_decades(scene: Scene) -> Hypothesis:
 
 def truncated_change(scene: Scene, degree: int) -> Array:
     """(n,) what the terms above a degree add to |H| [nT]."""
-    assert scene.position_ecef_km is not None
-    position = scene.position_ecef_km[scene.knots]
-    whole = scene.once("whole series", lambda: scene.model_magnitude(position))
-    return scene.from_knots(whole - scene.model_magnitude(position, degree=degree))
+    whole = scene.once("whole series", scene.model_magnitude)
+    return scene.from_knots(whole - scene.model_magnitude(degree=degree))
 
 
 def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:

@@ -24,6 +24,7 @@ from magcal_service.physics.scene.vectors import Vectors
 
 KEPT = (
     "memo",
+    "_places",
     "period_s",
     "pauses",
     "time_ns",
@@ -380,11 +381,16 @@ class Scene:
         return np.asarray(np.interp(self.time_s, self.time_s[self.knots], values))
 
     def model_magnitude(
-        self, position_ecef_km: NDArray[np.float64], times_ns: NDArray[np.int64] | None = None, degree: int = 13
+        self, places: geomagnetic.Places | None = None, times_ns: NDArray[np.int64] | None = None, degree: int = 13
     ) -> Array:
-        """(k,) magnitude of the main field [nT] at places (k, 3), one a knot, at the knots' or at other times."""
+        """(k,) magnitude of the main field [nT] at the knots, or at other places or times, one a knot."""
         times = self.time_ns[self.knots] if times_ns is None else times_ns
-        return np.asarray(np.linalg.norm(geomagnetic.igrf_ecef_nt(times, position_ecef_km, degree), axis=1))
+        return np.asarray(np.linalg.norm((places or self._places).field_nt(times, degree), axis=1))
+
+    @cached_property
+    def _places(self) -> geomagnetic.Places:
+        assert self.position_ecef_km is not None
+        return geomagnetic.Places(self.position_ecef_km[self.knots])
 
     @cached_property
     def has_model(self) -> bool:
