@@ -145,9 +145,9 @@ class Problem:
         """Whether the nine errors among the unknowns (size,) are no sensor's."""
         return is_collapsed(x)
 
-    def noise_gain(self, x: Array, unit: Array) -> float:
-        """Times a sensor's noise per axis, what errors (size,) make of it along the field's directions (n, 3)."""
-        return float(np.sqrt(np.mean(((unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE]))) ** 2).sum(axis=1))))
+    def noise_gains(self, x: Array, unit: Array) -> Array:
+        """(n,) times a sensor's noise per axis, what errors (size,) make of it along each sample's field (n, 3)."""
+        return np.asarray(np.linalg.norm(unit @ (np.eye(3) + d_matrix(x[:STATE_SIZE])), axis=1))
 
     def evaluated(self, x: Array, terms: Sequence[Term], derivatives: bool, most_nt2: float = np.inf) -> Fit:
         """What ``evaluate`` gives."""
@@ -229,7 +229,7 @@ class Fit:
     @cached_property
     def noise_gain(self) -> float:
         """Times a sensor's own noise per axis, what calibration makes of it along the field, by I + D."""
-        return self.problem.noise_gain(self.x, self.unit)
+        return float(np.sqrt(np.mean(self.problem.noise_gains(self.x, self.unit) ** 2)))
 
     @property
     def sensor_residual(self) -> Array:

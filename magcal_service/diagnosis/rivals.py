@@ -19,6 +19,7 @@ from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.squares import with_noise_of
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
@@ -138,7 +139,7 @@ def _fitted(
     trial = timed(search, exchanged(fit.problem, fit, index, term), index)
     if not trial.converged or not all_within_physics(trial):
         return None
-    before, left = search.white(fit.residual), search.white(trial.residual) * (fit.noise_gain / trial.noise_gain)
+    before, left = search.white(fit.residual), search.white(with_noise_of(fit, trial))
     gained = float(before @ before - left @ left) / (2.0 * sigma_nt**2)
     nats = own.nats + gained + _cost(own, sigma_nt) - _cost(rival, sigma_nt)
     term = trial.terms[index]

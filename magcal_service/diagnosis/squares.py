@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.model import Array
 
 
 def inside_nt2(fit: Fit) -> float:
@@ -13,3 +16,12 @@ def inside_nt2(fit: Fit) -> float:
 def held_out_nt2(fit: Fit) -> float:
     """On rows that took no part [nT^2]."""
     return float(fit.sensor_held_out @ fit.sensor_held_out)
+
+
+def with_noise_of(fit: Fit, other: Fit) -> Array:
+    """(m,) what another fit leaves, its noise brought to what a fit makes of the sensor's, sample by sample [nT].
+
+    Where gains of the axes differ, noise rises and falls with the field's direction, and so does a block's square.
+    """
+    mine, its = (one.problem.noise_gains(one.x, one.unit) for one in (fit, other))
+    return np.asarray(other.residual * np.repeat(mine / its, fit.problem.rows_per_sample))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Term
 from magcal_service.diagnosis.solution import exchanged
+from magcal_service.diagnosis.squares import with_noise_of
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 
@@ -103,7 +104,7 @@ def _jointly(search: Screen, fit: Fit, index: int, at_s: float, length_s: float)
     jump, time_s = fit.terms[index], fit.problem.scene.time_s
 
     def squares(one: Fit) -> float:
-        white = search.white(one.residual) * (fit.noise_gain / one.noise_gain)
+        white = search.white(with_noise_of(fit, one))
         return 0.5 * float(white @ white) if one.converged else math.inf
 
     def held(middle_s: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from magcal_service import read_recording
+from magcal_service.diagnosis.blocks import gain_over
 from magcal_service.diagnosis.diagnose import Diagnosis, diagnose
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.problem import JointProblem
@@ -18,7 +19,8 @@ from magcal_service.diagnosis.rivals import RECORDED_NATS, is_as_sudden, tempere
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.sized import has_size
 from magcal_service.diagnosis.solution import solve
-from magcal_service.model import measure
+from magcal_service.diagnosis.squares import with_noise_of
+from magcal_service.model import d_matrix, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.columns import along_axes
 from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
@@ -53,6 +55,21 @@ def test_several_recordings_have_the_gain_of_all_their_samples() -> None:
     each = [evaluate(part, x, ()).noise_gain for x in (X, other)]
     assert each[1] > each[0] + 0.09
     assert joint.noise_gain == pytest.approx(np.sqrt(np.mean(np.square(each))), rel=1e-9)
+
+
+def test_noise_that_turns_with_the_gains_of_the_axes_is_no_difference_between_two_fits() -> None:
+    """Gains of the axes across the spin that are off by 1.5 % made the same noise scatter over blocks twice and more."""
+    part = Problem(flown(along(0, 0.0 * SLOW)), NOISE_NT)
+    fit = evaluate(part, X, ())
+    other = evaluate(part, X + np.concatenate([np.zeros(3), [0.015, 0.015, -0.002], np.zeros(3)]), ())
+    noise = np.random.default_rng(6).normal(0.0, NOISE_NT, (COUNT, 3))
+    mine, its = (np.einsum("ni,ni->n", one.unit, noise @ (np.eye(3) + d_matrix(one.x[:9])).T) for one in (fit, other))
+    fit, other = replace(fit, residual=mine), replace(other, residual=its)
+    blocks = np.arange(COUNT) * 50 // COUNT
+    apart = with_noise_of(fit, other)
+    assert gain_over(its * fit.noise_gain / other.noise_gain, mine, blocks, NOISE_NT**2).dispersion > 2.0
+    assert gain_over(apart, mine, blocks, NOISE_NT**2).dispersion < 1.5
+    assert float(apart @ apart) == pytest.approx(float(mine @ mine), rel=2e-3)
 
 
 # Instants by joint solutions

@@ -111,11 +111,10 @@ class JointProblem(Problem):
         """Whether the nine errors of any recording are no sensor's."""
         return any(part.is_collapsed(own) for part, own in zip(self.singles, self.unknowns_of(x), strict=True))
 
-    def noise_gain(self, x: Array, unit: Array) -> float:
-        """As ``Problem.noise_gain``, over the samples of all recordings."""
+    def noise_gains(self, x: Array, unit: Array) -> Array:
+        """As ``Problem.noise_gains``, of the samples of all recordings."""
         parts = zip(self.singles, self.unknowns_of(x), self.sample_slices, strict=True)
-        squares = [part.noise_gain(own, unit[at]) ** 2 * (at.stop - at.start) for part, own, at in parts]
-        return float(np.sqrt(sum(squares) / len(unit)))
+        return np.concatenate([part.noise_gains(own, unit[at]) for part, own, at in parts])
 
     @property
     def passes(self) -> None:
