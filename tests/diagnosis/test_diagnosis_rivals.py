@@ -58,7 +58,7 @@ def test_several_recordings_have_the_gain_of_all_their_samples() -> None:
 
 
 def test_noise_that_turns_with_the_gains_of_the_axes_is_no_difference_between_two_fits() -> None:
-    """Gains of the axes across the spin that are off by 1.5 % made the same noise scatter over blocks twice and more."""
+    """Gains of the axes across the spin that are off by 1.5 % made the same noise scatter over blocks twice as much."""
     part = Problem(flown(along(0, 0.0 * SLOW)), NOISE_NT)
     fit = evaluate(part, X, ())
     other = evaluate(part, X + np.concatenate([np.zeros(3), [0.015, 0.015, -0.002], np.zeros(3)]), ())
