@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.joint.scene import under
 from magcal_service.earth import geomagnetic
 from magcal_service.earth.geomagnetic import Places
 from magcal_service.model import Array
@@ -312,3 +313,11 @@ def test_results_asked_for_last_are_kept_and_older_ones_made_again() -> None:
     assert [ask(key) for key in (1, 2, 1, 3, 1, 2)] == [10, 20, 10, 30, 10, 20]
     assert made == [1, 2, 3, 2]
     assert len(recent) == 2
+
+
+def test_a_scene_without_places_has_none_under_a_models_constants_either() -> None:
+    """What does not depend on the constants is worked out before, and is nothing where nothing is known."""
+    blind = replace(scene(), position_ecef_km=None, channels={})
+    given = under(blind, {"lag_s": 2.0}, Recent(4))
+    assert (given.position_ecef_km, given.lit, given.given) == (None, None, {"lag_s": 2.0})
+    assert not given.has_model

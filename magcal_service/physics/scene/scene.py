@@ -385,12 +385,14 @@ class Scene:
     ) -> Array:
         """(k,) magnitude of the main field [nT] at the knots, or at other places or times, one a knot."""
         times = self.time_ns[self.knots] if times_ns is None else times_ns
-        return np.asarray(np.linalg.norm((places or self._places).field_nt(times, degree), axis=1))
+        own = places or self._places
+        assert own is not None, "the field model needs places"
+        return np.asarray(np.linalg.norm(own.field_nt(times, degree), axis=1))
 
     @cached_property
-    def _places(self) -> geomagnetic.Places:
-        assert self.position_ecef_km is not None
-        return geomagnetic.Places(self.position_ecef_km[self.knots])
+    def _places(self) -> geomagnetic.Places | None:
+        """The craft's own at the knots; None where they are not known."""
+        return None if self.position_ecef_km is None else geomagnetic.Places(self.position_ecef_km[self.knots])
 
     @cached_property
     def has_model(self) -> bool:
