@@ -31,6 +31,12 @@ def test_no_order_of_messages_times_and_restarts_breaks_a_promise(method: str) -
     assert machine.total["messages"] > machine.total["steps"]
 
 
+def is_found(what: str, worlds: int) -> bool:
+    """Whether an error comes out of so many worlds, ten from each seed: how soon one seed's come to it is chance."""
+    seeds = range(1, worlds // 10 + 1)
+    return any(what in drive(rules_of("plkf"), number, 10, shrink=False) for number in seeds)
+
+
 def test_a_craft_that_fails_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     answer = Pipeline.answer
 
@@ -40,7 +46,7 @@ def test_a_craft_that_fails_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) 
         return answer(self, message)
 
     monkeypatch.setattr(Pipeline, "answer", raising)
-    assert "a craft failed by itself" in drive(rules_of("plkf"), 1, 60, shrink=False)
+    assert is_found("a craft failed by itself", 60)
 
 
 def test_a_failure_that_is_not_contained_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,7 +55,7 @@ def test_a_failure_that_is_not_contained_is_found(monkeypatch: pytest.MonkeyPatc
         yield
 
     monkeypatch.setattr(service, "contained", uncontained)
-    assert "PlantedError" in drive(rules_of("plkf"), 1, 60, shrink=False)
+    assert is_found("PlantedError", 60)
 
 
 def test_times_that_are_not_held_to_the_window_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +63,7 @@ def test_times_that_are_not_held_to_the_window_are_found(monkeypatch: pytest.Mon
     monkeypatch.setattr(assembler, "is_usable", lambda time_ns: True)
     monkeypatch.setattr(assembler, "FURTHEST_NS", 1 << 80)
     monkeypatch.setattr(assembler, "LONGEST_NS", 1 << 80)
-    assert "a craft failed by itself" in drive(rules_of("plkf"), 1, 200, shrink=False)
+    assert is_found("a craft failed by itself", 200)
 
 
 @pytest.mark.parametrize("line", ["zenoh", "serial"])
