@@ -216,12 +216,14 @@ def _is_within_another(explained: Explained, index: int) -> bool:
 
 
 def _share_an_orbit(fit: Fit, index: int) -> bool:
-    """Whether a name and another one follow no record, and it is seen for less than an orbit in all: two of any kind
+    """Whether a name and one beside it follow no record, and it is seen for less than an orbit in all: two of any kind
     together are met by a third cause, as a drift and a hysteresis were by a warmth that nobody recorded."""
-    unrecorded = [number for number, term in enumerate(fit.terms) if not is_recorded(term.hypothesis)]
-    scenes = [part.scene for part, _ in fit.problem.acting(fit.terms[index])]
-    seen_s = sum(float(np.ptp(scene.time_s)) for scene in scenes)
-    return index in unrecorded and len(unrecorded) > 1 and seen_s < max(map(_orbit_s, scenes))
+    own, others = fit.terms[index], (term for number, term in enumerate(fit.terms) if number != index)
+    scenes = [part.scene for part, _ in fit.problem.acting(own)]
+    beside = (term for term in others if any(part.scene in scenes for part, _ in fit.problem.acting(term)))
+    if is_recorded(own.hypothesis) or all(is_recorded(term.hypothesis) for term in beside):
+        return False
+    return sum(float(np.ptp(scene.time_s)) for scene in scenes) < max(map(_orbit_s, scenes))
 
 
 def _orbit_s(scene: Scene) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
@@ -16,7 +17,7 @@ from magcal_service.diagnosis.which_driver import otherwise
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Effect
-from magcal_service.recordings.recording import Channel
+from magcal_service.recordings.recording import Channel, Recording
 from tests.diagnosis.joint_days import COUNT, TIME_S, Day, day
 
 PER_K = np.array([12.0, -8.0, 15.0])
@@ -131,3 +132,46 @@ def test_a_clock_that_is_off_by_the_same_in_all_recordings_is_predicted_from_the
     clock = effect(found, "time_offset")
     assert clock["common"]
     assert all(one.kept > 0.9 for one in found.compared.predicted)
+
+
+def in_a_room(number: int, after: float, warms_nt: float = 0.0) -> Recording:
+    """A body that is turned about by hand in a room of 48 uT, times ``after`` from the 700th second on.
+
+    Parameters
+    ----------
+    warms_nt: the field of what warms up beside the sensor, with a time constant of 400 s [nT].
+    """
+    rng, time_s = np.random.default_rng([985, number]), np.arange(1500.0)
+    angles = [2.0 * np.sin(np.outer(time_s, rng.uniform(0.02, 0.06, 3)) + rng.uniform(0.0, 6.28, 3)) for _ in range(2)]
+    room_nt = np.outer(np.where(time_s < 700.0, 1.0, after), [21e3, -4e3, 43e3])
+    warm = np.outer(1.0 - np.exp(-time_s / 400.0), warms_nt * np.array([0.6, -0.5, 0.62]))
+    field = Rotation.from_euler("xyz", angles[0] + angles[1]).apply(room_nt) + warm + [800.0, -500.0, 300.0]
+    return Recording.from_arrays(
+        time=np.datetime64(f"2024-05-0{1 + number}T10:00:00") + (1e3 * time_s).astype("timedelta64[ms]"),
+        B=field + rng.normal(0.0, 40.0, field.shape),
+        H=np.full(len(time_s), float(np.linalg.norm(room_nt[0]))),
+        noise_nt=40.0,
+    )
+
+
+def found_in_a_room(recordings: list[Recording], *names: str) -> JointDiagnosis:
+    gathered = gather(recordings)
+    return diagnose_together(gathered.inspections, gathered.names, catalogued(*names))
+
+
+def test_a_gain_that_jumps_in_a_room_may_be_the_rooms_field() -> None:
+    """Here it is: iron was moved in the second recording."""
+    found = found_in_a_room([in_a_room(0, 1.0), in_a_room(1, 1.004)], "scale_step", "bias_step")
+    step = effect(found, "scale_step")
+    assert (step["as_well"], step["class"]) == (["unknown"], ["scale_step", "unknown"])
+    assert "a room's" in step["unlisted"]
+    assert step["probability"] < 0.5
+
+
+def test_a_drift_that_is_common_may_be_warmth_that_nobody_recorded() -> None:
+    """Here it is: what warms up does so in each recording alike."""
+    found = found_in_a_room([in_a_room(k, 1.0, 200.0) for k in range(2)], "bias_drift", "thermal_bias")
+    drift = effect(found, "bias_drift")
+    assert drift["common"]
+    assert (drift["as_well"], drift["class"]) == (["thermal_bias"], ["bias_drift", "thermal_bias"])
+    assert found.reasons == ("name_uncertain",)

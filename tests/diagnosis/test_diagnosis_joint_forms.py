@@ -7,11 +7,15 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.belief import posterior
+from magcal_service.diagnosis.blocks import Gain
+from magcal_service.diagnosis.explain import Explained
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, OF_THE_FORM, JointHypothesis, joined
 from magcal_service.diagnosis.joint.frozen import frozen
+from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.prepare import Form, prepare
-from magcal_service.diagnosis.problem import Problem, Term, free_numbers
+from magcal_service.diagnosis.problem import Problem, Term, evaluate, free_numbers
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue
 from magcal_service.physics.columns import Columns
@@ -171,3 +175,28 @@ def test_what_forms_say_by_the_data_is_said_under_constants_of_all_as_well(parts
     found = Forms.of(catalogue(), given).on(given, NAMES)
     (fan,) = [one for one in found if (one.driver, one.variant) == ("channel:fan", "")]
     assert fan.as_well == ("thermal_bias",)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "share"),
+    [
+        ("bias_step[in a]", "scale_step[in a]", True),
+        ("bias_step[in a]", "scale_step[in b]", False),
+        ("bias_step[in a]", "bias_drift", True),
+        ("bias_drift", "bias_step[in a]", False),
+        ("bias_step[in a]", "thermal_bias by channel:board", False),
+    ],
+)
+def test_two_names_without_a_record_share_an_orbit_in_their_recordings(
+    parts: list[Problem], first: str, second: str, share: bool
+) -> None:
+    """Each recording takes 5000 s, two of them more than an orbit of 5700 s."""
+    known = {one.label: one for one in Forms.of(catalogue(), parts).on(parts, NAMES)}
+    terms = [
+        Term(form, np.array([number.grid[3] for number in form.nonlinear]), np.ones(form.size))
+        for form in (known[first], known[second])
+    ]
+    fit = evaluate(JointProblem.of(parts), np.zeros(18), terms)
+    steady = (Gain(100.0, 1.0, 50, 50),) * 2
+    believed = posterior(Explained(fit, ((), ()), (100.0, 100.0), steady), 0)
+    assert (dict(believed.rivals)["unknown"] >= 0.3) is share
