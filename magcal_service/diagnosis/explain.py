@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magcal_service.diagnosis.blocks import Gain, gain_over
 from magcal_service.diagnosis.expansion import anew, clean_vectors
@@ -191,15 +190,18 @@ class Search(Screen):
         """Every hypothesis of the catalogue on a problem."""
         return hypotheses_of(self.effects, problem)
 
+    def taken(self, terms: Sequence[Term]) -> list[str]:
+        """Effects, or labels of forms, that are not tried beside terms: each is there once."""
+        return sorted({term.hypothesis.effect for term in terms})
+
     def clean(self, fit: Fit) -> Vectors:
         """As ``clean_vectors``."""
         return clean_vectors(fit)
 
     def _larger(self, fit: Fit, floor_nt: float, without: Set[str]) -> Fit | None:
         """The fit with one effect more, the best that held-out blocks agree to; None where there is none."""
-        present = {term.hypothesis.effect for term in fit.terms} | without
         tried: set[str] = set()
-        ranked = self._ranked(fit, floor_nt, sorted(present))
+        ranked = self._ranked(fit, floor_nt, [*self.taken(fit.terms), *sorted(without)])
         for candidate in ranked:
             if candidate.nats < ACCEPTED_NATS:
                 break
@@ -278,7 +280,7 @@ class Search(Screen):
             sigma = max(fit.white_rms_nt, floor_nt)
             ranked = self._rivals(fit, index, sigma)
             if is_recorded(fit.terms[index].hypothesis):
-                space, blocks = self.workspace(fit, index), self._blocks(fit)
+                space, blocks = self.workspace(fit, index), self.problem.blocks(self.white(fit.residual))
                 ranked = tempered(self, ranked, fit, index, space, blocks, sigma, most_fitted=0)
             fit = self._with_better(fit, index, ranked) or fit
         return fit
@@ -309,7 +311,7 @@ class Search(Screen):
         return fit
 
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
-        others = {t.hypothesis.effect for i, t in enumerate(fit.terms) if i != index}
+        others = self.taken([term for number, term in enumerate(fit.terms) if number != index])
         space = self.workspace(fit, index)
         mine = fit.terms[index].hypothesis
         moves = mine.moves_s is not None  # what else does is expanded where this has moved it: near it only now
@@ -318,7 +320,7 @@ class Search(Screen):
             for h in self.hypotheses
             if h is mine or h.label in self.close or (moves and h.moves_s is not None) or is_as_sudden(h, mine)
         ]
-        ranked = [*self.screen(space, fit, sigma, sorted(others), close), *in_stages(self, fit, index, space, sigma)]
+        ranked = [*self.screen(space, fit, sigma, others, close), *in_stages(self, fit, index, space, sigma)]
         if not any(one.hypothesis is mine for one in ranked):  # to first order beyond its physics; as fitted it is not
             ranked += self.at(mine, fit.terms[index].theta, space, fit, sigma)
         return sorted(ranked, key=lambda candidate: -candidate.nats)
@@ -331,7 +333,7 @@ class Search(Screen):
         """
         while True:
             sigma = max(fit.white_rms_nt, floor_nt)
-            blocks, after = self._blocks(fit), self.workspace(fit).residual
+            blocks, after = self.problem.blocks(self.white(fit.residual)), self.workspace(fit).residual
             spaces = [self.workspace(fit, index) for index in range(len(fit.terms))]
             gains = [gain_over(space.residual, after, blocks, sigma**2) for space in spaces]
             worth = [self._worth(fit, index, sigma) for index in range(len(fit.terms))]
@@ -393,6 +395,3 @@ class Search(Screen):
             if held_out_nt2(trial) <= held_out_nt2(fit) + most:
                 return trial
         return None
-
-    def _blocks(self, fit: Fit) -> NDArray[np.intp]:
-        return self.problem.blocks(self.white(fit.residual))

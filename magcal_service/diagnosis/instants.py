@@ -83,7 +83,8 @@ def in_stages(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: 
     forms = [form for form in search.beside(mine) if jumps and form.effect == jumps]
     single = [form for form in forms if _is_of(form, 1)]
     pair = [form for form in forms if _is_of(form, 2)]
-    if not single or not pair or any(term.hypothesis.effect == jumps for term in fit.terms):
+    labels = {form.label for form in forms}
+    if not single or not pair or any(term.hypothesis.label in labels for term in fit.terms):
         return []
     found, beside = search.screen(space, fit, sigma_nt, among=single), []
     for _ in range(_LOOKS):

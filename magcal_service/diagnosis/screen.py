@@ -169,11 +169,11 @@ class Screen:
         skip: Sequence[str] = (),
         among: Sequence[Hypothesis] | None = None,
     ) -> list[Candidate]:
-        """Every hypothesis at its best, best first; or those ``among``, from where they have been at their best."""
+        """Every hypothesis not in ``skip`` (effects, labels) at its best, best first; or those ``among``, near it."""
         lines: Array | None = None
         found: list[Candidate] = []
         every = self.hypotheses if among is None else among
-        wanted = [hypothesis for hypothesis in every if hypothesis.effect not in skip]
+        wanted = [h for h in every if h.effect not in skip and h.label not in skip]
         if any(number.role in OF_LINES for hypothesis in wanted for number in hypothesis.nonlinear):
             lines = self._lines(space, fit)
 

@@ -134,6 +134,18 @@ def test_a_clock_that_is_off_by_the_same_in_all_recordings_is_predicted_from_the
     assert all(one.kept > 0.9 for one in found.compared.predicted)
 
 
+@pytest.mark.parametrize("seed", [990, 991])
+def test_each_of_two_recordings_may_have_a_jump_of_its_own(seed: int) -> None:
+    """With the one named, a drift stood in the other's place, and could be trusted."""
+    added = [np.outer(on_from(at_s), sign * OF_A_LOAD) for at_s, sign in ((2000.0, -1.0), (3000.0, 1.0))]
+    days = [day(k, 3.0 * PER_K if seed == 991 else PER_K, NONE, added[k], seed=seed) for k in range(2)]
+    found = together(days, catalogued("thermal_bias", "current_loop", "bias_step", "bias_drift"))
+    jumps = [one for one in json.loads(as_json(found))["effects"] if one["effect"] != "thermal_bias"]
+    assert [one["effect"] for one in jumps] == ["bias_step", "bias_step"]
+    at_s = {name: one["parameters"]["at_s"]["value"] for one in jumps for name in one["recordings"]}
+    assert at_s == {"arrays-1": pytest.approx(2000.0, abs=20.0), "arrays-2": pytest.approx(3000.0, abs=20.0)}
+
+
 def in_a_room(number: int, after: float, warms_nt: float = 0.0) -> Recording:
     """A body that is turned about by hand in a room of 48 uT, times ``after`` from the 700th second on.
 

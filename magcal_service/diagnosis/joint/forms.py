@@ -121,6 +121,10 @@ class JointHypothesis(Hypothesis):
         """Whether the effect acts on a recording."""
         return self.parts[self.names.index(name)] is not None
 
+    def meets(self, other: JointHypothesis) -> bool:
+        """Whether both act on one of the recordings."""
+        return any(self.acts_on(name) and other.acts_on(name) for name in self.names)
+
     def theta_of(self, number: int, theta: Array) -> Array:
         """The nonlinear numbers (m,) on the clock of one recording."""
         found = np.array(theta)

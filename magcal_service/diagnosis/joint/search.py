@@ -68,6 +68,15 @@ class JointSearch(Search):
         known = {form.label: form for form in self.hypotheses}
         return replace(fit, terms=tuple(replace(term, hypothesis=known[term.hypothesis.label]) for term in fit.terms))
 
+    def taken(self, terms: Sequence[Term]) -> list[str]:
+        """As ``Search.taken``: what changes in one recording alone may do so in another one, too."""
+        forms = [joint(term) for term in terms]
+        return [
+            one.label
+            for one in self.hypotheses
+            if isinstance(one, JointHypothesis) and any(one.effect == form.effect and one.meets(form) for form in forms)
+        ]
+
     def screen(
         self,
         space: Workspace,
