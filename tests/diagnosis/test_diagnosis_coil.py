@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from magcal_service.diagnosis.answer import diagnose
 from magcal_service.model import Array
+from magcal_service.recordings.reader import read_recording
 from tests.benchmarks.bench_suchai3 import DATA
 
 COIL = DATA / "aero-vista" / "recording.toml"
@@ -32,8 +33,12 @@ def joint_slope(zero_degc: float) -> float:
 
 
 def test_the_slope_of_the_gain_is_that_of_another_joint_fit() -> None:
-    """Within a tenth of a per cent, three times its own sigma; asked for are two per cent."""
-    answer = diagnose(COIL)
+    """Within a tenth of a per cent, three times its own sigma; asked for are two per cent.
+
+    By every second row, which are a third of the work, against the fit of all of them.
+    """
+    recording = read_recording(COIL)
+    answer = diagnose(recording.select(np.arange(len(recording)) % 2 == 0))
     assert answer.trusted
     first = answer.to_dict()["effects"][0]
     assert first["effect"] == "thermal_scale"

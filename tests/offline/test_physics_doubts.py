@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,7 @@ from magcal_service.wire.messages import Estimate, Verdict
 from sim_sensor import cli as sim_cli
 from sim_sensor.recorder import record_simulation
 from sim_sensor.simulation import Simulation
-from tests.cli.cli_inputs import run
+from tests.cli.cli_inputs import Done, run
 from tests.physics.live_models import THERMAL, craft, hot, physics, stream
 
 SAID = (
@@ -49,31 +51,40 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_a_reader_says_each_doubt_once_and_none_of_a_sound_file(reader: str, folder: Path) -> None:
-    for name, count in (("doubtful", 1), ("sound", 0)):
+@pytest.fixture(scope="module")
+def done(folder: Path) -> Callable[[str, str], Done]:
+    """What a reader says of a recording with the doubtful or the sound file; each is asked once."""
+
+    @cache
+    def by(reader: str, name: str) -> Done:
         places = {
             "recording": folder / "RECORDING.toml",
             "config": folder / f"{name}-magcal.toml",
             "physics": folder / f"{name}.toml",
             "folder": folder,
         }
-        done = run(*(part.format(**places) for part in READERS[reader]))
-        assert (done.out + done.err).count(SAID) == count, done
+        return run(*(part.format(**places) for part in READERS[reader]))
+
+    return by
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_reader_says_each_doubt_once_and_none_of_a_sound_file(reader: str, done: Callable[[str, str], Done]) -> None:
+    for name, count in (("doubtful", 1), ("sound", 0)):
+        told = done(reader, name)
+        assert (told.out + told.err).count(SAID) == count, told
 
 
 @pytest.mark.parametrize("reader", ["replay", "calibrate", "apply"])
-def test_nothing_that_rests_on_a_doubtful_file_is_trusted(reader: str, folder: Path) -> None:
+def test_nothing_that_rests_on_a_doubtful_file_is_trusted(reader: str, done: Callable[[str, str], Done]) -> None:
     """One verdict, whoever gives it: apply said doubtful of vectors that a replay trusted."""
-    places = {"recording": folder / "RECORDING.toml", "folder": folder}
     for name, is_doubted in (("doubtful", True), ("sound", False)):
-        files = {"config": folder / f"{name}-magcal.toml", "physics": folder / f"{name}.toml"}
-        done = run(*(part.format(**places, **files) for part in READERS[reader]))
+        told = done(reader, name)
         if reader == "apply":
-            assert (" vectors, 0 of them trusted" in done.out) is is_doubted
+            assert (" vectors, 0 of them trusted" in told.out) is is_doubted
         else:
-            assert ("verdict: doubtful (physics_doubtful" in done.out + done.err) is is_doubted, done
-            assert ("physics_doubtful" in done.out + done.err) is is_doubted
+            assert ("verdict: doubtful (physics_doubtful" in told.out + told.err) is is_doubted, told
+            assert ("physics_doubtful" in told.out + told.err) is is_doubted
 
 
 def test_live_each_message_says_so(folder: Path) -> None:
