@@ -79,17 +79,23 @@ def test_all_rows_of_the_pulses_are_left_out_and_most_others_stay() -> None:
     assert np.mean(pulses.spoiled[~ON]) < 0.12
 
 
+def turning_slowly() -> Scene:
+    turn = np.stack([np.sin(TIME_S / 27.0), np.cos(TIME_S / 27.0), 0.7 * np.sin(TIME_S / 154.0)], axis=1)
+    field = 40_000.0 * turn / np.linalg.norm(turn, axis=1)[:, None]
+    return replace(scene(), field_nt=field, calibrated_nt=field, clean_field_nt=field)
+
+
 @pytest.mark.parametrize("size", [0.6, 1.0, 1.5, 3.0])
 @pytest.mark.parametrize("seed", [46, 60, 62, 65])
 def test_what_switches_at_random_has_no_pauses(seed: int, size: float) -> None:
     """A magnet that flips, every three minutes on the average, on a craft that turns slowly: cut into cycles it has
     another field in each, and in the pauses as well."""
-    turn = np.stack([np.sin(TIME_S / 27.0), np.cos(TIME_S / 27.0), 0.7 * np.sin(TIME_S / 154.0)], axis=1)
-    field = 40_000.0 * turn / np.linalg.norm(turn, axis=1)[:, None]
-    slow = replace(scene(), field_nt=field, calibrated_nt=field, clean_field_nt=field)
     flips = np.cumsum(np.random.default_rng(seed).random(COUNT) < 1.0 / 180.0) % 2
-    assert found(size * np.outer(2.0 * flips - 1.0, [36.0, -24.0, 56.0]), slow) is None
-    assert found(0.7 * ON[:, None] * levels(), slow) is not None
+    assert found(size * np.outer(2.0 * flips - 1.0, [36.0, -24.0, 56.0]), turning_slowly()) is None
+
+
+def test_what_pulses_on_a_craft_that_turns_slowly_has_pauses() -> None:
+    assert found(0.7 * ON[:, None] * levels(), turning_slowly()) is not None
 
 
 def test_pauses_of_few_rows_are_not_left_out_with_the_pulses() -> None:
