@@ -20,6 +20,7 @@ from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.result import as_json as joint_json
 from magcal_service.diagnosis.joint.words import summary as joint_summary
 from magcal_service.diagnosis.result import entries, held_out_rms
+from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.recordings.inspect.inspection import inspect
@@ -63,7 +64,7 @@ class Answer(NineErrors):
             effects=found,
             held_out_rms_nt=held_out_rms(diagnosis),
             x=np.asarray(diagnosis.fit.x[:STATE_SIZE]),
-            covariance=np.asarray(diagnosis.fit.covariance[:STATE_SIZE, :STATE_SIZE]),
+            covariance=errors_covariance(diagnosis.fit),
             content=json.loads(as_json(diagnosis, found)),
         )
 

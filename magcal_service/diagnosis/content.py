@@ -17,6 +17,7 @@ from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.words import compared_with, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import DIAGNOSIS, head
@@ -27,7 +28,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     """The contract's ``diagnosis.json``."""
     found = entries(diagnosis) if found is None else found
     fit = diagnosis.fit
-    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[:STATE_SIZE], 0.0))
+    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(fit)), 0.0))
     mounting, reference_off = mounting_of(fit), reference_off_of(fit)
     moved_nt, moved_sigma_nt = moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)

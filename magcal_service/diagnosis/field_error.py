@@ -22,6 +22,7 @@ from magcal_service.diagnosis.model_errors import (
     common_orbit,
     near_ground,
     of_currents,
+    outside,
     polar,
     reach_km,
 )
@@ -81,6 +82,8 @@ class FieldError:
     noise_nt: 1 sigma of the white noise that comes on top [nT].
     scale: beside what is usual.
     coarse, fine: usual covariances (q, q) of one number between the knots [nT^2].
+    outside: (q, q) [nT^2] of a field that is the same everywhere, which the nine errors take up; no part of the noise.
+        None of whole vectors, which have unknowns for it, and near the ground.
     """
 
     lines: Lines | TurnedLines
@@ -90,6 +93,7 @@ class FieldError:
     scale: Scale
     coarse: Array
     fine: Array
+    outside: Array | None = None
 
     @classmethod
     def of(cls, scene: Scene, noise_nt: float, onto: Array | None = None) -> FieldError | None:
@@ -112,17 +116,26 @@ class FieldError:
             return None
         at = _knots(scene) if high or given is None else _knots_on_the_way(scene, given)
         place = common_orbit(scene.time_s[at]) if given is None else given[at]
-        alike = _alignment(scene, at) if onto is None else 1.0
+        aligned = _alignment(scene, at) if onto is None else None
+        alike = 1.0 if aligned is None else aligned
         coarse, fine = (part * alike for part in (by_place(place, altitude_km) if high else near_ground(place)))
         if high:
             share = np.full(len(at), COMMON_SHARE) if given is None else polar(place)
             fine += of_currents(share, scene.time_s[at])
         lines = Lines(at, len(scene))
-        return cls._made(lines if onto is None else TurnedLines(lines, onto), noise_nt, Scale(), coarse, fine)
+        common = outside(aligned) if high and aligned is not None else None
+        onto_rows = lines if onto is None else TurnedLines(lines, onto)
+        return cls._made(onto_rows, noise_nt, Scale(), coarse, fine, common)
 
     @classmethod
     def _made(
-        cls, lines: Lines | TurnedLines, noise_nt: float, scale: Scale, coarse: Array, fine: Array
+        cls,
+        lines: Lines | TurnedLines,
+        noise_nt: float,
+        scale: Scale,
+        coarse: Array,
+        fine: Array,
+        common: Array | None,
     ) -> FieldError | None:
         values, vectors = np.linalg.eigh(scale.coarse**2 * coarse + scale.fine**2 * fine)
         useful = values * lines.count > _LEAST * noise_nt**2
@@ -136,7 +149,17 @@ class FieldError:
         if not kept.any():
             return None
         courses = courses @ turn[:, kept] / np.sqrt(squares[kept])
-        return cls(lines, courses, squares[kept], noise_nt, scale, coarse, fine)
+        return cls(lines, courses, squares[kept], noise_nt, scale, coarse, fine, common)
+
+    @property
+    def beside_noise(self) -> Array | None:
+        """(q, q) covariance at the knots of what a recording's reference may be off by beside what is counted as noise:
+        what is the same everywhere, and what is usual where the noise has less, because the residual shows less: what
+        the nine errors took up it does not show [nT^2].  None where ``outside`` is."""
+        if self.outside is None:
+            return None
+        coarse, fine = (1.0 - min(one, 1.0) ** 2 for one in self.scale)
+        return np.asarray(coarse * self.coarse + fine * self.fine + self.outside)
 
     @property
     def basis(self) -> Array:
@@ -146,7 +169,7 @@ class FieldError:
     def scaled(self, scale: Scale) -> FieldError:
         """The usual errors at a scale; what is so small then that the noise hides it is kept at that level."""
         if scale not in self._at:
-            made = self._made(self.lines, self.noise_nt, scale, self.coarse, self.fine)
+            made = self._made(self.lines, self.noise_nt, scale, self.coarse, self.fine, self.outside)
             none = np.zeros(1)
             found = made or replace(self, courses=self.courses[:, :1], variance=none, scale=scale)
             found.__dict__["_at"] = self._at

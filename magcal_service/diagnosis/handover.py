@@ -10,6 +10,7 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
 from magcal_service.diagnosis.problem import Fit
+from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of
@@ -34,7 +35,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
     """
     usable, fit = diagnosis.usable, diagnosis.handed_over
     scene, fitted = fit.problem.scene, {term.hypothesis.effect for term in fit.terms}
-    sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(fit)), 0.0))
     others = [entry for entry in entries if entry.effect not in fitted and entry.effect != UNLISTED]
     spin = diagnosis.spin
     return PhysicsModel(
@@ -42,7 +43,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
         origin_ns=scene.origin_ns,
         clock=Clock.UTC if scene.utc else Clock.ELAPSED,
         x=fit.x[:STATE_SIZE],
-        sigma=sigma[:STATE_SIZE],
+        sigma=sigma,
         noise_nt=diagnosis.noise_nt,
         terms=tuple(term for term in terms_of(fit) if term.effect != NAME),
         notes=tuple(Note(entry.effect, entry.says, _finite(entry)) for entry in others),

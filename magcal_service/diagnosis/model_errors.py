@@ -111,6 +111,16 @@ def by_place(place_km: NDArray[np.float64], altitude_km: float) -> tuple[Array, 
     return square * low + _EXTERNAL_NT**2 * cosine, square * high
 
 
+def outside(alike: Array) -> Array:
+    """Covariance (k, k) [nT^2] of what is uniform, from far outside, along the field at each place.
+
+    Parameters
+    ----------
+    alike: (k, k) products of the field's directions at two places each, Earth-fixed.
+    """
+    return np.asarray(_EXTERNAL_NT**2 * alike)
+
+
 def polar(place_km: NDArray[np.float64]) -> Array:
     """(k,) share of the currents in the polar ionosphere that places (k, 3) have: 1 poleward of where they flow."""
     sets_in, over = _POLAR_DEG

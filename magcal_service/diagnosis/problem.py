@@ -28,6 +28,7 @@ from magcal_service.diagnosis.field_error import FieldError
 from magcal_service.diagnosis.groups import Groups
 from magcal_service.diagnosis.linear import fold_solutions, folds, held_out
 from magcal_service.diagnosis.slopes import HELD, lengths, number_slopes, room_slopes, unknown_slopes
+from magcal_service.diagnosis.spread import robust_covariance, scaled_inverse
 from magcal_service.model import STATE_SIZE, Array, calibrate, d_matrix
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Hypothesis
@@ -41,7 +42,6 @@ PRIOR_D: Final = 0.5
 
 _FINITE_NT2: Final = 1e300  # squares beyond which nothing is worked out any more
 
-_ROUNDING: Final = 1e-14  # of the largest eigenvalue of scaled products: below it they are rounding
 
 _NOT_MOVED: Final = 1e6
 """Times a column's square, what ties its amplitude to where it is: it moves by a millionth."""
@@ -262,24 +262,14 @@ class Fit:
         return values
 
     @cached_property
-    def covariance(self) -> Array:
-        """(p, p) of unknowns, amplitudes and nonlinear numbers, robust to a coloured residual.
+    def scaled_inverse(self) -> Array:
+        """(p, p) inverse of the products of the columns that ``normal_equations`` scales, priors included."""
+        return scaled_inverse(self)
 
-        Block sums of the score stand for its variance (Liang & Zeger 1986); never smaller than for white noise.
-        """
-        sigma2 = max(self.white_rms_nt**2, 1e-12)
-        scale, products, _ = self.normal_equations
-        values, vectors = np.linalg.eigh(products + np.diag(sigma2 * self.tie / scale**2))
-        # what nothing tells is as wide as its prior, not known exactly
-        inverse = (vectors / np.maximum(values, _ROUNDING * values[-1])) @ vectors.T
-        white = sigma2 * inverse
-        score = self.white_columns / scale * self.white_residual[:, None]
-        count = max(30, len(score) // 400)
-        sums = np.add.reduceat(score, np.arange(0, len(score), max(1, len(score) // count)))
-        robust = inverse @ (sums.T @ sums) @ inverse
-        grow = np.sqrt(np.maximum(np.diagonal(robust) / np.maximum(np.diagonal(white), 1e-300), 1.0))
-        grow = np.where(grow > 1.5, grow, 1.0)  # block sums themselves scatter by 1 / sqrt(2 blocks)
-        return np.asarray(white * np.outer(grow, grow) / np.outer(scale, scale))
+    @cached_property
+    def covariance(self) -> Array:
+        """(p, p) of unknowns, amplitudes and nonlinear numbers, robust to a coloured residual."""
+        return robust_covariance(self)
 
     @cached_property
     def _held_out(self) -> tuple[Array, Array]:

@@ -36,6 +36,7 @@ from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.searching import FLOOR, LOWER, quieted
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue, held_at
@@ -331,7 +332,7 @@ class _Run:
         assert isinstance(fit.problem, JointProblem)
         found = []
         first = 0
-        for number, part in enumerate(_parts(fit)):
+        for number, (part, rows) in enumerate(zip(_parts(fit), fit.problem.slices, strict=True)):
             prepared, own = self.prepared[number], slice(first, first + STATE_SIZE)
             first += part.problem.size
             spin = prepared.spin
@@ -350,7 +351,7 @@ class _Run:
                     prepared,
                     baseline,
                     part,
-                    fit.covariance[own, own],
+                    errors_covariance(fit, part.problem, rows, own),
                     tuple(left if by_memory is None else by_memory),
                     light_seen(prepared.problem.scene, None if spin is None else spin.rate_rad_s),
                     has_memory=by_memory is not None,

@@ -17,6 +17,7 @@ from magcal_service.diagnosis.report.figures import curve_picture, pictures, tra
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.rows import account_of
+from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.words import (
     belief,
     chance,
@@ -35,7 +36,7 @@ from magcal_service.diagnosis.words import (
     titles,
     verdict_sentence,
 )
-from magcal_service.model import BIAS, STATE_NAMES, STATE_SIZE
+from magcal_service.model import BIAS, STATE_NAMES
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.apply.advice import advice, in_order
 from magcal_service.physics.held import held_in_words
@@ -213,7 +214,7 @@ def _modelled(modelled: Modelled) -> dict[str, Any]:
 def _errors(diagnosis: Diagnosis) -> list[dict[str, str]]:
     """The nine errors before and after, with 1 sigma."""
     before, after = diagnosis.prepared.baseline, diagnosis.fit
-    sigma = np.sqrt(np.maximum(np.diagonal(after.covariance)[:STATE_SIZE], 0.0))
+    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(after)), 0.0))
     rows = []
     for i, name in enumerate(STATE_NAMES):
         places, unit = (1, "nT") if i < BIAS.stop else (5, "")

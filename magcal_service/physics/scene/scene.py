@@ -362,8 +362,6 @@ class Scene:
             return self.lit is not None
         return self.lit is not None and 0.02 < float(self.lit.mean()) < 0.98
 
-    # The reference field
-
     @cached_property
     def dipole_eci(self) -> Array | None:
         """(n, 3) axis of the Earth's dipole, towards geomagnetic north, ECI; None without UTC."""
@@ -386,13 +384,13 @@ class Scene:
         """(k,) magnitude of the main field [nT] at the knots, or at other places or times, one a knot."""
         times = self.time_ns[self.knots] if times_ns is None else times_ns
         own = places or self._places
-        assert own is not None, "the field model needs places"
+        assert own
         return np.asarray(np.linalg.norm(own.field_nt(times, degree), axis=1))
 
     @cached_property
     def _places(self) -> geomagnetic.Places | None:
-        """The craft's own at the knots; None where they are not known."""
-        return None if self.position_ecef_km is None else geomagnetic.Places(self.position_ecef_km[self.knots])
+        given = self.position_ecef_km
+        return None if given is None else geomagnetic.Places(given[self.knots])
 
     @cached_property
     def has_model(self) -> bool:
