@@ -20,6 +20,12 @@ _OF_A_BEND: Final = 8.0
 
 def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
     """Amplitudes by block, nonlinear numbers, constants and what is derived, each with 1 sigma."""
+    found = fitted_numbers(fit, index, effect)
+    return {**found, **effect.derived(found)}
+
+
+def fitted_numbers(fit: Fit, index: int, effect: Effect) -> Values:
+    """The same without what is derived."""
     term = fit.terms[index]
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     at = amplitude_columns(fit, index).start
@@ -40,7 +46,7 @@ def parameters_of(fit: Fit, index: int, effect: Effect) -> Values:
         found[name] = replace(each, labels=names, bounds=_searched(of[name]))
     for name, constant in term.hypothesis.constants.items():
         found.setdefault(name, value_of(constant, math.nan, effect.units.get(name, "1")))
-    return {**found, **effect.derived(found)}
+    return found
 
 
 def of_each_axis(fit: Fit, index: int, effect: Effect) -> Values:

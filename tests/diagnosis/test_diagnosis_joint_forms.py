@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +16,13 @@ from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, OF_THE_FORM, JointHypothesis, joined
 from magcal_service.diagnosis.joint.frozen import frozen
 from magcal_service.diagnosis.joint.problem import JointProblem
+from magcal_service.diagnosis.joint.words import derived_of_each
 from magcal_service.diagnosis.prepare import Form, prepare
 from magcal_service.diagnosis.problem import Problem, Term, evaluate, free_numbers
 from magcal_service.model import Array
-from magcal_service.physics.catalogue import catalogue
+from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear
+from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, value_of
 from magcal_service.recordings.inspect.inspection import inspect
 from tests.diagnosis.joint_days import day
 
@@ -200,3 +203,48 @@ def test_two_names_without_a_record_share_an_orbit_in_their_recordings(
     steady = (Gain(100.0, 1.0, 50, 50),) * 2
     believed = posterior(Explained(fit, ((), ()), (100.0, 100.0), steady), 0)
     assert (dict(believed.rivals)["unknown"] >= 0.3) is share
+
+
+# What is derived from numbers that each recording has its own
+
+DERIVED: dict[str, dict[str, tuple[list[float], str]]] = {
+    "axis_skew": {"after_x_s": ([0.01, 0.02], "s")},
+    "tone": {"cosine_nt": ([3.0, 0.0, 4.0], "nT"), "sine_nt": ([0.0, 12.0, 0.0], "nT")},
+    "response_lag": {"tau2_s2": ([0.04], "s2")},
+    "torquer": {"nt_per_am2": ([1.0, 2.0, 3.0], "nT/(A m2)")},
+}
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_what_is_derived_is_derived_of_each_recording(name: str) -> None:
+    """It is what each has by itself, along a first axis; an effect knows nothing of several recordings."""
+    effect = effect_named(name)
+    blocks = {key: (np.squeeze(np.array(numbers)), unit) for key, (numbers, unit) in DERIVED[name].items()}
+    if name == "torquer":
+        blocks = {key: (np.arange(9.0).reshape(3, 3), unit) for key, (_, unit) in blocks.items()}
+    own = (
+        {key: value_of(k * numbers, 0.1 * k * numbers + 0.1, unit) for key, (numbers, unit) in blocks.items()}
+        for k in (1.0, 2.0)
+    )
+    single = [effect.derived(each) for each in own]
+    fitted = {
+        key: replace(
+            value_of(np.stack([numbers, 2.0 * numbers]), np.stack([0.1 * numbers + 0.1, 0.2 * numbers + 0.1]), unit),
+            labels=(("one", "other"),),
+        )
+        for key, (numbers, unit) in blocks.items()
+    }
+    form: Any = SimpleNamespace(own=frozenset(blocks))
+    found = derived_of_each(effect, form, fitted)
+    assert set(found) == set(single[0])
+    for key, value in found.items():
+        assert value.value == pytest.approx(np.stack([each[key].value for each in single]))
+        assert value.sigma == pytest.approx(np.stack([each[key].sigma for each in single]))
+        assert value.labels[0] == ("one", "other")
+
+
+def test_what_is_derived_of_common_numbers_is_as_of_one_recording() -> None:
+    effect = effect_named("axis_skew")
+    fitted = {"after_x_s": value_of([0.01, 0.02], [1e-3, 2e-3], "s")}
+    form: Any = SimpleNamespace(own=frozenset({"start_nt"}))
+    assert derived_of_each(effect, form, fitted)["delay_s"].value.tolist() == [0.0, 0.01, 0.02]

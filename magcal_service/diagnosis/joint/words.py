@@ -18,7 +18,7 @@ from magcal_service.diagnosis.joint.diagnose import Alone, JointDiagnosis
 from magcal_service.diagnosis.joint.forms import OF_CHANGES, JointHypothesis, joint
 from magcal_service.diagnosis.joint.levels import Levels, bias_moved_nt, levels_of_all, levels_of_each
 from magcal_service.diagnosis.joint.light import light_lines
-from magcal_service.diagnosis.parameters import parameters_of
+from magcal_service.diagnosis.parameters import fitted_numbers
 from magcal_service.diagnosis.summary import reason_lines, verdict_line
 from magcal_service.diagnosis.which_driver import drivers_of
 from magcal_service.diagnosis.words import (
@@ -58,7 +58,9 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
     """
     term = diagnosis.fit.terms[index]
     form = joint(term)
-    found = dict(parameters_of(diagnosis.fit, index, effect_of(diagnosis, index)))
+    effect = effect_of(diagnosis, index)
+    fitted = fitted_numbers(diagnosis.fit, index, effect)
+    found = {**fitted, **derived_of_each(effect, form, fitted)}
     acting = next(k for k, name in enumerate(form.names) if form.acts_on(name))
     times = {number.name for number in form.nonlinear if number.role in OF_CHANGES}
     for name, own in by_name(form.nonlinear, form.theta_of(acting, term.theta)).items():
@@ -68,6 +70,32 @@ def parameters(diagnosis: JointDiagnosis, index: int) -> Values:
         name: replace(value, sigma=diagnosis.compared.spread(index, name) * value.sigma)
         for name, value in found.items()
         if not name.startswith(START)
+    }
+
+
+def derived_of_each(effect: Effect, form: JointHypothesis, fitted: Values) -> Values:
+    """What is derived from a form's numbers; where those are each recording's own, of each, along a first axis."""
+    first = [name for name in form.own if not name.startswith(START)]
+    if not first:
+        return effect.derived(fitted)
+    names = fitted[first[0]].labels[0]
+    each = []
+    for number in range(len(names)):
+        own = {
+            name: replace(value, value=value.value[number], sigma=value.sigma[number], labels=value.labels[1:])
+            for name, value in fitted.items()
+            if name in form.own
+        }
+        each.append(effect.derived({**fitted, **own}))
+    return {
+        name: replace(
+            one,
+            value=np.stack([derived[name].value for derived in each]),
+            sigma=np.stack([derived[name].sigma for derived in each]),
+            labels=(names, *one.labels),
+        )
+        for name, one in each[0].items()
+        if all(name in derived for derived in each)
     }
 
 
