@@ -206,7 +206,7 @@ class _Sums:
     def weighed(self, rows: Rows, weights: Array) -> float:
         """Drop in squares [nT^2] by signals (k + 1, s) in the stretches between rows (k,)."""
         ends = np.searchsorted(self.firsts, rows)[None]
-        normal, inside, right = self._between(ends)
+        normal, inside, right = self._between(ends, 0)
         return float(_signals(normal[0], inside[0], right[0], weights).drops[0])
 
     def nats(self, choice: _Choice) -> float:
@@ -220,20 +220,19 @@ class _Sums:
         squares = self.running.squares
         return float(max(squares - drop, 1e-9 * squares, 1e-300) / self.running.count)
 
-    def _between(self, ends: Rows) -> tuple[Array, Array, Array]:
-        """Sums (m, k + 1, ...) between the numbers of stretches (m, k)."""
+    def _between(self, ends: Rows, first: int, step: int = 1) -> tuple[Array, Array, Array]:
+        """Sums (m, s, ...) between the numbers of stretches (m, k): of every ``step``-th of the k + 1, from one on."""
         shape = (len(ends), 1)
         cuts = np.concatenate([np.zeros(shape, np.intp), ends, np.full(shape, len(self.firsts), np.intp)], axis=1)
+        begin, end = cuts[:, :-1][:, first::step], cuts[:, 1:][:, first::step]
         parts = (self.running.normal, self.running.inside, self.running.right)
-        normal, inside, right = (part[cuts[:, 1:]] - part[cuts[:, :-1]] for part in parts)
+        normal, inside, right = (part[end] - part[begin] for part in parts)
         return normal, inside, right
 
     def _levels(self, ends: Rows, together: bool) -> Segments:
-        parts = self._between(ends)
         if together:
-            normal, inside, right = (part[:, 1::2].sum(axis=1) for part in parts)
-            return Segments(normal, inside, right)
-        return _apart(*(part[:, 1:] for part in parts))
+            return Segments(*(part.sum(axis=1) for part in self._between(ends, 1, 2)))
+        return _apart(*self._between(ends, 1))
 
 
 def _apart(normal: Array, inside: Array, right: Array) -> Segments:
