@@ -140,7 +140,16 @@ def test_cells_of_three_faces_and_more_may_stand_for_the_suns_direction(
     load = Telemetry("load", "current", 0.5 + 0.1 * np.sin(TIME_S / 700.0)[:, None])
     found = {"cells": cells, "load": load, **({"sun": scene().channels["sun"]} if sun else {})}
     blind = replace(scene(), channels=found, body_from_eci=None, position_ecef_km=None)
-    by = [h for h in effect_named("current_loop").hypotheses(blind) if h.driver == "channel:cells"]
-    assert by
-    assert {h.as_well for h in by} == {as_well}
+    without_shadow = replace(scene(), channels=found, position_ecef_km=None)
+    for of in (blind, without_shadow):
+        by = [h for h in effect_named("current_loop").hypotheses(of) if h.driver == "channel:cells"]
+        assert by
+        assert {h.as_well for h in by} == {as_well}
+    dark = replace(cells, values=cells.values * (scene().lit > 0.5)[:, None])
+    for one, may_be in ((dark, as_well), (cells, ())):
+        placed = replace(scene(), channels={**found, "cells": one}, body_from_eci=None)
+        by = [h for h in effect_named("current_loop").hypotheses(placed) if h.driver == "channel:cells"]
+        assert {h.as_well for h in by} == {may_be}, "a cell is dark in the Earth's shadow, a load is not"
+    whole = replace(scene(), channels=found)
+    assert {h.as_well for h in forms("current_loop", whole).values() if h.driver == "channel:cells"} == {()}
     assert {h.as_well for h in forms("current_loop", blind).values() if h.driver == "channel:load"} == {()}

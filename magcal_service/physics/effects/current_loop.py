@@ -54,6 +54,11 @@ _SHADE: Final = 0.05  # of its largest, what a cell gives in the shade at the mo
 _OFTEN_IN_SHADE: Final = 0.2
 """Share of the rows in which a face is in the shade at the least, and in the Sun; choice: in orbit half is usual."""
 
+_NO_SUN: Final = 0.05  # share of sunlight below which it is as good as none
+_DARK_THERE: Final = 0.9
+"""Of the rows in the Earth's shadow, in how many a cell gives nothing at the least: times and places err by a minute in
+an orbit's half hour of shadow; a load is on there as elsewhere."""
+
 _LIKE_CURRENTS: Final = ("counts", "dimensionless", "fraction", "power")
 """Kinds of channels that may go along with a current though they are none: raw readings, states, duties, loads."""
 
@@ -112,20 +117,26 @@ def _by_channel(scene: Scene) -> Iterator[Hypothesis]:
 def _may_be_the_sun(scene: Scene, values: Array) -> bool:
     """Whether records (n, k) may stand for the Sun's direction: those of cells on three faces and more tell it, where
     nothing else does, and one of them goes along with it."""
-    if not scene.in_orbit or scene.sun_body is not None or any(map(is_sun_vector, scene.channels.values())):
+    is_told = scene.sun_body is not None and scene.lit is not None  # without places the shadow is not known
+    if not scene.in_orbit or is_told or any(map(is_sun_vector, scene.channels.values())):
         return False
 
     def faces() -> int:
-        return sum(int(np.count_nonzero(_shaded(c.values))) for c in scene.of_quantity("current", *_LIKE_CURRENTS))
+        each = (c.values for c in scene.of_quantity("current", *_LIKE_CURRENTS))
+        return sum(int(np.count_nonzero(_shaded(scene, one))) for one in each)
 
-    return bool(_shaded(values).all()) and scene.once("faces in the Sun", faces) >= _FACES
+    return bool(_shaded(scene, values).all()) and scene.once("faces in the Sun", faces) >= _FACES
 
 
-def _shaded(values: Array) -> NDArray[np.bool_]:
-    """Which of records (n, k) are nothing for a good part of the time, and something at others."""
-    most = np.max(np.abs(values), axis=0)
-    in_shade = np.mean(np.abs(values) < _SHADE * most, axis=0)
-    return np.asarray((in_shade > _OFTEN_IN_SHADE) & (in_shade < 1.0 - _OFTEN_IN_SHADE))
+def _shaded(scene: Scene, values: Array) -> NDArray[np.bool_]:
+    """Which of records (n, k) are nothing for a good part of the time, the Earth's shadow included where that is known,
+    and something at others."""
+    is_dark = np.abs(values) < _SHADE * np.max(np.abs(values), axis=0)
+    in_shade = np.mean(is_dark, axis=0)
+    found = (in_shade > _OFTEN_IN_SHADE) & (in_shade < 1.0 - _OFTEN_IN_SHADE)
+    if scene.lit is not None and scene.eclipses:
+        found &= np.mean(is_dark[scene.lit < _NO_SUN], axis=0) > _DARK_THERE
+    return np.asarray(found)
 
 
 def _named(used: Sequence[int], own: Mapping[int, Sequence[int]], names: Sequence[str]) -> tuple[str, ...]:
