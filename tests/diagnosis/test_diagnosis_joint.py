@@ -24,7 +24,14 @@ from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.page import report
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.result import as_json, model_of
-from magcal_service.diagnosis.joint.words import ONE_ALONE, name_in_words, noise_of_one, sentence, summary
+from magcal_service.diagnosis.joint.words import (
+    ONE_ALONE,
+    name_in_words,
+    noise_of_one,
+    samples_lines,
+    sentence,
+    summary,
+)
 from magcal_service.diagnosis.prepare import prepare
 from magcal_service.diagnosis.report.frame import Origin
 from magcal_service.diagnosis.words import chance
@@ -141,6 +148,20 @@ def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnos
         assert said in page
     assert "of its own fit's gain is kept" in text
     assert 'http-equiv="Content-Security-Policy"' in page
+
+
+def test_what_samples_show_is_said_of_each_recording_where_nothing_is_named() -> None:
+    """Rounded to 200 nT on the second day alone; the verdict is of the vectors, and says nothing of that."""
+    clean = [day(number, NONE, NONE) for number in range(2)]
+    rounded = np.round(clean[1].recording.field_body_nt / 200.0) * 200.0
+    clean[1] = replace(clean[1], recording=replace(clean[1].recording, field_body_nt=rounded))
+    names = ("quantisation", "thermal_bias")
+    both = _together(clean, tuple(map(effect_named, names)))
+    assert both.verdict is Verdict.NONE
+    (line,) = samples_lines(both)
+    assert line.startswith(f"{both.recordings[1].name}: quantisation: Values lie on a lattice of 200.00 ")
+    assert f"  {line}" in summary(both, ())
+    assert line in html.unescape(report(both, Origin("two days", "magcal diagnose a b", ())))
 
 
 def test_numbers_of_one_alone_are_said_to_be_of_the_common_form(found: JointDiagnosis) -> None:

@@ -21,6 +21,7 @@ from magcal_service.diagnosis.joint.words import (
     name_in_words,
     noise_of_one,
     record_next,
+    samples_lines,
     says,
     sentence,
     separated_by,
@@ -50,6 +51,7 @@ def report(diagnosis: JointDiagnosis, origin: Origin) -> str:
         one_alone=ONE_ALONE,
         names=[one.name for one in diagnosis.recordings],
         effects=[_effect(diagnosis, index) for index in range(len(diagnosis.fit.terms))],
+        samples=samples_lines(diagnosis),
         light=light_lines(diagnosis.recordings, diagnosis.explained),
         predicted=[_predicted(one) for one in diagnosis.compared.predicted if diagnosis.compared.shared],
         recordings=[

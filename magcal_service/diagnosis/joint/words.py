@@ -181,6 +181,7 @@ def summary(diagnosis: JointDiagnosis, files: Sequence[Path]) -> list[str]:
     lines += [f"  {line}" for line in shared_lines(diagnosis)]
     lines += [f"  {line}" for line in predicted_lines(diagnosis) if diagnosis.fit.terms]
     lines += [f"  {one.name}: {line}" for one in diagnosis.recordings for line in one.made_where]
+    lines += [f"  {line}" for line in samples_lines(diagnosis)]
     lines += [f"  {line}" for line in light_lines(diagnosis.recordings, diagnosis.explained)]
     lines += _level_lines(diagnosis)
     if diagnosis.verdict is not Verdict.UNKNOWN or sentence(diagnosis) == IN_DOUBT:  # else the sentence has said it
@@ -247,6 +248,13 @@ def agreement(diagnosis: JointDiagnosis, one: Shared) -> str:
         f"shared, but the recordings differ by more than their sigma ({by_chance}); the others' numbers do "
         f"{percent(diagnosis.compared.kept(one.index))} of what the recordings' own would"
     )
+
+
+def samples_lines(diagnosis: JointDiagnosis) -> list[str]:
+    """One line for each thing that a recording's own samples, turn or noise show, whatever the verdict is."""
+    effects = {effect.name: effect for effect in diagnosis.effects}
+    seen = [(one.name, name, found) for one in diagnosis.recordings for name, found in one.prepared.findings.items()]
+    return [f"{of}: {name}: {effects[name].sentence(found.parameters, found.driver)}" for of, name, found in seen]
 
 
 def predicted_lines(diagnosis: JointDiagnosis) -> list[str]:
