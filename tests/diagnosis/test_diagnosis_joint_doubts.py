@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +11,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
+from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.result import as_json
+from magcal_service.diagnosis.joint.search import JointSearch
+from magcal_service.diagnosis.prepare import Form, prepare
+from magcal_service.diagnosis.problem import Fit, Term
+from magcal_service.diagnosis.screen import Candidate
+from magcal_service.diagnosis.solution import solve
 from magcal_service.diagnosis.which_driver import otherwise
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
@@ -132,6 +140,42 @@ def test_a_clock_that_is_off_by_the_same_in_all_recordings_is_predicted_from_the
     clock = effect(found, "time_offset")
     assert clock["common"]
     assert all(one.kept > 0.9 for one in found.compared.predicted)
+
+
+def searching(days: list[Day], *names: str) -> tuple[JointSearch, Fit]:
+    """A search over days of one craft, and the fit of their nine errors."""
+    effects = catalogued(*names)
+    ready = [prepare(one.recording, effects, (Form.SCALAR,)) for one in days]
+    singles, called = [one.problem for one in ready], tuple(f"day {k}" for k in range(len(days)))
+    forms, problem = Forms.of(effects, singles), JointProblem.of(singles)
+    search = JointSearch(problem, forms.on(singles, called), effects, catalogue=forms, names=called)
+    return search, solve(problem, np.concatenate([one.baseline.x for one in ready]))
+
+
+def labels(found: Sequence[Candidate], effect: str) -> set[str]:
+    return {one.hypothesis.label for one in found if one.hypothesis.effect == effect}
+
+
+def test_numbers_of_each_recordings_own_are_held_against_those_of_rivals() -> None:
+    """Against common ones alone a place that was ahead on one day was a clock's offset at 0.97."""
+    search, alone = searching([late(0, 3.0), late(1, 8.0)], "time_offset", "position_offset")
+    known = {one.label: one for one in search.hypotheses}
+    search.close = {"position_offset[along]", "time_offset"}
+    for label, has_own in (("time_offset[each its own]", True), ("time_offset", False)):
+        form = known[label]
+        fit = search.refreshed(solve(search.problem, alone.x, [Term(form, np.zeros(0), np.zeros(form.size))]))
+        rivals = labels(search._rivals(fit, 0, 50.0), "position_offset")
+        assert ("position_offset[along, each its own]" in rivals) is has_own
+        assert "position_offset[along]" in rivals
+
+
+@pytest.mark.parametrize(("on_other", "is_common"), [(0.0, False), (0.3, False), (0.7, True)])
+def test_a_record_drives_the_same_on_all_days_or_each_days_own(on_other: float, is_common: bool) -> None:
+    """With none on one day a common number holds half of the evidence; a drift took the rest."""
+    search, alone = searching([day(0, 4.0 * PER_K, NONE), day(1, on_other * 4.0 * PER_K, NONE)], "thermal_bias")
+    found = labels(search.screen(search.workspace(alone), alone, 50.0), "thermal_bias")
+    assert "thermal_bias by channel:board" in found
+    assert ("thermal_bias[each its own] by channel:board" in found) is not is_common
 
 
 @pytest.mark.parametrize("seed", [990, 991])

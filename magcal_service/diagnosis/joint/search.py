@@ -17,6 +17,7 @@ from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
+from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
@@ -27,6 +28,10 @@ COMMON_SHARE: Final = 0.5
 """Of what amplitudes of every recording's own hold, what common ones have to hold to be preferred: one craft has one
 set of numbers, and no model is so exact that a set for each day would not fit better.  How far they differ is said
 by the comparison of each recording with the others."""
+
+RECORDED_SHARE: Final = 0.9
+"""The same of a recorded driver, which is right to a few per cent: of two days of which one has half of the other's
+number, common ones hold as much.  What it drives on one day and not on another has changed."""
 
 
 @dataclass(eq=False)
@@ -45,6 +50,7 @@ class JointSearch(Search):
     names: tuple[str, ...] = ()
     only: tuple[JointHypothesis, ...] | None = None
     held: Mapping[str, Term] = field(default_factory=dict)
+    _with_own: bool = field(default=False, init=False)
 
     def beside(self, form: Hypothesis) -> Sequence[Hypothesis]:
         """As ``Screen.beside``: of a form of one recording alone, those of that one."""
@@ -87,10 +93,28 @@ class JointSearch(Search):
     ) -> list[Candidate]:
         """As ``Screen.screen``, without amplitudes of each recording's own where common ones do nearly as well."""
         found = super().screen(space, fit, sigma_nt, skip, among)
+        if self._with_own:
+            return found
         common = {_base(one): one.gain.squares for one in found if not _is_own(one)}
-        return [
-            one for one in found if not (_is_own(one) and common.get(_base(one), 0.0) > COMMON_SHARE * one.gain.squares)
-        ]
+
+        def is_as_good(own: Candidate) -> bool:
+            share = RECORDED_SHARE if is_recorded(own.hypothesis) else COMMON_SHARE
+            return common.get(_base(own), 0.0) > share * own.gain.squares
+
+        return [one for one in found if not (_is_own(one) and is_as_good(one))]
+
+    def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
+        """As ``Search._rivals``; those of a term with amplitudes of each recording's own may have some, too."""
+        if not fit.terms[index].hypothesis.variant.endswith(EACH_ITS_OWN):
+            return super()._rivals(fit, index, sigma)
+        forms = [one for one in self.hypotheses if isinstance(one, JointHypothesis)]
+        near = {one.base for one in forms if one.label in self.close}
+        self.close |= {one.label for one in forms if one.base in near}
+        self._with_own = True
+        try:
+            return super()._rivals(fit, index, sigma)
+        finally:
+            self._with_own = False
 
     def _exchanged(self, fit: Fit, floor_nt: float) -> Fit:
         """As ``Search._exchanged``, with changes that take a while timed by joint solutions.
