@@ -371,7 +371,12 @@ def remaining(diagnosis: Ended) -> str:
         joined = "but little" if much == "little" else f"and {much}"
         return f"{left} of the mismatch{shaped}, more than noise {joined} beside what was named"
     if diagnosis.left_share > 0.0:
-        much = "little" if diagnosis.left_share < LITTLE_LEFT else "no more than noise and a field model may leave"
+        errs = (
+            "a reference that errs by more than usual"
+            if "field_model_doubtful" in diagnosis.reasons
+            else "a field model"
+        )
+        much = "little" if diagnosis.left_share < LITTLE_LEFT else f"no more than noise and {errs} may leave"
         much = "too much to act on" if "mismatch_lasts" in diagnosis.reasons else much
         return f"{percent(diagnosis.left_share)} of the mismatch lasts, in no shape that could be told: {much}"
     if "mismatch_lasts" in diagnosis.reasons:

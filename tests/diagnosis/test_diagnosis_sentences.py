@@ -243,6 +243,8 @@ def test_what_lasts_without_a_shape_remains_too() -> None:
     assert remaining(little).endswith("in no shape that could be told: little")
     excused = diagnosis(Verdict.NONE, lasting=0.83)
     assert remaining(excused).endswith("told: no more than noise and a field model may leave")
+    far = diagnosis(Verdict.NONE, lasting=0.83, reasons=("field_model_doubtful",))
+    assert remaining(far).endswith("told: no more than noise and a reference that errs by more than usual may leave")
 
 
 def test_while_the_recording_is_in_doubt_nothing_else_is_advised() -> None:
