@@ -42,7 +42,6 @@ PRIOR_D: Final = 0.5
 
 _FINITE_NT2: Final = 1e300  # squares beyond which nothing is worked out any more
 
-
 _NOT_MOVED: Final = 1e6
 """Times a column's square, what ties its amplitude to where it is: it moves by a millionth."""
 

@@ -35,6 +35,9 @@ _LEAST_ACROSS: Final = 0.1  # of |H|
 _HALVINGS: Final = 60
 """Of the range of a multiplier, to where a double has no more digits."""
 
+_ALIKE: Final = 1e-3
+"""Difference of the squares of two lengths, of their sum, up to which they are alike; choice: it turns nothing."""
+
 _SURE_ACROSS: Final = 0.2
 """Part of the field across the axis, of its mean size, at which a sample moves the tracked turn half as much as usual:
 near the axis a degree of error in the reference, as of coefficients 15 years old, turns the direction round it."""
@@ -192,15 +195,26 @@ def _of_one_length(normal: Array) -> Array:
     """
     signs = np.repeat([1.0, -1.0], 3)
     low, high = -float(np.trace(normal)), float(np.trace(normal))
-    vector = np.linalg.eigh(normal)[1][:, 0]
+    vectors = np.linalg.eigh(normal)[1]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        vector = np.linalg.eigh(normal - middle * np.diag(signs))[1][:, 0]
-        if float(signs @ vector**2) > 0.0:  # the first half is longer: it has to cost more
+        vectors = np.linalg.eigh(normal - middle * np.diag(signs))[1]
+        if float(signs @ vectors[:, 0] ** 2) > 0.0:  # the first half is longer: it has to cost more
             high = middle
         else:
             low = middle
-    return np.asarray(vector)
+    least, next_ = vectors[:, 0], vectors[:, 1]
+    more = float(signs @ least**2)
+    if abs(more) < _ALIKE:
+        return np.asarray(least)
+    # two of them cost the same there, of which one has the one half longer and one the other: what lies between
+    crossed, other = float(signs @ (least * next_)), float(signs @ next_**2)
+    root = crossed**2 - more * other
+    if root < 0.0:
+        return np.asarray(least)
+    share = (-crossed + math.copysign(math.sqrt(root), more)) / other if other else -more / (2.0 * crossed)
+    mixed = least + share * next_
+    return np.asarray(mixed / np.linalg.norm(mixed))
 
 
 def turns_of(w: Array, reference: Array, axis_body: Array, axis_eci: Array) -> tuple[Array, Array]:
