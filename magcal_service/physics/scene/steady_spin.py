@@ -27,6 +27,9 @@ ORBITAL_RATE_RAD_S: Final = 1.1e-3
 _CLEAR_MISFIT: Final = 0.03
 """Of |H|, what an axis misses by that is one whatever else comes near: gains as launched are off by as much."""
 
+_AS_GOOD: Final = 1.3
+"""Times the misfit of the best axis, up to which its mirror image is as good; choice: noise does not tell the two."""
+
 _KNOT_TURNS: Final = 12.0
 """Turns between knots of the smoothed phase; choice: more stiffen a changing rate, fewer let noise in."""
 
@@ -142,17 +145,30 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
     nominal_axis: body axis (3,) that gives the solution its sign; None: that which makes the rate positive.
     nominal_rate_rad_s: about the nominal axis; only needed where the phase step between samples exceeds half a turn.
     """
-    reference, w = scene.reference_eci_nt, scene.calibrated_nt
+    reference = scene.reference_eci_nt
     if reference is None or len(scene) < 60:
         return None
-    axes = _axes(w, reference)
+    axes = _axes(scene.calibrated_nt, reference)
     if axes is None:
         return None
+    along, mirrored = scene.calibrated_nt @ axes[0], _mirrored(axes[1], reference)
+    is_as_good = _rms(along - reference @ mirrored) < _AS_GOOD * _rms(along - reference @ axes[1])
+    pairs = [axes, (axes[0], mirrored)] if is_as_good else [axes]
+    found = [_about(scene, one, nominal_axis, nominal_rate_rad_s) for one in pairs]
+    return min(filter(None, found), key=lambda one: _unsteadiness(scene, one), default=None)
+
+
+def _about(
+    scene: Scene, axes: tuple[Array, Array], nominal_axis: Array | None, nominal_rate_rad_s: float | None
+) -> SpinSolution | None:
+    """The turn about an axis in the body and in inertial space, of any sign; None where there is none."""
+    reference, w = scene.reference_eci_nt, scene.calibrated_nt
+    assert reference is not None
     axis_body, axis_eci = axes
     if nominal_axis is not None and float(axis_body @ nominal_axis) < 0.0:
         axis_body, axis_eci = -axis_body, -axis_eci
     misfit = w @ axis_body - reference @ axis_eci
-    if float(np.sqrt(np.mean(misfit**2))) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
+    if _rms(misfit) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
         return None
     turn, strength = turns_of(w, reference, axis_body, axis_eci)
     rate = _rate(scene, turn, nominal_rate_rad_s)
@@ -167,6 +183,26 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
     attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength)
+
+
+def _mirrored(axis_eci: Array, reference: Array) -> Array:
+    """The axis (3,) beyond the plane that the field (n, 3) stays nearest to: H . a_i is the same for a field in it.
+
+    A turn about that one would take up the field's own turn in the plane twice, so the rate would not be steady.
+    """
+    normal = np.linalg.eigh(reference.T @ reference)[1][:, 0]
+    return np.asarray(axis_eci - 2.0 * float(axis_eci @ normal) * normal)
+
+
+def _unsteadiness(scene: Scene, spin: SpinSolution) -> float:
+    """rms of a turn's phase about a steady one [rad], by the field across the axis."""
+    line = np.polyfit(scene.time_s, spin.raw_phase_rad, 1, w=spin.across_nt)
+    left = spin.raw_phase_rad - np.polyval(line, scene.time_s)
+    return float(np.sqrt(np.average(left**2, weights=spin.across_nt**2)))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
