@@ -266,7 +266,7 @@ class Pipeline(CompensatingCraft, PipelineMemory):
         found, hazard = self.watch.finding, self.monitor.protector.seen
         if found is None and hazard is None:
             return ""
-        what = f"not named yet, goes as with {hazard}" if found is None else f"{found}"
+        what = f"not named yet, the residual goes as with the hazard {hazard}" if found is None else f"{found}"
         return doubt(what)
 
     def status(self, uptime_s: float, counters: Counter[str]) -> Status:

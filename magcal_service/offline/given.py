@@ -21,6 +21,8 @@ from magcal_service.physics.apply.model_file import PhysicsModel, parse_model
 from magcal_service.recordings.recording import Recording
 from magcal_service.wire.messages import Verdict
 
+_NO_ESTIMATE: Final = "it has no estimate, and its remedy says why; a result with an estimate is accepted"
+
 _LARGEST_FILE: Final = 8 << 20
 """A result is some 10 kB [bytes]: what is larger than 8 MiB is something else."""
 
@@ -149,7 +151,7 @@ def _of_result(path: Path, digest: str, content: dict[str, Any]) -> Given:
         raise InputRefusedError([Fault(f"{path}: effects", len(content["effects"]), accepted)])
     numbers = fit if isinstance(fit, dict) else content
     if content.get("verdict") == Verdict.NOT_STARTED:
-        raise InputRefusedError([Fault(f"{path}: verdict", "not_started", "a result with an estimate is accepted")])
+        raise InputRefusedError([Fault(f"{path}: verdict", "not_started", _NO_ESTIMATE)])
     reading = _Reading(path)
     bias = reading.array(numbers, "bias_nt", (3,), _LARGEST_BIAS_NT)
     d = reading.array(numbers, "D", (3, 3), _LARGEST_D)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magcal_service.base.errors import Fault, FileFault, InputRefusedError
-from magcal_service.base.typed_toml import TomlKind
+from magcal_service.base.typed_toml import TomlKind, nearest
 from magcal_service.base.typed_toml.kind import refuse_kinds
 from magcal_service.offline.given import Given, read_given
 from magcal_service.offline.json_file import parsed_json, refuse_others, refuse_strange
@@ -50,7 +50,7 @@ def sheet_of(
         return _of_json(path)
     name = figure or next(iter(FIGURES))
     if name not in FIGURES:
-        raise InputRefusedError([Fault("--figure", name, f"one of {', '.join(FIGURES)} is accepted")])
+        raise InputRefusedError([Fault("--figure", name, nearest(name, FIGURES))])
     nine = None if given is None else read_given(given)
     if path.suffix.lower() == ".toml":
         refuse_kinds(path, TomlKind.RECORDING, _OF_TOML)

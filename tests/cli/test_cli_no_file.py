@@ -112,3 +112,12 @@ def test_a_line_that_is_no_toml_is_shown_with_what_is_mostly_wrong(tmp_path: Pat
     assert line.endswith(
         '): file = ""log.csv""; valid TOML in UTF-8 is accepted; a text stands between one pair of quotes'
     )
+
+
+@pytest.mark.parametrize("line", ['craft = "" demo', 'craft = """demo', "names = ['a', \"\" 'b']"])
+def test_an_empty_or_a_long_text_is_not_taken_for_quotes_that_are_doubled(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "RECORDING.toml"
+    path.write_text(f"version = 1\n{line}\n", encoding="utf-8")
+    told = run("inspect", path).err
+    assert "this is no TOML" in told
+    assert "pair of quotes" not in told

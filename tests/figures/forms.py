@@ -153,7 +153,7 @@ def words() -> str:
 def parts_of(variant: str) -> list[str]:
     """The parts of a form's name, as ``MEANS`` has them."""
     found = []
-    for part in variant.replace(" column ", ", column ").split(", "):
+    for part in variant.split(", "):
         part = _LETTERS.sub("N", _COUNTED.sub("N", part))
         named = {"radial": "radial, along, cross", "along": "radial, along, cross", "cross": "radial, along, cross"}
         part = "panel, panels" if part.startswith(("panel ", "panels ")) else named.get(part, part)

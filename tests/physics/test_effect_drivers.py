@@ -52,6 +52,11 @@ def test_a_temperature_that_stands_still_drives_nothing(swing_k: float, columns:
     assert added(form, [1.0, 0.0, 0.0])[:, 0] == pytest.approx(warmth)
 
 
+def test_a_column_is_a_part_of_a_forms_name_like_others() -> None:
+    found = [variant for driver, variant in forms("thermal_scale", two_boards(0.06)) if driver == "channel:boards"]
+    assert {"column 2", "one gain, column 2", "of the field alone, column 2"} <= set(found)
+
+
 def test_a_temperature_that_is_inferred_has_odds_against_it_where_one_was_recorded() -> None:
     """It answers to light behind a skin; what it began with decays by itself."""
     found = forms("thermal_bias")["inferred:temperature", "answer to light"]

@@ -206,7 +206,16 @@ GOOD = text_of(model(drawn(next(h for h in forms() if h.label == "thermal_bias b
 
 FAULTS = (
     ('name = "thermal_bias"', 'name = "thermal_bais"', "effect[0].name", "did you mean 'thermal_bias'?"),
-    ('driver = "channel:temperature"', 'driver = "chanel:x"', "effect[0].driver", '"channel:NAME"'),
+    (
+        'driver = "channel:temperature"',
+        'driver = "chanel:x"',
+        "effect[0].driver",
+        'did you mean \'channel:x\'? "none", "channel:NAME"',
+    ),
+    ('driver = "channel:temperature"', 'driver = "board"', "effect[0].driver", "did you mean 'channel:board'?"),
+    ('driver = "channel:temperature"', 'driver = "Infered: temp"', "effect[0].driver", "did you mean 'inferred:temp'?"),
+    ('driver = "channel:temperature"', 'driver = "None"', "effect[0].driver", "did you mean 'none'?"),
+    ('driver = "channel:temperature"', 'driver = "a:b"', "effect[0].driver", ": 'a:b' is refused; \"none\""),
     ("nt_per_k =", "nt_per_kk =", "effect[0].amplitudes.nt_per_kk", "did you mean 'nt_per_k'?"),
     ("version = 1", "version = 2", "version", "1 is accepted"),
     ('clock = "utc"', 'clock = "gps"', "recording.clock", "utc"),
@@ -378,6 +387,11 @@ NO_FORMS = {
         replace(LATE, amplitudes={"nt_per_a": np.ones(4)}),
         "amplitudes.nt_per_a: [1.0, 1.0, 1.0, 1.0] is refused; of current_loop by channel:bus, form 'recorded late', "
         "an array of 3 numbers is accepted",
+    ),
+    "torquers without the constants that count them": (
+        ModelTerm("torquer", "channel:coils", "", {"nt_per_am2": np.ones((2, 3))}, {}, {"decay_s": 0.0}),
+        "amplitudes.nt_per_am2: [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]] is refused; of torquer by channel:coils, "
+        "an array of 1 row of 3 numbers is accepted; a row for each of the constants column_0, column_1 ...",
     ),
     "a sigma of another shape": (
         replace(LATE, sigma={"nt_per_a": np.ones(2)}),

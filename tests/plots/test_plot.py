@@ -193,7 +193,8 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     log, out = tmp_path / "log.toml", tmp_path / "out.png"
     for arguments, said in (
         ((log, "--out", "x.gif"), ".svg, .pdf, .png is accepted"),
-        ((log, "--out", out, "--figure", "sphere"), "one of before-after, errors, track, spectrum is accepted"),
+        ((log, "--out", out, "--figure", "sphere"), "known: before-after, errors, spectrum, track"),
+        ((log, "--out", out, "--figure", "eror"), "'eror' is refused; did you mean 'errors'? known: "),
         (
             (log, "--out", out),
             "ends before the filter starts (120 s), and is not enough as one batch: magcal calibrate",

@@ -27,11 +27,10 @@ _AT = re.compile(r" \(at line (\d+), column (\d+)\)$")
 _SHOWN = 80  # characters of a line that is no TOML
 
 _HINTS = {
-    '""': "a text stands between one pair of quotes",
-    "\u201c": "a text stands between straight quotes",
-    "\u201d": "a text stands between straight quotes",
+    re.compile(r'(?<!")""(?=[^"\s,\]}#])|[^"=\s,\[{]""(?!")'): "a text stands between one pair of quotes",
+    re.compile("[\u201c\u201d]"): "a text stands between straight quotes",
 }
-"""What is mostly wrong with a line that is no TOML, by a sign in it."""
+"""What is mostly wrong with a line that is no TOML, by what stands in it; ``""`` alone is an empty text."""
 
 _FEW_LEVELS = "valid TOML of a few levels is accepted"
 
@@ -83,7 +82,7 @@ def _no_toml(where: str, raw: bytes, exc: ValueError) -> Lacking:
         return Lacking(where, f"this is no TOML ({said})", "valid TOML in UTF-8 is accepted")
     line = raw.decode("utf-8").split("\n")[int(found[1]) - 1].strip()
     what = f"this is no TOML from line {found[1]}, column {found[2]} on ({said[: found.start()]}): {line[:_SHOWN]}"
-    hint = next((f"; {hint}" for sign, hint in _HINTS.items() if sign in line), "")
+    hint = next((f"; {hint}" for wrong, hint in _HINTS.items() if wrong.search(line)), "")
     return Lacking(where, what, f"valid TOML in UTF-8 is accepted{hint}")
 
 

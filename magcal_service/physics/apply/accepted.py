@@ -204,7 +204,9 @@ class _Check:
         for block in self.form.blocks:
             if block.name in found and not block.takes(found[block.name].shape):
                 value = found[block.name].tolist()
-                self._refuse(f"{key}.{block.name}", value, f"{_in_words(block.shape)} is accepted")
+                counted = len(block.shape) > 1 and any(name.startswith("column_") for name in self.form.constants)
+                why = "; a row for each of the constants column_0, column_1 ..." if counted else ""
+                self._refuse(f"{key}.{block.name}", value, f"{_in_words(block.shape)} is accepted{why}")
 
     def _nonlinear(self) -> None:
         numbers: dict[str, list[Nonlinear]] = {}
@@ -279,7 +281,11 @@ def _within(number: Nonlinear, value: Array) -> bool:
 def _in_words(shape: tuple[int, ...]) -> str:
     if not shape:
         return "one number"
-    return f"an array of {' arrays of '.join(map(str, shape))} numbers"
+    *rows, last = shape
+    numbers = f"{last} number{'s' * (last > 1)}"
+    if not rows:
+        return f"an array of {numbers}"
+    return f"an array of {' by '.join(map(str, rows))} row{'s' * (rows != [1])} of {numbers}"
 
 
 # Stand-ins

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Final
 
 import numpy as np
@@ -72,7 +73,18 @@ def _effect(reading: Reading, key: str) -> str:
 
 def _check_driver(reading: Reading, key: str, driver: str) -> None:
     if not _DRIVER.fullmatch(driver):
-        reading.table.refuse(key, driver, '"none", "channel:NAME" or "inferred:NAME" is accepted')
+        hint = f"did you mean {meant!r}? " if (meant := _meant_driver(driver)) else ""
+        reading.table.refuse(key, driver, f'{hint}"none", "channel:NAME" or "inferred:NAME" is accepted')
+
+
+def _meant_driver(driver: str) -> str:
+    """The driver that one of no kind was probably meant to be; a word alone is taken for a channel's name."""
+    kind, sign, name = driver.partition(":")
+    close = get_close_matches(kind.strip().lower(), ("none", "channel", "inferred"), n=1)
+    if close == ["none"]:
+        return "none"
+    meant = f"{close[0]}:{name.strip()}" if close else f"channel:{driver.strip()}"
+    return meant if _DRIVER.fullmatch(meant) and (close or not sign) else ""
 
 
 def _blocks(reading: Reading) -> Mapping[str, str] | None:

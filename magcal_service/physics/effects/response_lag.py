@@ -21,7 +21,7 @@ from magcal_service.physics.scene.recent import Recent
 from magcal_service.physics.scene.scene import Scene
 
 _AVERAGING: Final = "average of samples"
-"""The form of a driver that averages: it needs samples that follow one another, and no gyro."""
+"""The form of a readout that averages: it needs samples that follow one another, and no gyro."""
 
 _BY_STEPS: Final = "by the steps"
 """Form of a low-pass whose turn is taken from samples that follow one another: of a craft of which no rate is known."""
@@ -41,7 +41,7 @@ _MOST_MEMORY: Final = 90.0
 """(1 - a) / a^2 at most: a = 0.1, a tenth of every new sample; slower averages are no way to read a magnetometer."""
 
 _LONGEST_S: Final = 10.0
-"""Largest time constant [s]; choice: no driver averages for longer a vector that is to be used."""
+"""Largest time constant [s]; choice: no readout averages for longer a vector that is to be used."""
 
 _SELDOM: Final = 3.0
 """Prior odds [nats] against a lag that a late clock may be instead, which is met 20 times as often; a choice."""
@@ -332,12 +332,12 @@ EFFECT = Effect(
         "start_nt": "nT",
     },
     prior=(5.0, LARGEST_NT),
-    valid="any turn in a time constant, as far as it is known; an average of samples: none of the driver is left out",
+    valid="any turn in a time constant, as far as it is known; an average of samples: where none is left out",
     confused_with=("axis_skew", "scale_drift", "spin_rate", "time_offset"),
     separated_by="another spin rate: at a steady rate it is a late clock, with a gain that nine errors take up",
     source="first-order response; Wertz 1978, section 17 (eddy currents)",
     says=(
-        "The sensor answers late: a driver averages, a new sample counting {new_share.percent}, or a low-pass has "
+        "The sensor answers late: its readout averages, a new sample counting {new_share.percent}, or a low-pass has "
         "{tau_s.size}.",
         "The sensor answers late, with a time constant of {tau_s.size}.",
     ),

@@ -34,13 +34,13 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
     for hypothesis in recorded(
         scene, "thermal_scale", common, Block("per_k_common", "1/K", (), _MOST_PER_K, each="per_k")
     ):
-        yield replace(hypothesis, variant=f"one gain {hypothesis.variant}".strip())
+        yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}".removesuffix(", "))
     yield from inferred(scene, "thermal_scale", each, Block("swing", "1", most=_MOST_SWING))
     one = Block("swing_common", "1", (), _MOST_SWING, each="swing")
     for hypothesis in inferred(scene, "thermal_scale", common, one, settles=False):  # no drift has one gain for all
         yield replace(hypothesis, variant=f"one gain, {hypothesis.variant}")
     for hypothesis in recorded(scene, "thermal_scale", after, Block("per_k", "1/K", most=_MOST_PER_K)):
-        yield replace(hypothesis, variant=f"{AFTER_BIAS} {hypothesis.variant}".strip())
+        yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}".removesuffix(", "))
     for hypothesis in inferred(scene, "thermal_scale", after, Block("swing", "1", most=_MOST_SWING)):
         yield replace(hypothesis, variant=f"{AFTER_BIAS}, {hypothesis.variant}")
 

@@ -43,7 +43,7 @@ def warn_of_unit(draft: Draft, found: list[Magnetometer], model_nt: FloatArray |
         if answer is None or not one.answered or size is None:
             continue
         amount = size.best * one.unit_nt
-        refuse_absurd("magnetometer.unit", answer, f"{size.shown} of {one.triple.label}", size.best, amount, expected)
+        refuse_absurd("magnetometer.unit", answer, size.of(one.triple.label), size.best, amount, expected)
         if expected is not None and not expected / _OFF <= amount <= expected * _OFF:
             text = f"{size.shown} is {_text(amount)} nT, where the reference has {_text(expected)} nT"
             draft.said.append(f"warning: by your answer magnetometer.unit={answer} of {one.triple.label} {text}")

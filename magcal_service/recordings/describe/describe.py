@@ -89,7 +89,7 @@ def describe(log: Path, answers: Mapping[str, str], beside: Path | None = None) 
     text = None if needed else _text(draft)
     if text is not None:  # an answer may be none that a descriptor can hold
         out = draft.folder / DESCRIPTOR_NAME
-        descriptor_of(parse_toml(text.encode(), str(log), "what was made", RecordingError), out)
+        descriptor_of(parse_toml(text.encode(), str(log), "the descriptor by these answers", RecordingError), out)
     return Described(tuple(draft.said), tuple(draft.questions), text)
 
 

@@ -14,6 +14,7 @@ from magcal_service.base.errors import Fault, InputRefusedError
 from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.describe.columns import Column, Log
 from magcal_service.recordings.describe.unit_answer import AnsweredUnit, read_unit
+from magcal_service.recordings.describe.vocabulary import FRAMES
 
 KEYS: Final = (
     "samples.delimiter",
@@ -167,6 +168,22 @@ class Draft:
     reserved: set[int] = field(default_factory=set)
     doubted: bool = False
     reference_nt: float | None = None
+
+    def frame(self, key: str, known: Sequence[str]) -> str:
+        """The frame that was answered to a key; empty where none was.
+
+        Raises
+        ------
+        InputRefusedError: it is none of the known ones; where it is another word for one, that one is named.
+        """
+        answer = self.answers.get(key)
+        plain = (answer or "").strip().lower()
+        if answer is None or plain in known:
+            return plain
+        like = FRAMES.get(plain, "")
+        accepted = f"its axes are read as {like}: did you mean {like!r}? known: {', '.join(known)}"
+        fault = Fault(f"--answer {key}", answer, accepted if like in known else nearest(plain, known))
+        raise InputRefusedError([fault])
 
     def conclude(self, key: str, value: str, why: str) -> None:
         """Say what was concluded, and on what evidence."""

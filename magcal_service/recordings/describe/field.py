@@ -54,7 +54,11 @@ class Size:
     @property
     def shown(self) -> str:
         """What ``best`` is, in words."""
-        return "most" if self.radius is None else "the radius of their sphere"
+        return "their usual size" if self.radius is None else "the radius of the sphere through them"
+
+    def of(self, label: str) -> str:
+        """What ``best`` is of columns, in words."""
+        return f"the usual size of {label}" if self.radius is None else f"the radius of the sphere through {label}"
 
 
 def in_earth_field(length: float, unit: str) -> bool:

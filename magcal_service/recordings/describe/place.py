@@ -264,7 +264,7 @@ def _cartesian(draft: Draft, times: Times | None, triple: Triple, by: str) -> Pl
     told = draft.answers.unit("position.unit", LengthUnit)
     unit = _cartesian_unit(triple) if told is None else told.unit
     radius = float(np.nanmedian(np.sqrt((triple.values**2).sum(axis=1))))
-    frame = draft.answers.get("position.frame") or frame_of(triple.words)
+    frame = draft.frame("position.frame", ("ecef", "eci")) or frame_of(triple.words)
     if not unit:
         asks = f"in which unit are {triple.label}? they are {radius:.6g} from the Earth's centre"
         candidates = tuple((one.value, "") for one in CENTRED)

@@ -161,14 +161,21 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
         draft.said.append(f"reference: {triple.label} left out: {unit.why}")
         return False
     _ask_unit(draft, triple.label, unit)
-    frame = draft.answers.get("reference.frame") or frame_of(triple.words)
+    frame = draft.frame("reference.frame", ("ecef", "eci", "ned")) or frame_of(triple.words)
     if not frame and unit.sure:
         frame = frame_of_field(triple.values * unit.unit_nt, times, place)
         if frame:
             draft.conclude("reference.frame", frame, "in it, and in no other, they are IGRF's")
+    if not frame and _says_ned(triple):
+        frame = "ned"
+        draft.conclude("reference.frame", frame, "the names differ in n, e and d")
     if not frame:
         asks = f"in which frame is the reference {triple.label}? no name says"
-        candidates = [("eci", "inertial"), ("ecef", "turns with the Earth"), ("ned", "north, east, down")]
+        candidates = [
+            ("eci", "inertial: it does not turn with the Earth (TEME, J2000, GCRF), as a propagator gives"),
+            ("ecef", "it turns with the Earth (ITRF)"),
+            ("ned", "north, east, down, as a field model at latitude and longitude gives"),
+        ]
         if _stands_still(triple.values):
             candidates = [
                 ("ned", "north, east, down; it is one vector, as in one place on the ground"),
@@ -179,12 +186,18 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     draft.put("reference", "columns", draft.names(triple.columns))
     draft.put_unit("reference", AnsweredUnit(unit.unit, unit.factor))
     draft.put("reference", "frame", frame)
-    draft.conclude(
-        "reference.columns", f"{triple.label} in {unit.unit or '?'}, {frame or '?'}", by or "the names say a reference"
-    )
+    given = f"{unit.unit or 'a unit that is asked below'}, {frame or 'in a frame that is asked below'}"
+    draft.conclude("reference.columns", f"{triple.label} in {given}", by or "the names say a reference")
     if unit.sure:
         draft.conclude("reference.unit", unit.unit, unit.why)
     return True
+
+
+def _says_ned(triple: Triple) -> bool:
+    """Whether the three names are alike but for the letters n, e and d."""
+    stems = [column.stem.lower() for column in triple.columns]
+    differ = [signs for signs in zip(*stems, strict=False) if len(set(signs)) > 1]
+    return len(set(map(len, stems))) == 1 and differ == [("n", "e", "d")]
 
 
 def _stands_still(vectors: FloatArray) -> bool:

@@ -43,7 +43,7 @@ def _found(size: Size | None, said: str, expected_nt: float | None) -> UnitFound
     inside = tuple(unit.value for unit in FieldUnit if in_earth_field(size.usual, unit))
     amount = size.usual * FIELD_NT[FieldUnit(found.unit)] / 1e3
     says = f"the names say {said}" if said else "no name says it"
-    why = f"{says}, but as {found.unit} most is {amount:.3g} uT, outside {_EARTH}"
+    why = f"{says}, but as {found.unit} their usual size is {amount:.3g} uT, outside {_EARTH}"
     return replace(found, unit="", sure=False, why=why, possible=(*inside, found.unit))
 
 

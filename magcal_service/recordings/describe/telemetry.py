@@ -250,7 +250,7 @@ def _by_gravity(values: FloatArray) -> _Unit:
     middle = float(np.median(good)) if good.size else 0.0
     for unit, low, high in (("m/s2", 9.0, 10.6), ("g", 0.92, 1.08)):
         if low < middle < high:
-            return _Unit(unit, f"the name says acceleration, and most is {middle:.4g}, gravity in {unit}")
+            return _Unit(unit, f"the name says acceleration, and its usual size is {middle:.4g}, gravity in {unit}")
     return _Unit("", "no name says it")
 
 

@@ -36,7 +36,7 @@ def test_a_reference_stronger_than_the_earth_s_field_is_asked_about(head: str, t
     reference = np.full(len(field), 246.0) if head == "ref_uT" else np.tile([100.0, 4.0, 224.7], (len(field), 1))
     log = write(tmp_path, f"t_s,mx_uT,my_uT,mz_uT,{head}", clock(field), field, reference)
     asked = question(describe(log, {}), "reference.unit")
-    assert "as uT most is 246 uT, outside the 18 to 75 uT" in asked
+    assert "as uT their usual size is 246 uT, outside the 18 to 75 uT" in asked
     assert asked.index("could be mG") < asked.index("could be uT")
     frame = {} if head == "ref_uT" else {"reference.frame": "ned"}
     told = describe(log, {"reference.unit": "uT"} | frame)
@@ -95,7 +95,7 @@ def test_a_unit_that_makes_the_field_absurd_is_refused_with_the_likely_one(case:
     with pytest.raises(InputRefusedError) as refusal:
         describe(log, {"magnetometer.unit": unit} | given)
     (line,) = str(refusal.value).splitlines()
-    assert line.startswith(f"--answer magnetometer.unit: '{unit}' is refused; the radius of their sphere of 'mx', ")
+    assert line.startswith(f"--answer magnetometer.unit: '{unit}' is refused; the radius of the sphere through 'mx', ")
     assert f"would be {said}; by the numbers {likely} is likelier; " in line
     assert describe(log, {"magnetometer.unit": likely, "reference": "48500 nT"}).text is not None
 
@@ -214,12 +214,44 @@ def test_a_unit_of_time_that_makes_no_usual_log_is_asked_about(
         assert f'format = "elapsed_{answer}"' in (text or "")
 
 
+@pytest.mark.parametrize(("names", "frame"), [("IGRF_N,IGRF_E,IGRF_D", "ned"), ("igrf_n,igrf_e,igrf_u", "")])
+def test_a_reference_whose_names_differ_in_n_e_and_d_is_in_north_east_and_down(
+    names: str, frame: str, tmp_path: Path
+) -> None:
+    field = maker_logs.ground()
+    reference = np.tile([20.0, 2.0, 43.0], (len(field), 1))
+    log = write(tmp_path, f"t_s,mx_uT,my_uT,mz_uT,{names}", clock(field), field / 1e3, reference)
+    named = describe(log, {"reference.columns": names, "reference.unit": "uT"})
+    assert ("reference.frame = ned: the names differ in n, e and d" in named.said) == bool(frame)
+    assert bool(question(named, "reference.frame")) != bool(frame)
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ("teme", "its axes are read as eci: did you mean 'eci'? known: ecef, eci, ned"),
+        ("J2000", "its axes are read as eci: did you mean 'eci'? known: ecef, eci, ned"),
+        ("itrf", "its axes are read as ecef: did you mean 'ecef'? known: ecef, eci, ned"),
+        ("enu", "known: ecef, eci, ned"),
+        ("body", "known: ecef, eci, ned"),
+    ],
+)
+def test_a_frame_by_another_word_is_refused_with_the_one_that_it_is(answer: str, told: str, tmp_path: Path) -> None:
+    field = maker_logs.ground()
+    reference = np.tile([20.0, 2.0, 43.0], (len(field), 1))
+    log = write(tmp_path, "t_s,mx_uT,my_uT,mz_uT,hx_uT,hy_uT,hz_uT", clock(field), field / 1e3, reference)
+    with pytest.raises(InputRefusedError) as refusal:
+        describe(log, {"reference.frame": answer})
+    assert str(refusal.value) == f"--answer reference.frame: {answer!r} is refused; {told}"
+    assert describe(log, {"reference.frame": "ECI"}).text is not None
+
+
 @pytest.mark.parametrize(("turns", "first"), [(False, "ned"), (True, "eci")])
 def test_a_reference_that_is_one_vector_is_hardly_inertial(turns: bool, first: str, tmp_path: Path) -> None:
     """No craft in orbit has one; where it turns, an inertial one comes first."""
     field = maker_logs.ground()
     angle = np.linspace(0.0, 3.0 * turns, len(field))
     reference = np.stack([20.0 * np.cos(angle), 20.0 * np.sin(angle), np.full(len(field), 43.0)], axis=1)
-    log = write(tmp_path, "t_s,mx_uT,my_uT,mz_uT,hn_uT,he_uT,hd_uT", clock(field), field / 1e3, reference)
+    log = write(tmp_path, "t_s,mx_uT,my_uT,mz_uT,hx_uT,hy_uT,hz_uT", clock(field), field / 1e3, reference)
     asked = question(describe(log, {}), "reference.frame")
     assert f"--answer reference.frame={first}" in asked

@@ -156,4 +156,4 @@ def test_a_unit_is_offered_by_the_radius_where_the_bias_is_left_out(tmp_path: Pa
     (question,) = described(written(tmp_path, count_nt=100.0)).needed
     assert question.key == "magnetometer.unit"
     offered = dict(question.candidates)
-    assert offered["mG"].startswith("then the radius of their sphere is 48.5 uT")
+    assert offered["mG"].startswith("then the radius of the sphere through them is 48.5 uT")
