@@ -172,7 +172,7 @@ def _vector(draft: Draft, times: Times | None, place: Place | None, triple: Trip
     if not frame:
         asks = f"in which frame is the reference {triple.label}? no name says"
         candidates = [
-            ("eci", "inertial: it does not turn with the Earth (TEME, J2000, GCRF), as a propagator gives"),
+            ("eci", "inertial, not turning with the Earth (TEME, J2000, GCRF), as a propagator gives"),
             ("ecef", "it turns with the Earth (ITRF)"),
             ("ned", "north, east, down, as a field model at latitude and longitude gives"),
         ]
