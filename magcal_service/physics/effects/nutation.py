@@ -35,12 +35,16 @@ _SLOWEST_HZ: Final = 2e-3
 """Distance from the spin's lines within which what falls off from them is no nutation [Hz]: eleven times the orbit's
 frequency, to which the edges of eclipses reach."""
 
-_ORBITS_HZ: Final = 7e-4
-"""Distance from the spin's lines within which nothing is nutation [Hz]: four times the orbit's frequency, which a field
-that goes round twice an orbit has in a product of two."""
+_ORBITS_HZ: Final = 1.3e-3
+"""Distance from the spin's lines within which nothing is nutation [Hz]: seven times the orbit's frequency.  An axis
+that precesses by the field itself, with a dipole along it, has lines at four times and five, and as edges beyond."""
+
+_SIDE_HZ: Final = 7e-4
+"""Distance of side lines from their own [Hz]: four times the orbit's frequency, which a field that goes round twice an
+orbit has in a product of two."""
 
 _LARGER: Final = 1.5
-"""Times a line's height, what stands within four times the orbit's frequency beside it makes it a side line of that;
+"""Times a line's height, what stands that near beside it makes it a side line of that;
 choice: above the height that a line loses between two places of the transform."""
 
 
@@ -115,7 +119,7 @@ def _line_apart(
         if not allowed.any():
             return allowed, None
         best = int(np.argmax(np.where(allowed, height, 0.0)))
-    beside = np.abs(frequency - frequency[best]) < _ORBITS_HZ
+    beside = np.abs(frequency - frequency[best]) < _SIDE_HZ
     return allowed, None if float(height[beside].max()) > _LARGER * float(height[best]) else best
 
 

@@ -49,19 +49,25 @@ def _find(view: View) -> Finding | None:
     line, curve, cubic = (_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in (1, 2, 3))
     scatter = max(1.0, float(np.mean(curve.left**2)))
     bend = abs(float(curve.values[2])) / 4.0
-    drifted = turn.drift_rad_s * span / 4.0  # what the direction may bend that the phase is counted from
+    # what the direction may bend that the phase is counted from, and what the axis bends where it is off
+    drifted = turn.drift_rad_s * span / 4.0 + turn.bent_rad
     nats = 0.5 * (float(line.left @ line.left) - float(curve.left @ curve.left)) / scatter - math.log(len(scene))
     drifting = nats > _LEAST_NATS and bend > _LEAST_BEND_RAD + drifted
     nominal = view.nominal_rate_rad_s
     steady_sigma = math.sqrt(line.covariance[1, 1] * max(1.0, float(np.mean(line.left**2)))) / span
-    allowed = 0.0 if nominal is None else _tolerance(nominal) + turn.drift_rad_s + _SIGMAS * steady_sigma
+    allowed = (
+        0.0
+        if nominal is None
+        else _tolerance(nominal) + turn.drift_rad_s + turn.bent_rad / span + _SIGMAS * steady_sigma
+    )
     other = nominal is not None and abs(turn.rate_rad_s - nominal) > allowed
     if not drifting and not other:
         return None
     sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
     # a rate that does not change evenly: what one order more says otherwise, and the turn of the direction itself
-    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span)
-    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span)
+    bent = turn.bent_rad  # at one end of three and at another, so once for a rate and twice for its change
+    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span, bent)
+    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span, 2.0 * bent)
     start_rad_s = float(curve.values[1]) / span
     differs = nominal is not None and abs(start_rad_s - nominal) > _STANDS_OUT * rate_sigma / span
     if not differs and abs(float(curve.values[2])) < _STANDS_OUT * change_sigma:

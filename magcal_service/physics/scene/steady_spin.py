@@ -24,11 +24,21 @@ LARGEST_MISFIT: Final = 0.3
 ORBITAL_RATE_RAD_S: Final = 1.1e-3
 """Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
 
-_CLEAR_MISFIT: Final = 0.03
-"""Of |H|, what an axis misses by that is one whatever else comes near: gains as launched are off by as much."""
+_MOST_OFF_RAD: Final = (0.2, 0.4)
+"""What an axis may be off by, of its misfit and what a turn adds to that; and what where the field is well seen."""
+
+_WELL_SEEN: Final = 0.2
+"""Of |H|, what a turn of an axis by a radian adds to the misfit at the least where the field is seen well: a craft that
+nutates misses by a tenth of |H| and more, whatever its axis.  Choice: five times what one turn in an arc of ten minutes
+adds on a craft that looks down."""
+
+_SIGNS: Final = np.repeat([1.0, -1.0], 3)
 
 _AS_GOOD: Final = 1.3
 """Times the misfit of the best axis, up to which its mirror image is as good; choice: noise does not tell the two."""
+
+_MOST_OF_IT: Final = 0.95
+"""Quantile of the part of the field along the axis over that across it by which an axis that is off turns the phase."""
 
 _KNOT_TURNS: Final = 12.0
 """Turns between knots of the smoothed phase; choice: more stiffen a changing rate, fewer let noise in."""
@@ -59,6 +69,7 @@ class SpinSolution:
     body_from_eci: (n, 3, 3).
     axial_misfit_nt: (n,) w . a_b - H . a_i.
     across_nt: (n,) part of H across the axis.
+    bent_rad: what the phase may be bent by because the axis may be off.
     """
 
     axis_body: Array
@@ -69,6 +80,7 @@ class SpinSolution:
     body_from_eci: Array
     axial_misfit_nt: Array
     across_nt: Array
+    bent_rad: float = 0.0
 
     @property
     def rate_rpm(self) -> float:
@@ -78,7 +90,8 @@ class SpinSolution:
     @property
     def turn(self) -> Turn:
         """The turn alone."""
-        return Turn(self.axis_body, self.phase_rad, self.raw_phase_rad, self.rate_rad_s, self.across_nt)
+        turned = self.phase_rad, self.raw_phase_rad
+        return Turn(self.axis_body, *turned, self.rate_rad_s, self.across_nt, bent_rad=self.bent_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +105,7 @@ class Turn:
     rate_rad_s: mean rate about +axis.
     across_nt: (n,) part of the field across the axis.
     drift_rad_s: how fast the direction from which the phase is counted may turn.
+    bent_rad: what the phase may be bent by because the axis may be off.
     """
 
     axis_body: Array
@@ -100,6 +114,7 @@ class Turn:
     rate_rad_s: float
     across_nt: Array
     drift_rad_s: float = 0.0
+    bent_rad: float = 0.0
 
 
 def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None) -> Turn | None:
@@ -151,15 +166,20 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
     axes = _axes(scene.calibrated_nt, reference)
     if axes is None:
         return None
-    along, mirrored = scene.calibrated_nt @ axes[0], _mirrored(axes[1], reference)
-    is_as_good = _rms(along - reference @ mirrored) < _AS_GOOD * _rms(along - reference @ axes[1])
-    pairs = [axes, (axes[0], mirrored)] if is_as_good else [axes]
-    found = [_about(scene, one, nominal_axis, nominal_rate_rad_s) for one in pairs]
+    body, inertial, off_rad = axes
+    along, mirrored = scene.calibrated_nt @ body, _mirrored(inertial, reference)
+    is_as_good = _rms(along - reference @ mirrored) < _AS_GOOD * _rms(along - reference @ inertial)
+    pairs = [(body, inertial), (body, mirrored)] if is_as_good else [(body, inertial)]
+    found = [_about(scene, one, off_rad, nominal_axis, nominal_rate_rad_s) for one in pairs]
     return min(filter(None, found), key=lambda one: _unsteadiness(scene, one), default=None)
 
 
 def _about(
-    scene: Scene, axes: tuple[Array, Array], nominal_axis: Array | None, nominal_rate_rad_s: float | None
+    scene: Scene,
+    axes: tuple[Array, Array],
+    off_rad: float,
+    nominal_axis: Array | None,
+    nominal_rate_rad_s: float | None,
 ) -> SpinSolution | None:
     """The turn about an axis in the body and in inertial space, of any sign; None where there is none."""
     reference, w = scene.reference_eci_nt, scene.calibrated_nt
@@ -168,7 +188,7 @@ def _about(
     if nominal_axis is not None and float(axis_body @ nominal_axis) < 0.0:
         axis_body, axis_eci = -axis_body, -axis_eci
     misfit = w @ axis_body - reference @ axis_eci
-    if _rms(misfit) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
+    if not _rms(misfit) <= LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
         return None
     turn, strength = turns_of(w, reference, axis_body, axis_eci)
     rate = _rate(scene, turn, nominal_rate_rad_s)
@@ -182,7 +202,8 @@ def _about(
         return None
     attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
-    return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength)
+    lever = float(np.quantile(np.abs(reference @ axis_eci) / np.maximum(strength, 1e-9), _MOST_OF_IT))
+    return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength, 2.0 * off_rad * lever)
 
 
 def _mirrored(axis_eci: Array, reference: Array) -> Array:
@@ -205,51 +226,56 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _axes(w: Array, reference: Array) -> tuple[Array, Array] | None:
-    """Axis in the body and in inertial space (3,) each; None where no two unit vectors come near the condition.
+def _axes(w: Array, reference: Array) -> tuple[Array, Array, float] | None:
+    """Axis in the body and in inertial space (3,) each, and how far either may be off [rad]; None where the vectors do
+    not tell them.
 
     They make |w . a_b - H . a_i| least among pairs of one length.  While the field stays near a plane, as over a short
     arc, H . a_i is small for another direction as well, and the singular vector alone is a mixture of the two.
     """
     rows = np.hstack([w, -reference])
     normal = rows.T @ rows
-    _, vectors = np.linalg.eigh(normal)
-    sizes = np.linalg.norm(vectors[:3, 0]), np.linalg.norm(vectors[3:, 0])
     pair = _of_one_length(normal)
-    misfit = math.sqrt(4.0 * max(float(pair @ normal @ pair), 0.0) / float(np.trace(normal)))  # of |H|
-    if misfit > _CLEAR_MISFIT and min(sizes) < 0.5 * max(sizes):
+    if pair is None:
+        return None
+    lost = float(pair @ normal @ pair)
+    multiplier = float(pair @ (_SIGNS * (normal @ pair)))
+    tangents = np.linalg.qr(np.stack([pair, _SIGNS * pair], axis=1), mode="complete")[0][:, 2:]
+    bent = normal - multiplier * np.diag(_SIGNS) - lost * np.eye(6)
+    least = float(np.linalg.eigvalsh(tangents.T @ bent @ tangents)[0])  # what a turn of an axis costs, the cheapest
+    off_rad = math.sqrt(max(lost, 0.0) / least) if least > 0.0 else math.inf
+    is_well_seen = 4.0 * least > _WELL_SEEN**2 * float(np.trace(normal))
+    if off_rad > _MOST_OFF_RAD[is_well_seen]:
         return None
     body, inertial = pair[:3], pair[3:]
-    return body / np.linalg.norm(body), inertial / np.linalg.norm(inertial)
+    return body / np.linalg.norm(body), inertial / np.linalg.norm(inertial), off_rad
 
 
-def _of_one_length(normal: Array) -> Array:
-    """(6,) that makes x' N x least among vectors of length one whose halves are of one length.
+def _of_one_length(normal: Array) -> Array | None:
+    """(6,) that makes x' N x least among vectors of length one whose halves are of one length; None: there is none.
 
     That is where the smallest eigenvalue of N - m J is largest, J being 1 on the first half and -1 on the second; it is
     concave in m, so the difference of the halves' lengths, its slope, changes sign once.
     """
-    signs = np.repeat([1.0, -1.0], 3)
     low, high = -float(np.trace(normal)), float(np.trace(normal))
     vectors = np.linalg.eigh(normal)[1]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        vectors = np.linalg.eigh(normal - middle * np.diag(signs))[1]
-        if float(signs @ vectors[:, 0] ** 2) > 0.0:  # the first half is longer: it has to cost more
+        vectors = np.linalg.eigh(normal - middle * np.diag(_SIGNS))[1]
+        if float(_SIGNS @ vectors[:, 0] ** 2) > 0.0:  # the first half is longer: it has to cost more
             high = middle
         else:
             low = middle
     least, next_ = vectors[:, 0], vectors[:, 1]
-    more = float(signs @ least**2)
+    more = float(_SIGNS @ least**2)
     if abs(more) < _ALIKE:
         return np.asarray(least)
     # two of them cost the same there, of which one has the one half longer and one the other: what lies between
-    crossed, other = float(signs @ (least * next_)), float(signs @ next_**2)
+    crossed, other = float(_SIGNS @ (least * next_)), float(_SIGNS @ next_**2)
     root = crossed**2 - more * other
-    if root < 0.0:
-        return np.asarray(least)
-    share = (-crossed + math.copysign(math.sqrt(root), more)) / other if other else -more / (2.0 * crossed)
-    mixed = least + share * next_
+    if root < 0.0 or not abs(other) > _ALIKE:
+        return None
+    mixed = least + (-crossed + math.copysign(math.sqrt(root), more)) / other * next_
     return np.asarray(mixed / np.linalg.norm(mixed))
 
 
