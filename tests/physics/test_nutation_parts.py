@@ -116,6 +116,12 @@ def test_a_line_near_those_of_what_is_fixed_counts_where_nothing_nearer_is_highe
     assert flown(0.05, 0.0016, nearer=(0.06, 0.0009)) is None
 
 
+@pytest.mark.parametrize(("line_hz", "found"), [(0.0009, False), (0.0012, False), (0.0015, True)])
+def test_what_the_orbit_may_make_at_seven_times_its_frequency_is_no_nutation(line_hz: float, found: bool) -> None:
+    """An axis that precesses by the field, with a dipole along it, was said to nutate by 0.7 degrees, trusted."""
+    assert (flown(0.02, line_hz, count=6000) is not None) is found
+
+
 @pytest.mark.parametrize(("size", "found"), [(0.003, True), (0.002, False)])
 def test_a_side_line_is_lower_than_two_thirds_of_its_own(size: float, found: bool) -> None:
     """Beside one of 0.4 per cent that something nearer to the still lines keeps from being a nutation."""

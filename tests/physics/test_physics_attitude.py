@@ -24,6 +24,10 @@ def angle_deg(one: Array, other: Array) -> float:
     return math.degrees(math.asin(min(1.0, float(np.linalg.norm(np.cross(one, other))))))
 
 
+def angle_rad(one: Array, other: Array) -> float:
+    return math.radians(angle_deg(one, other))
+
+
 def moved(attitude: Array, noise_nt: float = NOISE_NT, seed: int = 5) -> Scene:
     """The scene with another attitude (n, 3, 3), noise in its vectors."""
     assert scene().reference_eci_nt is not None
@@ -110,6 +114,65 @@ def test_in_a_plane_the_axis_is_that_of_the_two_mirror_images_about_which_the_tu
     finding = effect_named("spin_rate").find
     assert finding is not None
     assert finding(replace(view(flown), spin=found, nominal_rate_rad_s=1.06)) is None
+
+
+def in_field(
+    time_s: Array, attitude: Array, field: Array, gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> Scene:
+    """A craft of an attitude (n, 3, 3) in a field (n, 3), 50 nT of noise, its gains off."""
+    body = np.einsum("nij,nj->ni", attitude, field) * np.array(gains)
+    body = body + np.random.default_rng(82).normal(0.0, 50.0, body.shape)
+    size = np.linalg.norm(field, axis=1)
+    body *= (size / np.maximum(np.linalg.norm(body, axis=1), 1e-9))[:, None]
+    return replace(
+        scene(),
+        time_s=time_s,
+        field_nt=body,
+        calibrated_nt=body,
+        clean_field_nt=body,
+        magnitude_nt=size,
+        reference_eci_nt=field,
+        position_ecef_km=None,
+        channels={},
+        body_from_eci=None,
+    )
+
+
+@pytest.mark.parametrize("field", [(45e3, 0.0, 0.0), (0.0, 0.0, 45e3), (20e3, -9e3, 30e3), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("rate", [0.0, 0.2])
+def test_a_field_of_one_direction_tells_no_axis(field: tuple[float, float, float], rate: float) -> None:
+    """Any direction of space across it will do; a coil along an axis ended in a traceback."""
+    time_s = np.arange(600.0)
+    steady = np.tile(np.array(field), (600, 1))
+    assert solve_spin(in_field(time_s, turning(AXIS_BODY, AXIS_ECI, rate * time_s), steady), None, None) is None
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.1e-3])
+def test_over_a_short_arc_a_craft_that_hardly_turns_has_no_spin(rate: float) -> None:
+    """Pointing at the stars or looking down for ten minutes: many axes miss by less than its gains are off."""
+    time_s = np.arange(0.0, 600.0, 1.0)
+    course = 2.2e-3 * time_s + 0.4
+    across, north, up = triad(AXIS_ECI)
+    field = 4e4 * (np.outer(np.cos(course), up) + np.outer(np.sin(course), across) + np.outer(0.1 * course**2, north))
+    flown = in_field(time_s, turning(AXIS_BODY, AXIS_ECI, rate * time_s), field, (1.01, 0.99, 1.0))
+    found = solve_spin(flown, None, None)
+    assert found is None or abs(found.rate_rad_s - rate) < 1e-4
+
+
+def test_an_axis_near_the_field_bends_the_phase_by_what_it_is_off() -> None:
+    """Ten minutes near the equator, spinning about north: a degree of the axis is a tenth of a turn of the phase."""
+    time_s = np.arange(0.0, 600.0, 0.5)
+    course = 1.1e-3 * time_s
+    one, other, axis = triad(AXIS_ECI)
+    field = 3e4 * (np.outer(np.cos(0.3 * course), axis) + np.outer(0.1 * np.cos(course), one))
+    field += 3e4 * np.outer(0.07 * np.sin(course), other)
+    flown = in_field(time_s, turning(AXIS_BODY, AXIS_ECI, 0.09 * time_s), field, (1.01, 0.99, 1.005))
+    found = solve_spin(flown, AXIS_BODY, 0.09)
+    if found is not None:
+        assert found.bent_rad > 2.0 * angle_rad(found.axis_eci, AXIS_ECI)
+        finding = effect_named("spin_rate").find
+        assert finding is not None
+        assert finding(replace(view(flown), spin=found, nominal_rate_rad_s=0.09)) is None
 
 
 def test_attitude_is_that_of_the_motion() -> None:
