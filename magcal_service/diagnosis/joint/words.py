@@ -79,14 +79,7 @@ def derived_of_each(effect: Effect, form: JointHypothesis, fitted: Values) -> Va
     if not first:
         return effect.derived(fitted)
     names = fitted[first[0]].labels[0]
-    each = []
-    for number in range(len(names)):
-        own = {
-            name: replace(value, value=value.value[number], sigma=value.sigma[number], labels=value.labels[1:])
-            for name, value in fitted.items()
-            if name in form.own
-        }
-        each.append(effect.derived({**fitted, **own}))
+    each = [effect.derived(_of_one(fitted, names, number)) for number in range(len(names))]
     return {
         name: replace(
             one,
@@ -99,14 +92,27 @@ def derived_of_each(effect: Effect, form: JointHypothesis, fitted: Values) -> Va
     }
 
 
+def _of_one(values: Values, names: tuple[str, ...], number: int) -> Values:
+    """Numbers as one recording has them: of those that have a first axis over the recordings ``names``, its own."""
+    return {
+        name: replace(one, value=one.value[number], sigma=one.sigma[number], labels=one.labels[1:])
+        if one.labels[:1] == (names,)
+        else one
+        for name, one in values.items()
+    }
+
+
 def says(diagnosis: JointDiagnosis, index: int) -> str:
-    """What a term is, in a sentence with its numbers."""
+    """What a term is, in a sentence with its numbers, or in one for each recording that has its own."""
     form = joint(diagnosis.fit.terms[index])
     others = [driver for driver, _ in drivers(diagnosis, index) if driver != form.driver]
-    sentence = effect_of(diagnosis, index).sentence(parameters(diagnosis, index), form.driver, others)
-    if form.solo:
-        return f"In {form.solo}: {sentence}"
-    return sentence if form.common else f"In each recording its own, in the order of the recordings: {sentence}"
+    effect, values = effect_of(diagnosis, index), parameters(diagnosis, index)
+    own = [values[name].labels[0] for name in form.own if name in values]
+    if form.common or form.solo or not own:
+        sentence = effect.sentence(values, form.driver, others)
+        return f"In {form.solo}: {sentence}" if form.solo else sentence
+    of_each = (effect.sentence(_of_one(values, own[0], k), form.driver, others) for k in range(len(own[0])))
+    return " ".join(f"In {name}: {sentence}" for name, sentence in zip(own[0], of_each, strict=True))
 
 
 def drivers(diagnosis: JointDiagnosis, index: int) -> tuple[tuple[str, float], ...]:
