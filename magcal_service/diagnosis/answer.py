@@ -15,12 +15,12 @@ from magcal_service.diagnosis.content import as_json
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.diagnose import diagnose as run
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import gather
 from magcal_service.diagnosis.joint.result import as_json as joint_json
 from magcal_service.diagnosis.joint.words import summary as joint_summary
 from magcal_service.diagnosis.result import entries, held_out_rms
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.offline.nine_errors import NineErrors
 from magcal_service.recordings.inspect.inspection import inspect

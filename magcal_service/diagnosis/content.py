@@ -11,13 +11,13 @@ import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.diagnosis.reference_off import reference_off_of
 from magcal_service.diagnosis.result import entries, held_out_rms, moved_bias
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.words import compared_with, verdict_sentence
 from magcal_service.model import BIAS, STATE_SIZE, d_matrix
 from magcal_service.offline.result_head import DIAGNOSIS, head

@@ -9,8 +9,8 @@ import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.problem import Fit
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
 from magcal_service.physics.apply.model_file import ModelSpin, ModelTerm, Note, PhysicsModel, text_of

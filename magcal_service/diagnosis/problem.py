@@ -263,12 +263,19 @@ class Fit:
     @cached_property
     def scaled_inverse(self) -> Array:
         """(p, p) inverse of the products of the columns that ``normal_equations`` scales, priors included."""
-        return scaled_inverse(self)
+        scale, products, _ = self.normal_equations
+        return scaled_inverse(products, self._sigma2 * self.tie / scale**2)
 
     @cached_property
     def covariance(self) -> Array:
         """(p, p) of unknowns, amplitudes and nonlinear numbers, robust to a coloured residual."""
-        return robust_covariance(self)
+        scale = self.normal_equations[0]
+        scaled = robust_covariance(self.scaled_inverse, self.white_columns / scale, self.white_residual, self._sigma2)
+        return np.asarray(scaled / np.outer(scale, scale))
+
+    @property
+    def _sigma2(self) -> float:
+        return max(self.white_rms_nt**2, 1e-12)
 
     @cached_property
     def _held_out(self) -> tuple[Array, Array]:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.field_error import FieldError, Scale
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.problem import Fit, Problem
 from magcal_service.diagnosis.solution import solve
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.model import Array, measure
 from tests.physics.scenes import X, scene, spoiled
 

@@ -19,6 +19,7 @@ from magcal_service.diagnosis.doubts import (
     of_noise_and_reference,
     stands_out,
 )
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import SCALES, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
@@ -36,7 +37,6 @@ from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rows import made_where
 from magcal_service.diagnosis.searching import FLOOR, LOWER, quieted
 from magcal_service.diagnosis.solution import solve
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.stages import COMPARING, LEFT, SIMULATING, Progress, untold
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.catalogue import catalogue, held_at

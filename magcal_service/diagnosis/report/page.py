@@ -13,11 +13,11 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
+from magcal_service.diagnosis.errors_spread import errors_covariance
 from magcal_service.diagnosis.report.figures import curve_picture, pictures, track
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms
 from magcal_service.diagnosis.rows import account_of
-from magcal_service.diagnosis.spread import errors_covariance
 from magcal_service.diagnosis.words import (
     belief,
     chance,
