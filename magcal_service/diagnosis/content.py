@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
-from magcal_service.diagnosis.errors_spread import errors_covariance
+from magcal_service.diagnosis.errors_spread import errors_sigma
 from magcal_service.diagnosis.locate import Place, locate
 from magcal_service.diagnosis.mounting import mounting_of
 from magcal_service.diagnosis.problem import Fit
@@ -28,7 +28,7 @@ def as_json(diagnosis: Diagnosis, found: Sequence[Entry] | None = None) -> str:
     """The contract's ``diagnosis.json``."""
     found = entries(diagnosis) if found is None else found
     fit = diagnosis.fit
-    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(fit)), 0.0))
+    sigma = errors_sigma(fit)
     mounting, reference_off = mounting_of(fit), reference_off_of(fit)
     moved_nt, moved_sigma_nt = moved_bias(diagnosis)
     places: Sequence[Place] = locate(diagnosis.search, diagnosis.prepared.baseline)

@@ -34,3 +34,8 @@ def errors_covariance(fit: Fit, part: Problem | None = None, rows: slice = _WHOL
     weighed = fit.problem.white(fit.white_columns)[rows] / scale
     moved = fit.scaled_inverse[own] @ error.lines.gathered(weighed).T / scale[own, None]
     return np.asarray(found + moved @ beside @ moved.T)
+
+
+def errors_sigma(fit: Fit) -> Array:
+    """(9,) 1 sigma of the nine errors of one recording, in the order of ``STATE_NAMES``."""
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(errors_covariance(fit)), 0.0)))

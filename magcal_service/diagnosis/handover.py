@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.entry import Entry
-from magcal_service.diagnosis.errors_spread import errors_covariance
+from magcal_service.diagnosis.errors_spread import errors_sigma
 from magcal_service.diagnosis.problem import Fit
 from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics.apply.empirical import NAME
@@ -35,7 +35,7 @@ def model_of(diagnosis: Diagnosis, entries: Sequence[Entry], recording: str, cra
     """
     usable, fit = diagnosis.usable, diagnosis.handed_over
     scene, fitted = fit.problem.scene, {term.hypothesis.effect for term in fit.terms}
-    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(fit)), 0.0))
+    sigma = errors_sigma(fit)
     others = [entry for entry in entries if entry.effect not in fitted and entry.effect != UNLISTED]
     spin = diagnosis.spin
     return PhysicsModel(

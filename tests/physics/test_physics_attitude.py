@@ -58,6 +58,33 @@ def test_axis_and_rate_are_those_of_the_motion() -> None:
     assert found.rate_rpm == pytest.approx(RATE_RAD_S / RPM, rel=1e-6)
 
 
+def in_field(
+    time_s: Array,
+    attitude: Array,
+    field: Array,
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    noise_nt: float = 50.0,
+    seed: int = 82,
+) -> Scene:
+    """A craft of an attitude (n, 3, 3) in a field (n, 3), its gains off, no noise along the field."""
+    body = np.einsum("nij,nj->ni", attitude, field) * np.array(gains)
+    body = body + np.random.default_rng(seed).normal(0.0, noise_nt, body.shape)
+    size = np.linalg.norm(field, axis=1)
+    body *= (size / np.maximum(np.linalg.norm(body, axis=1), 1e-9))[:, None]
+    return replace(
+        scene(),
+        time_s=time_s,
+        field_nt=body,
+        calibrated_nt=body,
+        clean_field_nt=body,
+        magnitude_nt=size,
+        reference_eci_nt=field,
+        position_ecef_km=None,
+        channels={},
+        body_from_eci=None,
+    )
+
+
 def near_a_plane(off_deg: float, tilt_nt: float, noise_nt: float) -> tuple[Scene, Array]:
     """A craft that turns at 1.06 rad/s while the field stays within so many nT of a plane, and the plane's normal (3,),
     so many degrees from the axis."""
@@ -68,21 +95,7 @@ def near_a_plane(off_deg: float, tilt_nt: float, noise_nt: float) -> tuple[Scene
     course = 1.6 * time_s / time_s[-1] - 0.4
     field = 4e4 * (np.outer(np.cos(course), one) + np.outer(np.sin(course), other))
     field += tilt_nt * np.outer(np.sin(3.0 * course), normal)
-    body = np.einsum("nij,nj->ni", turning(AXIS_BODY, AXIS_ECI, 1.06 * time_s + 0.2), field)
-    body += np.random.default_rng(81).normal(0.0, noise_nt, body.shape)
-    body *= (np.linalg.norm(field, axis=1) / np.linalg.norm(body, axis=1))[:, None]
-    flown = replace(
-        scene(),
-        time_s=time_s,
-        field_nt=body,
-        calibrated_nt=body,
-        clean_field_nt=body,
-        magnitude_nt=np.linalg.norm(field, axis=1),
-        reference_eci_nt=field,
-        position_ecef_km=None,
-        channels={},
-        body_from_eci=None,
-    )
+    flown = in_field(time_s, turning(AXIS_BODY, AXIS_ECI, 1.06 * time_s + 0.2), field, noise_nt=noise_nt, seed=81)
     return flown, normal
 
 
@@ -114,28 +127,6 @@ def test_in_a_plane_the_axis_is_that_of_the_two_mirror_images_about_which_the_tu
     finding = effect_named("spin_rate").find
     assert finding is not None
     assert finding(replace(view(flown), spin=found, nominal_rate_rad_s=1.06)) is None
-
-
-def in_field(
-    time_s: Array, attitude: Array, field: Array, gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-) -> Scene:
-    """A craft of an attitude (n, 3, 3) in a field (n, 3), 50 nT of noise, its gains off."""
-    body = np.einsum("nij,nj->ni", attitude, field) * np.array(gains)
-    body = body + np.random.default_rng(82).normal(0.0, 50.0, body.shape)
-    size = np.linalg.norm(field, axis=1)
-    body *= (size / np.maximum(np.linalg.norm(body, axis=1), 1e-9))[:, None]
-    return replace(
-        scene(),
-        time_s=time_s,
-        field_nt=body,
-        calibrated_nt=body,
-        clean_field_nt=body,
-        magnitude_nt=size,
-        reference_eci_nt=field,
-        position_ecef_km=None,
-        channels={},
-        body_from_eci=None,
-    )
 
 
 @pytest.mark.parametrize("field", [(45e3, 0.0, 0.0), (0.0, 0.0, 45e3), (20e3, -9e3, 30e3), (0.0, 0.0, 0.0)])

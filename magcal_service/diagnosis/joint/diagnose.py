@@ -25,7 +25,7 @@ from magcal_service.diagnosis.field_error import SCALES, Scale
 from magcal_service.diagnosis.field_level import at_scale, likeliest, needed_scale
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.compare import Apart, Compared
-from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, transferred
+from magcal_service.diagnosis.joint.forms import JointHypothesis, joint, transferred
 from magcal_service.diagnosis.joint.light import LightSeen, light_seen
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.joint.search import JointSearch
@@ -319,7 +319,7 @@ class _Run:
         for number, term in enumerate(fit.terms):
             form = joint(term)
             if number in numbers:
-                own = [one for one in forms if one.base == form.base and one.variant.endswith(EACH_ITS_OWN)]
+                own = [one for one in forms if one.base == form.base and one.is_each_its_own]
                 terms.append(transferred(term, own[0]))
                 search.close -= {one.label for one in forms if one.base == form.base}  # it is not common: that is known
             else:

@@ -117,6 +117,11 @@ class JointHypothesis(Hypothesis):
         """Blocks that all recordings share."""
         return () if self.solo else tuple(block for block in self.blocks if block.name not in self.own)
 
+    @property
+    def is_each_its_own(self) -> bool:
+        """Whether every amplitude differs from recording to recording."""
+        return self.variant.endswith(EACH_ITS_OWN)
+
     def acts_on(self, name: str) -> bool:
         """Whether the effect acts on a recording."""
         return self.parts[self.names.index(name)] is not None

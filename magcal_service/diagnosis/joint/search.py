@@ -12,7 +12,7 @@ from magcal_service.diagnosis.expansion import clean_vectors
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.instants import timed
 from magcal_service.diagnosis.joint.catalogue import Forms
-from magcal_service.diagnosis.joint.forms import EACH_ITS_OWN, JointHypothesis, joint, like, transferred
+from magcal_service.diagnosis.joint.forms import JointHypothesis, joint, like, transferred
 from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.linear import Workspace
@@ -105,7 +105,7 @@ class JointSearch(Search):
 
     def _rivals(self, fit: Fit, index: int, sigma: float) -> list[Candidate]:
         """As ``Search._rivals``; those of a term with amplitudes of each recording's own may have some, too."""
-        if not fit.terms[index].hypothesis.variant.endswith(EACH_ITS_OWN):
+        if not joint(fit.terms[index]).is_each_its_own:
             return super()._rivals(fit, index, sigma)
         forms = [one for one in self.hypotheses if isinstance(one, JointHypothesis)]
         near = {one.base for one in forms if one.label in self.close}
@@ -184,7 +184,8 @@ def _base(candidate: Candidate) -> str:
 
 
 def _is_own(candidate: Candidate) -> bool:
-    return candidate.hypothesis.variant.endswith(EACH_ITS_OWN)
+    assert isinstance(candidate.hypothesis, JointHypothesis)
+    return candidate.hypothesis.is_each_its_own
 
 
 def refitted(

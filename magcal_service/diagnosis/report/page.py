@@ -13,7 +13,7 @@ import numpy as np
 from magcal_service.diagnosis.diagnose import Diagnosis
 from magcal_service.diagnosis.empirical.modelled import Modelled
 from magcal_service.diagnosis.entry import Entry
-from magcal_service.diagnosis.errors_spread import errors_covariance
+from magcal_service.diagnosis.errors_spread import errors_sigma
 from magcal_service.diagnosis.report.figures import curve_picture, pictures, track
 from magcal_service.diagnosis.report.frame import Origin, check_packages, rendered
 from magcal_service.diagnosis.result import held_out_rms
@@ -214,7 +214,7 @@ def _modelled(modelled: Modelled) -> dict[str, Any]:
 def _errors(diagnosis: Diagnosis) -> list[dict[str, str]]:
     """The nine errors before and after, with 1 sigma."""
     before, after = diagnosis.prepared.baseline, diagnosis.fit
-    sigma = np.sqrt(np.maximum(np.diagonal(errors_covariance(after)), 0.0))
+    sigma = errors_sigma(after)
     rows = []
     for i, name in enumerate(STATE_NAMES):
         places, unit = (1, "nT") if i < BIAS.stop else (5, "")
