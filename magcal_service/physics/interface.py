@@ -309,11 +309,9 @@ class Effect:
     ----------
     name: as in every result.
     acts_on: what it disturbs.
-    title: what it is, in a few words.
-    equation: what acts on the field, in the letters of ``interface``.
+    title, equation: what it is, in a few words; what acts on the field, in the letters of ``interface``.
     units: unit of each parameter it may report, by name.
-    prior: usual size of the disturbance [nT], from and to.
-    valid: where the form holds.
+    prior, valid: usual size of the disturbance [nT], from and to; where the form holds.
     confused_with: effects with similar signatures.
     separated_by: the observation that distinguishes them; ``or_record``: quantities whose record does so as well.
     source: where the form comes from.
@@ -331,6 +329,8 @@ class Effect:
     needs_rate: live, it needs the craft's rate.
     in_orbit_only: it does not occur anywhere else.
     switched: what one switches off to make it go away, with its article; empty where nobody can.
+    of_one_recording: its strength is another one every day, or its course begins with the first sample: several recordings
+        never have its numbers in common.
     two_levels: it may go on and off at no regular times, by what is often not recorded.
     is_line: it is one line of a spectrum, of which several together repeat in any shape.
     watched: what the watch sees of it, and the quantity that it follows where there is one.
@@ -365,6 +365,7 @@ class Effect:
     needs_rate: bool = False
     in_orbit_only: bool = False
     switched: str = ""
+    of_one_recording: bool = False
     two_levels: bool = False
     is_line: bool = False
     watched: tuple[tuple[Watched, str], ...] = ()

@@ -65,7 +65,7 @@ class Forms:
                 continue
             each = [self._of_part(effect, part, name, bases) for part, name in zip(parts, names, strict=True)]
             for label in dict.fromkeys(label for one in each for label in one):
-                found += _forms([one.get(label) for one in each], names, counts, offsets)
+                found += _forms([one.get(label) for one in each], names, counts, offsets, effect.of_one_recording)
         return found if only is None else [form for form in found if any(like(one, [form]) for one in only)]
 
     def _of_part(self, effect: Effect, part: Problem, name: str, bases: set[str] | None) -> dict[str, Hypothesis]:
@@ -94,9 +94,16 @@ def _as_on(plain: Hypothesis | None, given: Hypothesis) -> Hypothesis:
 
 
 def _forms(
-    parts: Sequence[Hypothesis | None], names: Sequence[str], counts: Sequence[int], offsets: Sequence[float]
+    parts: Sequence[Hypothesis | None],
+    names: Sequence[str],
+    counts: Sequence[int],
+    offsets: Sequence[float],
+    of_one_recording: bool,
 ) -> list[JointHypothesis]:
-    """What the recordings' own hypotheses of one label become together; nothing where one of them lacks it."""
+    """What the recordings' own hypotheses of one label become together; nothing where one of them lacks it.
+
+    ``of_one_recording``: as of their effect.
+    """
     first = next(part for part in parts if part is not None)
     roles = {number.role for number in first.nonlinear}
     changes = bool(roles) and roles <= OF_CHANGES
@@ -111,8 +118,10 @@ def _forms(
         ]
     if any(part is None for part in parts) or len({_shape(part) for part in parts if part is not None}) > 1:
         return []
-    together = [joined(first, parts, names, counts, offsets)]
-    return together if len(parts) == 1 else [*together, joined(first, parts, names, counts, offsets, EACH_ITS_OWN)]
+    if len(parts) == 1:
+        return [joined(first, parts, names, counts, offsets)]
+    said = (EACH_ITS_OWN,) if of_one_recording else ("", EACH_ITS_OWN)
+    return [joined(first, parts, names, counts, offsets, one) for one in said]
 
 
 def started(scene: Scene, constants: Mapping[str, float]) -> Mapping[str, float]:

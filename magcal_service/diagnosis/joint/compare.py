@@ -14,18 +14,15 @@ from magcal_service.diagnosis.doubts import STANDS_OUT
 from magcal_service.diagnosis.joint.catalogue import Forms
 from magcal_service.diagnosis.joint.forms import joint, like
 from magcal_service.diagnosis.joint.problem import JointProblem
-from magcal_service.diagnosis.joint.search import refitted
+from magcal_service.diagnosis.joint.search import common_share, refitted
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.squares import held_out_nt2
 from magcal_service.model import Array
+from magcal_service.physics.interface import Hypothesis
 
 SURE_DIFFERENCE: Final = 0.01
 """Probability below which a difference between a recording and the others is no chance."""
-
-LEAST_KEPT: Final = 0.5
-"""Of what an effect gains in a recording, what the others' numbers have to gain for it to be common, where the numbers
-differ surely: no model is so exact that they would not, but what is common predicts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,12 +161,13 @@ class Compared:
     shared: tuple[Shared, ...]
     predicted: tuple[Predicted, ...]
 
-    def is_common(self, index: int) -> bool:
+    def is_common(self, index: int, form: Hypothesis) -> bool:
         """Whether a term's numbers are the same in all recordings, as far as they show it.
 
-        Either they differ by no more than chance, or the others' numbers do most of what the recordings' own would.
+        Either they differ by no more than chance, or the others' numbers do most of what the recordings' own would: no
+        model is so exact that they would not differ, but what is common predicts.  ``form``: of the term.
         """
-        return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= LEAST_KEPT
+        return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= common_share(form)
 
     def spread(self, index: int, parameter: str) -> float:
         """Times its own sigma by which a number of a term differs between recordings; 1 where it is each one's own."""

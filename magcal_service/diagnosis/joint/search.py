@@ -17,21 +17,25 @@ from magcal_service.diagnosis.joint.frozen import frozen, frozen_term
 from magcal_service.diagnosis.joint.problem import JointProblem
 from magcal_service.diagnosis.linear import Workspace
 from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
-from magcal_service.diagnosis.rivals import is_recorded
 from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.solution import solve
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.vectors import Vectors
 
-COMMON_SHARE: Final = 0.5
+_OF_INFERRED: Final = 0.5
 """Of what amplitudes of every recording's own hold, what common ones have to hold to be preferred: one craft has one
-set of numbers, and no model is so exact that a set for each day would not fit better.  How far they differ is said
-by the comparison of each recording with the others."""
+set of numbers, and no inferred driver is so exact that a set for each day would not fit better.  How far they differ is
+said by the comparison of each recording with the others."""
 
-RECORDED_SHARE: Final = 0.9
-"""The same of a recorded driver, which is right to a few per cent: of two days of which one has half of the other's
-number, common ones hold as much.  What it drives on one day and not on another has changed."""
+_OF_EXACT: Final = 0.9
+"""The same where the course is recorded, or follows from the field and the clock, and is right to a few per cent: of
+two days of which one has half of the other's number, common ones hold as much.  What differs so has changed."""
+
+
+def common_share(form: Hypothesis) -> float:
+    """Of what each recording's own numbers of a form hold, what common ones have to hold at least to be preferred."""
+    return _OF_INFERRED if form.is_inferred else _OF_EXACT
 
 
 @dataclass(eq=False)
@@ -98,8 +102,7 @@ class JointSearch(Search):
         common = {_base(one): one.gain.squares for one in found if not _is_own(one)}
 
         def is_as_good(own: Candidate) -> bool:
-            share = RECORDED_SHARE if is_recorded(own.hypothesis) else COMMON_SHARE
-            return common.get(_base(own), 0.0) > share * own.gain.squares
+            return common.get(_base(own), 0.0) > common_share(own.hypothesis) * own.gain.squares
 
         return [one for one in found if not (_is_own(one) and is_as_good(one))]
 

@@ -48,6 +48,7 @@ EFFECT = Effect(
         "to_s": "s",
     },
     prior=(5.0, 5000.0),
+    of_one_recording=True,
     valid="smooth over the recording",
     confused_with=("thermal_bias", "external_field", "bias_step", "scale_drift"),
     separated_by="in orbit a longer recording: warmth comes back, a drift does not",

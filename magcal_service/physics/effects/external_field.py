@@ -102,6 +102,7 @@ EFFECT = Effect(
     units={"mean_nt": "nT", "course_nt": "nT", "middle_s": "s", "span_s": "s", "induced": "1"},
     in_orbit_only=True,
     prior=(5.0, 500.0),
+    of_one_recording=True,
     valid="below 60 degrees of dipole latitude; field-aligned currents are not in it",
     confused_with=("reference_epoch", "bias_drift", "position_offset"),
     separated_by="the Dst or SYM-H index of the day; a second craft at the same time",

@@ -45,6 +45,7 @@ EFFECT = Effect(
         "to_s": "s",
     },
     prior=(5.0, 5000.0),
+    of_one_recording=True,
     valid="smooth over the recording",
     confused_with=("thermal_scale", "bias_drift"),
     separated_by="in orbit a longer recording: warmth comes back, a drift does not",
