@@ -244,7 +244,7 @@ def _on_rows(
     findings, spin = _other_findings(prepared, end, effects)
     findings |= beside or {}
     unexplained = unexplained_share(prepared.baseline, end.explained.fit, end.left)
-    verdict = _verdict(end.explained, findings, unexplained)
+    verdict = verdict_of(end.explained, findings, unexplained)
     if verdict is Verdict.UNKNOWN:
         findings.pop(COLOURED_NOISE, None)  # the memory may be that of what has no name
     stated = prepared.view.stated_noise_nt is not None
@@ -354,7 +354,8 @@ def _beside_disturbances(
     return None if share > 1.0 else replace(nutation, rivals=((UNLISTED, share**2),))
 
 
-def _verdict(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
+def verdict_of(explained: Explained, findings: Mapping[str, Finding], unexplained: float) -> Verdict:
+    """What it comes to: effects that were fitted, effects seen in the samples by name, and the share without a name."""
     if unexplained > UNKNOWN_SHARE:
         return Verdict.UNKNOWN
     named = explained.fit.terms or any(name != COLOURED_NOISE for name in findings)  # noise explains no mismatch

@@ -151,13 +151,14 @@ def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnos
 
 
 def test_what_samples_show_is_said_of_each_recording_where_nothing_is_named() -> None:
-    """Rounded to 200 nT on the second day alone; the verdict is of the vectors, and says nothing of that."""
+    """Rounded to 200 nT on the second day alone: that has a name, as it has where the day is diagnosed by itself."""
     clean = [day(number, NONE, NONE) for number in range(2)]
     rounded = np.round(clean[1].recording.field_body_nt / 200.0) * 200.0
     clean[1] = replace(clean[1], recording=replace(clean[1].recording, field_body_nt=rounded))
     names = ("quantisation", "thermal_bias")
     both = _together(clean, tuple(map(effect_named, names)))
-    assert both.verdict is Verdict.NONE
+    assert (both.verdict, both.trusted) == (Verdict.NAMED, True)
+    assert sentence(both) == f"In {both.recordings[1].name}: values on a lattice."
     (line,) = samples_lines(both)
     assert line.startswith(f"{both.recordings[1].name}: quantisation: Values lie on a lattice of 200.00 ")
     assert f"  {line}" in summary(both, ())

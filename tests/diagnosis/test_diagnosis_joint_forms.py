@@ -22,7 +22,7 @@ from magcal_service.diagnosis.problem import Problem, Term, evaluate, free_numbe
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Block, Hypothesis, Nonlinear, value_of
+from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, value_of
 from magcal_service.recordings.inspect.inspection import inspect
 from tests.diagnosis.joint_days import day
 
@@ -180,13 +180,24 @@ def test_what_forms_say_by_the_data_is_said_under_constants_of_all_as_well(parts
     assert fan.as_well == ("thermal_bias",)
 
 
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda one: one.name)
+def test_what_is_of_one_recording_is_never_common(parts: list[Problem], effect: Effect) -> None:
+    """A drift begins with the first sample, and the ring current has another strength every day."""
+    found = [one for one in Forms.of([effect], parts).on(parts, NAMES) if not one.solo]
+    common = [one.label for one in found if not one.is_each_its_own]
+    assert effect.of_one_recording is (effect.name in ("bias_drift", "scale_drift", "external_field"))
+    assert bool(common) is (bool(found) and not effect.of_one_recording)
+    alone = Forms.of([effect], parts[:1]).on(parts[:1], NAMES[:1])
+    assert not any(one.is_each_its_own for one in alone)
+
+
 @pytest.mark.parametrize(
     ("first", "second", "share"),
     [
         ("bias_step[in a]", "scale_step[in a]", True),
         ("bias_step[in a]", "scale_step[in b]", False),
-        ("bias_step[in a]", "bias_drift", True),
-        ("bias_drift", "bias_step[in a]", False),
+        ("bias_step[in a]", "bias_drift[each its own]", True),
+        ("bias_drift[each its own]", "bias_step[in a]", False),
         ("bias_step[in a]", "thermal_bias by channel:board", False),
     ],
 )

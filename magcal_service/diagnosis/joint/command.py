@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_service.diagnosis.command import digest, in_flight, write
-from magcal_service.diagnosis.diagnose import Verdict
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
@@ -74,10 +73,11 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     remove(earlier)
     diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=progress, assumed=gathered.assumed)
     progress(WRITING)
+    model = model_of(diagnosis)
     contents = {
         DIAGNOSIS: as_json(diagnosis),
         REPORT: report(diagnosis, _origin(request, gathered)),
-        PHYSICS: text_of(model_of(diagnosis)),
+        PHYSICS: text_of(model),
     }
     files = [write(request.out / name, content) for name, content in contents.items()]
     said = []
@@ -85,7 +85,7 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
         rows = f"rows: {account_of(one.inspection, one.prepared)}"
         said += [f"{one.name}: {line}" for line in [*recording.report.lines(), *one.inspection.lines(), rows]]
     onward = []
-    if diagnosis.trusted and diagnosis.verdict is not Verdict.NONE:
+    if diagnosis.trusted and model.terms:
         onward = [f"next: {in_flight(request.out / PHYSICS)}"]
     lines = [*said, *summary(diagnosis, files), *onward, *removed_line(request.out, earlier, files)]
     return JointOutcome(diagnosis, tuple(lines))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_service.diagnosis.belief import with_left
-from magcal_service.diagnosis.diagnose import UNKNOWN_SHARE, Verdict
+from magcal_service.diagnosis.diagnose import Verdict, verdict_of
 from magcal_service.diagnosis.doubts import (
     added_noise_nt,
     concerned,
@@ -211,9 +211,8 @@ def diagnose_together(
     found = JointDiagnosis(
         tuple(alone), explained, compared, Verdict.NONE, (), tuple(effects), time.monotonic() - began, assumed, rest
     )
-    verdict = Verdict.NAMED if explained.fit.terms else Verdict.NONE
-    if is_open or found.unexplained > UNKNOWN_SHARE:
-        verdict = Verdict.UNKNOWN
+    seen = {name: finding for one in alone for name, finding in one.prepared.findings.items()}
+    verdict = Verdict.UNKNOWN if is_open else verdict_of(explained, seen, found.unexplained)
     doubts = ("recording_doubtful",) if is_open else ()
     return replace(found, verdict=verdict, reasons=(*doubts, *_reasons(found, verdict)))
 

@@ -153,8 +153,18 @@ def sentence(diagnosis: JointDiagnosis) -> str:
     alone = [f"in {joint(term).solo} alone: {_title(diagnosis, k)}" for k, term in terms if joint(term).solo]
     parts = [f"{len(diagnosis.recordings)} recordings have in common {listed(common)}"] if common else []
     parts += [f"each recording has numbers of its own for {listed(own)}"] if own else []
-    text = "; ".join([*parts, *alone, explained_share(diagnosis.left_share)])
+    share = [explained_share(diagnosis.left_share)] if terms else []
+    text = "; ".join([*parts, *alone, *_seen(diagnosis), *share])
     return f"{text[0].upper()}{text[1:]}."
+
+
+def _seen(diagnosis: JointDiagnosis) -> list[str]:
+    """What samples show by themselves, each with the recordings that show it."""
+    known, each = titles(diagnosis.effects), diagnosis.recordings
+    names = dict.fromkeys(name for one in each for name in one.prepared.findings)
+    return [
+        f"in {listed([one.name for one in each if name in one.prepared.findings])}: {known[name]}" for name in names
+    ]
 
 
 def _title(diagnosis: JointDiagnosis, index: int) -> str:
