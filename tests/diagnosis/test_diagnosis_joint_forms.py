@@ -23,6 +23,7 @@ from magcal_service.model import Array
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
 from magcal_service.physics.interface import Block, Effect, Hypothesis, Nonlinear, value_of
+from magcal_service.physics.saying import AXES
 from magcal_service.recordings.inspect.inspection import inspect
 from tests.diagnosis.joint_days import day
 
@@ -233,15 +234,19 @@ def test_what_is_derived_is_derived_of_each_recording(name: str) -> None:
     blocks = {key: (np.squeeze(np.array(numbers)), unit) for key, (numbers, unit) in DERIVED[name].items()}
     if name == "torquer":
         blocks = {key: (np.arange(9.0).reshape(3, 3), unit) for key, (_, unit) in blocks.items()}
+    labels = (AXES[1:],) if name == "axis_skew" else ()
     own = (
-        {key: value_of(k * numbers, 0.1 * k * numbers + 0.1, unit) for key, (numbers, unit) in blocks.items()}
+        {
+            key: replace(value_of(k * numbers, 0.1 * k * numbers + 0.1, unit), labels=labels)
+            for key, (numbers, unit) in blocks.items()
+        }
         for k in (1.0, 2.0)
     )
     single = [effect.derived(each) for each in own]
     fitted = {
         key: replace(
             value_of(np.stack([numbers, 2.0 * numbers]), np.stack([0.1 * numbers + 0.1, 0.2 * numbers + 0.1]), unit),
-            labels=(("one", "other"),),
+            labels=(("one", "other"), *labels),
         )
         for key, (numbers, unit) in blocks.items()
     }
@@ -256,6 +261,6 @@ def test_what_is_derived_is_derived_of_each_recording(name: str) -> None:
 
 def test_what_is_derived_of_common_numbers_is_as_of_one_recording() -> None:
     effect = effect_named("axis_skew")
-    fitted = {"after_x_s": value_of([0.01, 0.02], [1e-3, 2e-3], "s")}
+    fitted = {"after_x_s": replace(value_of([0.01, 0.02], [1e-3, 2e-3], "s"), labels=(AXES[1:],))}
     form: Any = SimpleNamespace(own=frozenset({"start_nt"}))
     assert derived_of_each(effect, form, fitted)["delay_s"].value.tolist() == [0.0, 0.01, 0.02]

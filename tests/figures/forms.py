@@ -52,6 +52,8 @@ MEANS: Final = {
     "over a while": "from one value to another between `from_s` and `to_s`",
     "switched at N instants": "on at the first instant, off at the second, and so on: one size",
     "steps at N instants": "at each instant a step of its own",
+    "axis x behind, axis y behind, axis z behind": "that axis answers later than the other two, as it does inside a "
+    "loop of metal",
     "with cross terms": "beside the cube of each axis what the other two axes make in it, the same both ways",
     "with cross terms of each axis": "each way by itself, which only whole vectors show",
     "by the field's size": "one factor for all axes, by the square of the field's length",

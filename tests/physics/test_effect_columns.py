@@ -10,7 +10,7 @@ import pytest
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.drivers.change import instants
 from magcal_service.physics.effects.hysteresis import play
-from magcal_service.physics.interface import value_of
+from magcal_service.physics.interface import Value, value_of
 from tests.physics.effect_forms import FIELD, SPAN_S, TIME_S, UNIT, added, forms
 from tests.physics.scenes import COUNT, PERIOD_S, scene
 
@@ -182,9 +182,25 @@ def test_axes_that_are_digitised_later_see_a_later_field() -> None:
     slope = scene().field_slope
     expected = np.stack([np.zeros(COUNT), 0.01 * slope[:, 1], -0.02 * slope[:, 2]], axis=1)
     assert added(forms("axis_skew")["none", ""], [0.01, -0.02]) == pytest.approx(expected)
-    derived = effect_named("axis_skew").derived({"after_x_s": value_of([0.01, 0.02], [1e-3, 2e-3], "s")})
+    pair = replace(value_of([0.01, 0.02], [1e-3, 2e-3], "s"), labels=(("axis y", "axis z"),))
+    derived = effect_named("axis_skew").derived({"after_x_s": pair})
     assert derived["delay_s"].value.tolist() == [0.0, 0.01, 0.02]
     assert derived["delay_s"].sigma.tolist() == [0.0, 1e-3, 2e-3]
+
+
+@pytest.mark.parametrize(("axis", "moves"), [("x", [0, 1, 1]), ("y", [0, 1, 0]), ("z", [0, 0, 1])])
+def test_one_axis_behind_the_others_may_be_a_loop_of_metal_around_it(axis: str, moves: list[int]) -> None:
+    """The current that a change of the field induces opposes it, so that the axis of the loop answers late."""
+    behind = forms("axis_skew")["none", f"axis {axis} behind"]
+    assert added(behind, [0.01]) == pytest.approx(0.01 * scene().field_slope * moves)
+    (block,) = behind.blocks
+    assert (block.least, block.highest) == ((0.0, np.inf) if axis == "x" else (-np.inf, 0.0))
+    assert behind.exactly_alike == ("unknown",)
+    assert f"a closed loop of metal around axis {axis}" in behind.imitated_by
+    found = effect_named("axis_skew").derived(
+        {"after_x_s": Value(np.array([0.01]), np.array([0.001]), "s", block.labels)}
+    )
+    assert found["delay_s"].value.tolist() == [0.01 * one for one in moves]
 
 
 def test_a_late_answer_is_short_by_the_square_of_its_delay() -> None:

@@ -57,7 +57,9 @@ def drawn(hypothesis: Hypothesis) -> tuple[ModelTerm, Array, Array]:
     ones = np.eye(hypothesis.size)
     size = [np.abs(columns.field(one)).max() + np.abs(columns.growth(one)).max() for one in ones]
     amplitudes = (1.0 + rng.random(hypothesis.size)) * 100.0 / np.maximum(size, 1e-12)
-    amplitudes = np.minimum(amplitudes, np.repeat([min(b.most, b.highest) for b in blocks], [b.size for b in blocks]))
+    sizes = [b.size for b in blocks]
+    amplitudes *= np.repeat([-1.0 if b.highest == 0.0 else 1.0 for b in blocks], sizes)
+    amplitudes = np.clip(amplitudes, *np.repeat([(-b.most, min(b.most, b.highest)) for b in blocks], sizes, axis=0).T)
     if hypothesis.is_whole:
         amplitudes[0] = 1.0
     if hypothesis.moves_s is not None:  # expanded where these amplitudes move the reference

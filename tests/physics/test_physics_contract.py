@@ -16,7 +16,7 @@ from magcal_service.model import STATE_SIZE, Array
 from magcal_service.physics import effects
 from magcal_service.physics.catalogue import catalogue, effect_named
 from magcal_service.physics.columns import Columns
-from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear, Values, value_of
+from magcal_service.physics.interface import Effect, Hypothesis, Nonlinear, Value, Values, value_of
 from magcal_service.physics.scene.vectors import Vectors
 from tests.physics.scenes import NOISE_NT, X, arrays, scene, some_numbers, view
 
@@ -258,7 +258,7 @@ def test_every_number_that_may_be_reported_has_its_unit(effect: Effect) -> None:
 
 def parameters(form: Hypothesis) -> Values:
     """Parameters as a fit would report them, every amplitude 2 with a sigma of 0.1."""
-    found = {b.name: value_of(np.full(b.shape, 2.0), np.full(b.shape, 0.1), b.unit) for b in form.blocks}
+    found = {b.name: Value(np.full(b.shape, 2.0), np.full(b.shape, 0.1), b.unit, b.labels) for b in form.blocks}
     numbers = some_numbers(form)
     found |= {n.name: value_of(float(v), 0.01, n.unit) for n, v in zip(form.nonlinear, numbers, strict=True)}
     return found | {name: value_of(value, np.nan, "1") for name, value in form.constants.items()}
