@@ -151,12 +151,12 @@ def test_a_smoothed_slope_takes_means_of_half_a_width_on_both_sides() -> None:
     assert slope[6:35] == pytest.approx(rises[6:35])
 
 
-def test_slopes_are_central_within_each_stretch_and_none_for_two_samples() -> None:
-    time_s = np.concatenate([np.arange(5.0), [100.0, 101.0], 200.0 + np.arange(3.0)])
+def test_slopes_are_central_within_each_stretch_and_none_for_one_sample() -> None:
+    time_s = np.concatenate([np.arange(5.0), [100.0, 101.0], [150.0], 200.0 + np.arange(7.0)])
     of = small(time_s)
-    assert of.pauses.tolist() == [0, 5, 7]
+    assert of.pauses.tolist() == [0, 5, 7, 8]
     values = time_s**2
-    expected = [1.0, 2.0, 4.0, 6.0, 7.0, 0.0, 0.0, 401.0, 402.0, 403.0]
+    expected = [1.0, 2.0, 4.0, 6.0, 7.0, 201.0, 201.0, 0.0, 401.0, *np.arange(402.0, 411.0, 2.0), 411.0]
     assert of.slope(values) == pytest.approx(expected)
 
 
@@ -167,6 +167,15 @@ def test_slopes_are_central_within_each_stretch_and_none_for_two_samples() -> No
 def test_more_than_ten_periods_are_a_pause(gap_s: float, pauses: list[int]) -> None:
     time_s = np.concatenate([np.arange(6.0), 5.0 + gap_s + np.arange(6.0)])
     assert small(time_s).pauses.tolist() == pauses
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.1], [0.0, 0.1, 0.2]])
+def test_samples_that_come_in_pairs_or_threes_have_no_pause_between_them(times: list[float]) -> None:
+    """Slopes were 0 throughout, so that a clock that was off could not be found, and a place was named for it."""
+    time_s = np.concatenate([4.0 * k + np.array(times) for k in range(20)])
+    of = small(np.concatenate([time_s, 500.0 + time_s]))
+    assert of.pauses.tolist() == [0, len(time_s)]
+    assert of.slope(3.0 * of.time_s) == pytest.approx(3.0)
 
 
 def test_the_period_is_the_usual_one() -> None:

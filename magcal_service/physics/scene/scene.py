@@ -211,9 +211,8 @@ class Scene:
 
     @cached_property
     def pauses(self) -> NDArray[np.intp]:
-        """Rows (k,) that begin a new stretch after a gap of more than ten sample periods, with row 0."""
-        gaps = np.flatnonzero(np.diff(self.time_s) > 10.0 * self.period_s) + 1
-        return np.concatenate([[0], gaps]).astype(np.intp)
+        """Rows (k,) that begin a new stretch after a gap, with row 0."""
+        return motion.pauses(self.time_s)
 
     @cached_property
     def time_ns(self) -> NDArray[np.int64]:
