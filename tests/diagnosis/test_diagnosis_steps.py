@@ -20,7 +20,7 @@ from magcal_service.diagnosis.diagnose import (
     _doubts,
     _is_coning,
     _simulation,
-    _verdict,
+    verdict_of,
 )
 from magcal_service.diagnosis.doubts import reasons as reasons_of
 from magcal_service.diagnosis.leftover import Structure, unexplained_share
@@ -68,7 +68,7 @@ def explained(terms: int) -> Any:
 def test_up_to_a_fifth_may_be_left_without_a_name(
     terms: int, findings: dict[str, Any], unexplained: float, verdict: Verdict
 ) -> None:
-    assert _verdict(explained(terms), findings, unexplained) is verdict
+    assert verdict_of(explained(terms), findings, unexplained) is verdict
 
 
 def residuals(before: float, after: float) -> tuple[Any, Any]:
