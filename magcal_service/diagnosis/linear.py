@@ -40,6 +40,10 @@ _MANY: Final = 40
 """Stretches for each column from which on products are summed column by column: as fast for 3 columns in 100 stretches,
 and four times as fast in 4000."""
 
+_SMALL: Final = 1_000_000
+"""Multiplications up to which OpenBLAS does not copy matrices before it multiplies them: by parts of so many, products
+of a few columns of 20 000 rows with some more take a third of the time."""
+
 _SPREADS: Final = np.geomspace(1e-6, 1e6, 61)
 
 
@@ -133,7 +137,7 @@ class Workspace:
 
     def products(self, columns: Array) -> Products:
         """Of columns (m, k), for their evidence at any noise."""
-        return self._products(columns.T @ columns, self._basis.T @ columns, columns.T @ self.residual)
+        return self._products(columns.T @ columns, _between(self._basis, columns), columns.T @ self.residual)
 
     def products_before(self, rows: Array, problem: Whitening, whole: Array | None = None) -> Products:
         """Of columns that a problem would still have to make white from rows (m, k), without making them.
@@ -155,8 +159,7 @@ class Workspace:
         """(p + 1, k) products of the basis and the residual with what a problem makes of rows (m, k)."""
         if self._before is None:
             self._before = problem.white(self._fixed)
-        found: Array = self._before.T @ rows
-        return found
+        return _between(self._before, rows)
 
     def products_of(self, whole: Array, beside: Array) -> Products:
         """Of columns whose white products with one another (k, k), and what ``beside`` says (p + 1, k), are known."""
@@ -180,9 +183,8 @@ class Workspace:
         else:
             ends = np.append(first_rows[1:], len(columns))
             each = [slice(first, end) for first, end in zip(first_rows.tolist(), ends.tolist(), strict=True)]
-            normal, beside = (
-                np.stack([left[rows].T @ scaled[rows] for rows in each]) for left in (scaled, self._fixed)
-            )
+            normal = np.stack([scaled[rows].T @ scaled[rows] for rows in each])
+            beside = np.stack([_between(self._fixed[rows], scaled[rows]) for rows in each])
         return Segments(normal, beside[:, :-1], beside[:, -1], self.squares, self.count)
 
     @cached_property
@@ -198,6 +200,15 @@ class Workspace:
         )
         left = normal - np.swapaxes(inside, 1, 2) @ inside
         return evidences(left, right, _scale(columns), sigma_nt, _ROUNDING * len(columns))
+
+
+def _between(left: Array, right: Array) -> Array:
+    """(p, k) products of columns (m, p) with columns (m, k), summed over parts of the rows."""
+    step = max(_SMALL // (left.shape[1] * right.shape[1] or 1), 1)
+    found: Array = left[:step].T @ right[:step]
+    for first in range(step, len(left), step):
+        found += left[first : first + step].T @ right[first : first + step]
+    return found
 
 
 def _by_sums(left: Array, right: Array, first_rows: NDArray[np.intp]) -> Array:

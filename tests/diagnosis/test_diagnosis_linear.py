@@ -182,3 +182,23 @@ def test_sums_over_few_and_many_stretches_are_those_of_their_rows(stretches: int
     inside = found.inside.sum(axis=0)
     basis = np.linalg.qr(model)[0][20:]
     assert inside.T @ inside == pytest.approx(columns[20:].T @ basis @ basis.T @ columns[20:])
+
+
+class Noiseless:
+    """A whitening that leaves rows as they are."""
+
+    def white(self, rows: Array) -> Array:
+        return rows
+
+    def white_products(self, rows: Array) -> Array:
+        return np.asarray(rows.T @ rows)
+
+
+def test_products_of_so_many_rows_that_they_are_summed_in_parts_are_those_of_all_rows() -> None:
+    residual, model, columns = drawn(9, 20_011, 20, 3)
+    space = Workspace(residual, model)
+    before = space.products_before(columns, Noiseless())
+    left = columns - model @ np.linalg.lstsq(model, columns, rcond=None)[0]
+    for found in (space.products(columns), before):
+        assert found.normal * np.outer(found.scale, found.scale) == pytest.approx(left.T @ left, rel=1e-9, abs=1e-6)
+        assert found.right * found.scale == pytest.approx(left.T @ residual, rel=1e-9, abs=1e-6)
