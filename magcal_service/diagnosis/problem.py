@@ -351,7 +351,7 @@ def _evaluated(problem: Problem, x: Array, terms: Sequence[Term], derivatives: b
     scene = problem.scene
     made = [term.hypothesis.columns(term.theta) for term in terms]
     body, magnitude = disturbances(terms, scene, made)
-    w = calibrate(x[:STATE_SIZE], scene.field_nt) - body
+    w = np.asfortranarray(calibrate(x[:STATE_SIZE], scene.field_nt) - body)  # and so what is made of it
     if problem.is_vector:
         clean = problem.target(x)
         residual = (w - clean).reshape(-1)

@@ -51,9 +51,13 @@ class Columns:
         return None if body is None else body.reshape(len(body), -1).T
 
     def field(self, amplitudes: Array) -> Array:
-        """The body field (n, 3) of amplitudes (k,) [nT]; zeros (n, 3) for a magnitude."""
+        """The body field (n, 3) of amplitudes (k,) [nT], each axis in one piece; zeros (n, 3) for a magnitude."""
         if self.axes is not None:
-            return np.asarray(np.einsum("ji,jni->ni", amplitudes.reshape(-1, 3), self.axes))
+            found = np.zeros((3, self.axes.shape[1]))
+            for part, each in zip(self.axes, amplitudes.reshape(-1, 3).tolist(), strict=True):
+                for i, amplitude in enumerate(each):
+                    found[i] += amplitude * part[:, i]
+            return found.T
         if self.body is not None:
             return np.asarray(np.einsum("k,kni->ni", amplitudes, self.body))
         assert self.magnitude is not None
@@ -70,8 +74,8 @@ class Columns:
     def sizes(self) -> Array:
         """rms over the recording of what one unit of each amplitude adds (k,) [nT per unit]."""
         if self.axes is not None:
-            squares = np.einsum("jni,jni->ji", self.axes, self.axes)
-            return np.asarray(np.sqrt(squares / self.axes.shape[1]).reshape(-1))
+            squares = [float(part[:, i] @ part[:, i]) for part in self.axes for i in range(3)]
+            return np.asarray(np.sqrt(np.array(squares) / self.axes.shape[1]))
         if self.body is not None:
             return np.asarray(np.sqrt(np.einsum("kni,kni->k", self.body, self.body) / self.body.shape[1]))
         assert self.magnitude is not None
