@@ -55,7 +55,7 @@ Choice: factors of about three, since a stretch half or twice as long as the cau
 cost evidence by their number.
 """
 
-_COLUMNS_AT_ONCE: Final = 54  # of groups, made together: those of a line's courses would be 46 MB at 20 000 rows
+_COLUMNS_AT_ONCE: Final = 54  # made, or made white, together: those of a line's courses would be 46 MB at 20 000 rows
 
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
@@ -103,7 +103,7 @@ class _Beside:
         if self.white_whole is not None:
             held = self.space.products_before(rows, self.search.problem)
             return held, replace(held, right=rows.T @ self.white_whole / held.scale)
-        columns = self.search.white(rows)
+        columns = self._white(rows)
         held = self.space.products(columns)
         return held, replace(held, right=columns.T @ self.whole.residual / held.scale)
 
@@ -117,6 +117,14 @@ class _Beside:
             right.append(rows.T @ white_whole)
         held = self.space.products_of(problem.white_products(own, groups), np.concatenate(beside, axis=1))
         return held, replace(held, right=np.concatenate(right) / held.scale)
+
+    def _white(self, rows: Array) -> Array:
+        """Rows (m, k) made white, a few columns at a time: a whitening needs room for several times as many."""
+        found = np.empty(rows.shape[::-1]).T  # each in one piece
+        for first in range(0, rows.shape[1], _COLUMNS_AT_ONCE):
+            some = slice(first, first + _COLUMNS_AT_ONCE)
+            found[:, some] = self.search.white(rows[:, some])
+        return found
 
     def signal(self, shape: Shape, amplitudes: Array) -> Array:
         """(m,) what amplitudes of a family add to the residual [nT]."""
