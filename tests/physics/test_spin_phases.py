@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
@@ -108,3 +109,35 @@ def test_a_cone_is_measured_with_its_angle_and_rate(cone_hz: float) -> None:
 def test_a_cone_that_the_noise_hides_is_no_finding() -> None:
     assert found(coned(0.0, 0.0113, 30.0)) is None
     assert found(coned(math.radians(0.002), 0.0113, 300.0)) is None
+
+
+def test_a_smoothed_phase_follows_a_slow_spin_that_dies_away() -> None:
+    """Ten turns per knot were a radian and more beside it: an attitude of the wrong side of the craft."""
+    time_s = np.arange(3000.0)
+    phase = 0.09 * time_s * (1.0 - 0.2 * time_s / 3000.0)
+    noise = np.random.default_rng(2).normal(0.0, 0.01, 3000)
+    smooth = steady_spin._smooth(timed(time_s), phase + noise, np.ones(3000), 0.07)
+    assert float(np.abs(smooth - phase).max()) < 0.15
+
+
+def test_two_stamps_much_closer_than_usual_tell_no_rate() -> None:
+    """Samples of jittering packets, six stamped a microsecond after the ones before: the rate was 98617 rpm."""
+    time_s = 2.0 * np.arange(2000.0)
+    phase = 0.14 * time_s + np.random.default_rng(3).normal(0.0, 0.05, 2000)
+    close = np.arange(200, 2000, 300)
+    time_s[close] = time_s[close - 1] + 1e-6
+    _, smooth = phases(time_s, phase, 0.14)
+    assert np.polyfit(time_s, smooth, 1)[0] == pytest.approx(0.14, rel=1e-3)
+
+
+@pytest.mark.parametrize(("swing_rad", "turns"), [(0.0, True), (0.15, True), (0.25, False)])
+def test_a_craft_that_swings_far_beside_its_turn_has_no_spin(swing_rad: float, turns: bool) -> None:
+    """It was given one, 50 degrees off on average, and what follows from its attitude was named."""
+    rng, time_s = np.random.default_rng(4), np.arange(3000.0)
+    course = np.stack([np.cos(1.2e-3 * time_s), 0.7 * np.sin(1.2e-3 * time_s), 0.8 * np.sin(2.4e-3 * time_s)], axis=1)
+    field = 3e4 * course / np.linalg.norm(course, axis=1)[:, None]
+    axis = np.array([0.48, 0.36, 0.8])
+    turn = Rotation.from_rotvec(np.outer(0.09 * time_s * (1.0 - 0.2 * time_s / 3000.0), axis))
+    swing = swing_rad * np.stack([np.sin(0.011 * time_s), np.cos(0.017 * time_s), np.sin(0.007 * time_s)], axis=1)
+    body = (turn * Rotation.from_rotvec(swing)).inv().apply(field) + rng.normal(0.0, 30.0, field.shape)
+    assert (steady_spin.solve_spin(timed(time_s, body, field), None, None) is not None) is turns

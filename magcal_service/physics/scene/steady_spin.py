@@ -19,7 +19,8 @@ from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 
 LARGEST_MISFIT: Final = 0.3
-"""Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
+"""Of |H|: a craft whose field along the axis misses by more, or that misses by more in all, does not turn steadily
+about a fixed axis."""
 
 ORBITAL_RATE_RAD_S: Final = 1.1e-3
 """Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
@@ -40,8 +41,11 @@ _AS_GOOD: Final = 1.3
 _MOST_OF_IT: Final = 0.95
 """Quantile of the part of the field along the axis over that across it by which an axis that is off turns the phase."""
 
-_KNOT_TURNS: Final = 12.0
-"""Turns between knots of the smoothed phase; choice: more stiffen a changing rate, fewer let noise in."""
+_KNOT_TURNS: Final = (12.0, 6.0, 3.0)
+"""Turns between knots of the smoothed phase; choice: fewer let noise in, and are only taken where the rate changes."""
+
+_FOLLOWS: Final = 0.5
+"""Of the misfit with fewer knots, to which twice as many bring it where the rate changes between them."""
 
 _LEAST_ACROSS: Final = 0.1  # of |H|
 
@@ -200,6 +204,9 @@ def _about(
     raw, smooth = _phases(scene, turn, strength, rate)
     if raw is None or smooth is None:
         return None
+    beside = 2.0 * np.sin(0.5 * (raw - smooth)) * strength
+    if math.hypot(_rms(misfit), _rms(beside)) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
+        return None
     attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     lever = float(np.quantile(np.abs(reference @ axis_eci) / np.maximum(strength, 1e-9), _MOST_OF_IT))
@@ -339,24 +346,35 @@ def _tracked(turn: Array, time_s: Array, rate: float, sure: Array) -> Array:
     """
     angles = np.angle(turn).tolist()
     times, weights = time_s.tolist(), sure.tolist()
-    phase, speed = angles[0], rate
+    phase, speed, usual_s = angles[0], rate, float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     found = [phase]
     for index in range(1, len(times)):
         step = times[index] - times[index - 1]
         expected = phase + speed * step
         miss = (angles[index] - expected + np.pi) % (2.0 * np.pi) - np.pi
         phase = expected + 0.25 * weights[index] * miss
-        if step > 0.0:
-            speed += 0.02 * weights[index] ** 2 * miss / step  # a direction's error grows by 1/s, its rate by 1/s^2
+        # a direction's error grows by 1/s, its rate by 1/s^2; two stamps much closer than usual tell no rate
+        speed += 0.02 * weights[index] ** 2 * miss / max(step, usual_s)
         found.append(expected + miss)
     return np.array(found)
 
 
 def _smooth(scene: Scene, raw: Array, strength: Array, rate: float) -> Array:
-    """Least-squares line through knots about a dozen turns apart, in each stretch: slow changes of rate are kept."""
+    """Least-squares line through knots some turns apart, in each stretch: slow changes of rate are kept."""
     weight = strength / np.maximum(strength.max(), 1e-9)
+    found, misfit = raw, math.inf
+    for turns in _KNOT_TURNS:
+        trial = _with_knots(scene, raw, weight, turns * 2.0 * np.pi / max(abs(rate), 1e-6))
+        left = _rms((raw - trial) * weight)
+        if not left < _FOLLOWS * misfit:
+            break
+        found, misfit = trial, left
+    return found
+
+
+def _with_knots(scene: Scene, raw: Array, weight: Array, width_s: float) -> Array:
+    """The line through knots so far apart [s], in each stretch, for weights (n,)."""
     smooth = np.empty_like(raw)
-    width_s = _KNOT_TURNS * 2.0 * np.pi / max(abs(rate), 1e-6)
     ends = np.append(scene.pauses[1:], len(scene))
     for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
         time_s, values, heft = scene.time_s[first:end], raw[first:end], weight[first:end]
