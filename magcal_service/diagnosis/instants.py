@@ -29,7 +29,7 @@ _FIRST: Final = 0.05
 
 _LAST: Final = 0.01  # of the same: nearer the linear search tells instants apart by itself
 _LOOKS: Final = 3  # at each of two jumps in turn; choice: each look finds one beside the other, and two agree as a rule
-_MOST_STEPS: Final = 12  # solutions, from where one of the first steps was better
+_MOST_STEPS: Final = 6  # to either side, from where one of the first was better; a choice
 
 
 def timed(search: Screen, fit: Fit, index: int) -> Fit:
@@ -54,14 +54,16 @@ def timed(search: Screen, fit: Fit, index: int) -> Fit:
         return fit
     span_s = float(np.ptp(fit.problem.scene.time_s))
     low, high = float(own.nonlinear[0].grid.min()), float(own.nonlinear[0].grid.max())
-    step_s, steps = _FIRST * span_s, 0
-    while step_s > _LAST * span_s and steps < _MOST_STEPS:
-        term = fit.terms[index]
-        sides = [np.array([float(term.theta[0]) + side]) for side in (-step_s, step_s)]
-        trials = [_at(fit, index, side, term.amplitudes) for side in sides if low <= side[0] <= high]
-        steps += len(trials)
-        best = _better(fit, trials)
-        step_s *= 0.5 if best is fit else 1.0
+    step_s, before_s = _FIRST * span_s, math.inf
+    for _ in range(_MOST_STEPS):
+        if step_s <= _LAST * span_s:
+            break
+        term, here_s = fit.terms[index], float(fit.terms[index].theta[0])
+        sides = [here_s + side for side in (-step_s, step_s)]
+        # where the last step came from is known to be worse
+        sides = [side for side in sides if low <= side <= high and abs(side - before_s) > 0.5 * step_s]
+        best = _better(fit, [_at(fit, index, np.array([side]), term.amplitudes) for side in sides])
+        step_s, before_s = (0.5 * step_s, math.inf) if best is fit else (step_s, here_s)
         fit = best
     return fit
 

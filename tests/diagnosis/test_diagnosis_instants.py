@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import instants
 from magcal_service.diagnosis.explain import Search
-from magcal_service.diagnosis.instants import in_stages, jumps_instead
+from magcal_service.diagnosis.instants import in_stages, jumps_instead, timed
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import hypotheses_of
 from magcal_service.diagnosis.solution import solve
@@ -100,3 +103,24 @@ def test_a_name_is_among_its_rivals_whatever_its_size_to_first_order(monkeypatch
     )
     ranked = search._rivals(fit, 0, fit.white_rms_nt)
     assert [one.theta.tolist() for one in ranked if one.hypothesis is mine] == [fit.terms[0].theta.tolist()]
+
+
+@pytest.mark.parametrize("away", [0.2, -0.2])
+def test_an_instant_that_is_moved_to_where_less_is_left_is_not_solved_again_where_it_was(
+    away: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, _ = found(1e-3)
+    jump = next(h for h in search.hypotheses if (h.effect, h.variant) == ("bias_step", ""))
+    fit = solve(search.problem, X, [Term(jump, np.array([FIRST_S]), FIRST_NT)])
+    span_s = float(np.ptp(search.problem.scene.time_s))
+    true_s, places = FIRST_S + away * span_s, [FIRST_S]
+
+    def solved(before: Fit, index: int, theta: Array, amplitudes: Array) -> Fit:
+        places.append(float(theta[0]))
+        return replace(before, terms=(replace(before.terms[index], theta=theta),), converged=True)
+
+    monkeypatch.setattr(search, "screen", lambda *_, **__: [])
+    monkeypatch.setattr(instants, "_at", solved)
+    monkeypatch.setattr(instants, "inside_nt2", lambda one: (float(one.terms[0].theta[0]) - true_s) ** 2)
+    assert float(timed(search, fit, 0).terms[0].theta[0]) == pytest.approx(true_s, abs=0.02 * span_s)
+    assert len({round(place, 6) for place in places}) == len(places) == 9
