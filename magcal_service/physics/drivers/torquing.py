@@ -111,9 +111,12 @@ def _patterns(scene: Scene, effect: str, as_well: tuple[str, ...]) -> Iterator[H
 def _pulsed(scene: Scene, period_s: float, phase: float, lead_s: float) -> tuple[Array, Array]:
     """Dipoles (n, 3) of full coils against dB/dt as seen a lead before each cycle, and each row's place in it (n,)."""
     cycle = scene.time_s / period_s - phase
-    seen_s = (np.floor(cycle) + phase) * period_s - lead_s
+    begun = np.floor(cycle)
+    first = np.append(0, np.flatnonzero(np.diff(begun)) + 1)  # of each cycle, in all of which the dipoles are the same
+    seen_s = (begun[first] + phase) * period_s - lead_s
     measured = np.clip(np.searchsorted(scene.time_s, seen_s - 0.5 * scene.period_s), 0, len(scene) - 1)
-    return -np.sign(scene.field_slope[measured]), np.mod(cycle, 1.0)
+    dipoles = -np.sign(scene.field_slope[measured])
+    return np.repeat(dipoles, np.diff(np.append(first, len(scene))), axis=0), cycle - begun
 
 
 def _detumbling(scene: Scene, effect: str) -> Hypothesis:
