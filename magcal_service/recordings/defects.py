@@ -25,6 +25,7 @@ class Code(StrEnum):
     LONGITUDE_SIGN = "longitude_sign"
     SHIFTED_COLUMNS = "shifted_columns"
     AXES = "axes"
+    AXES_CHANGED = "axes_changed"
     GYRO_UNIT = "gyro_unit"
     TORQUER_UNIT = "torquer_unit"
     FIELD_SCALE = "field_scale"

@@ -19,7 +19,7 @@ import numpy as np
 
 from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array
-from magcal_service.trust.signed_axes import SAME, SIGNED_AXES, any_of
+from magcal_service.samples.signed_axes import SAME, SIGNED_AXES, any_of
 
 _LARGEST_TURN: Final = 1.2
 """Turn in a step up to which it is used [rad]: beyond, half a percent of the rate is a degree."""

@@ -18,13 +18,13 @@ from magcal_service.base.snapshot import Stateful
 from magcal_service.config.settings import CraftConfig
 from magcal_service.estimators.interface import Phase, StateEstimate
 from magcal_service.model import BIAS, d_matrix
+from magcal_service.samples.axes_watch import AxesWatch
+from magcal_service.samples.signed_axes import any_of
 from magcal_service.ticks.assembler import SECOND_NS, Tick
-from magcal_service.trust.axes_watch import AxesWatch
 from magcal_service.trust.height_sense import HeightSense
 from magcal_service.trust.rate_sense import RateSense
 from magcal_service.trust.reasons import Reason
 from magcal_service.trust.reference_sense import ReferenceSense
-from magcal_service.trust.signed_axes import any_of
 from magcal_service.trust.spin_sense import SpinSense
 from magcal_service.wire.messages import Clock
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from magcal_service.config.settings import SpinConfig
+from magcal_service.samples.axes_watch import AxesWatch
+from magcal_service.samples.signed_axes import SIGNED_AXES, described
 from magcal_service.ticks.held_watch import HeldWatch
-from magcal_service.trust.axes_watch import AxesWatch
 from magcal_service.trust.rate_sense import RateSense
 from magcal_service.trust.reference_sense import ReferenceSense
-from magcal_service.trust.signed_axes import SIGNED_AXES, described
 from magcal_service.trust.spin_sense import SpinSense
 
 AT = 300

@@ -1,4 +1,4 @@
-"""Axes of the magnetometer against a gyro's or an attitude's: swapped, mirrored, flipped."""
+"""Axes of the magnetometer: swapped, mirrored, flipped against a gyro's or an attitude's, or from an instant on."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from magcal_service.recordings.inspect.gyro_unit import is_gyro
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.scene_of import recorded_attitude
 from magcal_service.recordings.table import FloatArray
+from magcal_service.samples.axes_watch import AxesWatch
+from magcal_service.samples.signed_axes import any_of
 
 _FEWEST: Final = 200  # differences: 24 hypotheses are compared, and each is free in three numbers
 _LONGEST_TURN: Final = 0.35
@@ -115,6 +117,21 @@ def axes_by_attitude(log: Log) -> Iterator[Seen]:
     else:
         return
     yield Seen(Code.AXES, False, log.rows, says, remedy)
+
+
+def axes_changed(log: Log) -> Iterator[Seen]:
+    """The vector jumps at an instant as its own continuity allows only if axes were swapped or flipped there.
+
+    The service watches for the same in flight; what it doubts a calibration for is no physics of a diagnosis.
+    """
+    watch, order = AxesWatch(), np.argsort(log.time_s, kind="stable")
+    for time_s, (x, y, z) in zip(log.time_s[order].tolist(), log.field_nt[order].tolist(), strict=True):
+        watch.push(time_s, (x, y, z))
+        if watch.changes:
+            rows = np.sort(log.rows[log.time_s >= watch.since_s])
+            says = f"from here on axes look as if {any_of(watch.changes)}: the vector jumps, and then goes on as before"
+            yield Seen(Code.AXES_CHANGED, False, rows, says, "diagnose what is before and after it each by itself")
+            return
 
 
 def _fitted(field: FloatArray, body: FloatArray) -> tuple[float, FloatArray]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magcal_service.base.errors import printable
 from magcal_service.base.progress import each
 from magcal_service.recordings.inspect.account import Account
-from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro
+from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro, axes_changed
 from magcal_service.recordings.inspect.bursts import bursts
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
 from magcal_service.recordings.inspect.gyro_unit import gyro_unit
@@ -56,6 +56,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     torquer_unit,
     axes_by_gyro,
     axes_by_attitude,
+    axes_changed,
 )
 """In this order: what a later one looks at has no rows that an earlier one is certain of."""
 

@@ -111,3 +111,19 @@ def test_a_gyro_in_another_unit_is_asked_about(unit: str, per_rad_s: float, tmp_
 def test_a_gyro_in_its_unit_is_not_asked_about(rates_deg_s: tuple[float, float], tmp_path: Path) -> None:
     log = clean_log(Kind(step_s=0.5, rates_deg_s=rates_deg_s, reference="vector", place="none"))
     assert Code.GYRO_UNIT not in log.described(channels=GYRO).found(tmp_path)
+
+
+@pytest.mark.parametrize("spoil", [swapped, flipped, turned])
+def test_axes_that_become_others_at_a_row_are_asked_about(spoil, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """No gyro and no attitude: the service saw it in flight, and a diagnosis named a jump of the bias, trusted."""
+    whole = clean_log(TURNING).described(channels="")
+    log = whole.changed(
+        **{
+            name: np.where(np.arange(len(whole.time_ns)) < 900, whole.columns[name], column)
+            for name, column in spoil(whole).columns.items()
+            if name in ("mx", "my", "mz")
+        }
+    )
+    (finding,) = log.inspected(tmp_path).findings
+    assert (finding.code, finding.certain, finding.first) == (Code.AXES_CHANGED, False, 902)
+    assert finding.rows == len(whole.time_ns) - 900

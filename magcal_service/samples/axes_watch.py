@@ -28,7 +28,7 @@ import numpy as np
 
 from magcal_service.base.snapshot import Stateful
 from magcal_service.model import Array
-from magcal_service.trust.signed_axes import PROPER, SAME, SIGNED_AXES, product_of
+from magcal_service.samples.signed_axes import PROPER, SAME, SIGNED_AXES, product_of
 from magcal_service.wire.messages import Vector
 
 _SHORTEST_S: Final = 0.099
