@@ -33,7 +33,7 @@ _BEYOND_NATS: Final = 6.0
 STANDS_OUT: Final = 3.0
 """Standard errors over blocks by which the held-out gain has to stand out of its scatter."""
 
-LITTLE_LEFT: Final = 0.1
+LITTLE_LEFT: Final = 0.05
 """Share of the mismatch without a name beside which names are still acted on: their numbers move by a few per cent."""
 
 _MORE_THAN_LEFT: Final = 4.0

@@ -26,6 +26,7 @@ from tests.diagnosis.made_up import flown as made_of
 from tests.diagnosis.step_explained import STEP_NT, explained, form, said
 from tests.physics.scenes import scene
 
+CURRENTS = effect_named("current_loop").hypotheses(replace(scene(), channels={}))
 ORBIT_S = 2.0 * math.pi / 1.1068e-3  # of the scene
 
 
@@ -127,12 +128,33 @@ def test_many_jumps_each_by_its_own_are_believed_less(variant: str, own: float) 
     [(STEP_NT, 0.5), (-0.4 * STEP_NT, 0.5), (STEP_NT + 40.0, 0.5), (np.array([90.0, 150.0, 0.0]), 0.97)],
 )
 def test_a_jump_along_a_current_that_was_inferred_may_be_its_load(field_nt: Array, own: float) -> None:
-    currents = effect_named("current_loop").hypotheses(replace(scene(), channels={}))
-    lit = next(one for one in currents if one.driver.startswith("inferred") and one.variant == "lit or not")
+    lit = next(one for one in CURRENTS if one.driver.startswith("inferred") and one.variant == "lit or not")
     named = explained([])
     fit = replace(named.fit, terms=(*named.fit.terms, Term(lit, np.zeros(0), field_nt)))
     twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
     assert [posterior(twice, index).own for index in range(2)] == pytest.approx([own, 0.97])
+
+
+@pytest.mark.parametrize(
+    ("direction", "driver", "own"),
+    [
+        ([0.0, -1.0, 0.0], "inferred:temperature", 0.7),
+        ([0.9, -0.3, 0.3], "inferred:temperature", 0.97),
+        ([0.0, -1.0, 0.0], "channel:one", 0.97),
+    ],
+)
+def test_two_that_are_inferred_along_one_line_may_be_one_of_another_course(
+    direction: list[float], driver: str, own: float
+) -> None:
+    """A thermoelectric current, which follows how fast a warmth changes, was heat less a current, both for sure."""
+    (lit,) = (h for h in CURRENTS if h.driver.startswith("inferred") and h.variant == "lit or not")
+    heats = next(h for h in effect_named("thermal_bias").hypotheses(scene()) if h.variant == "answer to light")
+    warm = Term(replace(heats, driver=driver, imitated_by=""), np.array([900.0, 300.0]), np.zeros(6))
+    warm = replace(warm, amplitudes=np.array([*(400.0 * np.array(direction)), 0.0, 0.0, 0.0]))
+    named = explained([])
+    fit = replace(named.fit, terms=(Term(lit, np.zeros(0), np.array([20.0, 800.0, -30.0])), warm))
+    twice = replace(named, fit=fit, rivals=((), ()), nats=named.nats * 2, gains=named.gains * 2)
+    assert posterior(twice, 0).own == pytest.approx(own)
 
 
 @pytest.mark.parametrize(("again_s", "own"), [(ORBIT_S, 0.5), (0.98 * ORBIT_S, 0.5), (0.9 * ORBIT_S, 0.97)])

@@ -62,6 +62,8 @@ def test_a_temperature_that_is_inferred_has_odds_against_it_where_one_was_record
     found = forms("thermal_bias")["inferred:temperature", "answer to light"]
     bare = forms("thermal_bias", replace(scene(), channels={}))["inferred:temperature", "answer to light"]
     assert (found.odds, bare.odds) == (5.0, 0.0)
+    assert (found.exactly_alike, bare.exactly_alike) == (("unknown",), ())
+    assert "a battery's charge" in found.imitated_by
     assert sizes(found) == {"nt_swing": (3,), "start_nt_swing": (3,)}
     answer, decay = scene().warmed(900.0, 300.0)
     swing, start = np.array([10.0, 20.0, 30.0]), np.array([1.0, 2.0, 3.0])

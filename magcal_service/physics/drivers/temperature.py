@@ -23,6 +23,9 @@ SKINS_S: Final = np.array([0.0, 300.0, 900.0, 2400.0])
 _AGAINST_GUESSING: Final = 5.0
 """Nats against inferring a temperature where one was recorded: odds of 150 to 1 for the record."""
 
+_CHARGES: Final = "what follows light as slowly as warmth, and no thermometer: a battery's charge"
+"""What leaves the same where a temperature was recorded that does not explain it."""
+
 _SELDOM_HEAT: Final = 2.0
 """Nats against heat for what only settles, which is a drift whatever its cause: odds of 7 to 1.  Of sixteen courses
 that relaxed in other hands' simulators without a record two were heat."""
@@ -93,7 +96,8 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool
 
     Light heats a skin, dS/dt = (lit - S) / skin, and the sensor follows it, dT/dt = (S - T) / tau.  The temperature at
     the start is free: its decay is a second set of amplitudes, named ``start_`` and the block's name.  Where a
-    temperature was recorded, inferring another one from light has odds against it.  That decay alone is a form of its
+    temperature was recorded, inferring another one from light has odds against it, and what it finds may be no warmth:
+    a battery's charge follows light as slowly.  That decay alone is a form of its
     own, where it ``settles``: what was switched on warms up, whatever a thermometer elsewhere has, and no data tell it
     from a drift that relaxes.
     """
@@ -125,5 +129,6 @@ def inferred(scene: Scene, effect: str, act: Act, block: Block, *, settles: bool
         variant="answer to light",
         nonlinear=(constants_s, Nonlinear("skin_s", "s", SKINS_S, spans=True)),
         odds=_AGAINST_GUESSING if known else 0.0,
+        imitated_by=_CHARGES if known else "",
         constants={"mean_light": scene.mean_light},
     )
