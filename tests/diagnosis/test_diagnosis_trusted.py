@@ -63,7 +63,7 @@ def test_what_is_left_is_counted_by_its_squares_or_its_share() -> None:
 
 @pytest.mark.parametrize(("share", "expected"), [(0.049, ()), (0.051, ("unexplained_structure",))])
 def test_little_may_be_left_beside_names(share: float, expected: tuple[str, ...]) -> None:
-    """A tenth of the mismatch without a name; where that is the verdict, any share."""
+    """A twentieth of the mismatch without a name; where that is the verdict, any share."""
     assert said(explained([]), share) == expected
     assert said(explained([]), 0.0, unknown=True) == ("unexplained_structure",)
 

@@ -20,7 +20,7 @@ from magcal_service.physics.effects.coloured_noise import (
     long_memory,
 )
 from magcal_service.physics.effects.hysteresis import play
-from magcal_service.physics.effects.quantisation import step_of
+from magcal_service.physics.effects.quantisation import sigma_of, step_of
 from magcal_service.physics.effects.torquer import remembered
 from magcal_service.physics.interface import Finding
 from magcal_service.physics.scene.view import View, runs
@@ -47,6 +47,20 @@ def test_step_of_a_lattice(step: float) -> None:
     """The step of rounded values is found to a thousandth, with an offset and missing levels."""
     values = np.round(30.0 * stirred(1)) * step + 0.31
     assert step_of(values) == pytest.approx(step, rel=1e-3)
+
+
+@pytest.mark.parametrize("digits", [1, 3])
+def test_a_step_is_known_to_the_last_digit_over_the_number_of_steps(digits: int) -> None:
+    """Both ends are off by up to half a digit: two in three errors are within about 1 sigma, none beyond 2.5."""
+    rng, off = np.random.default_rng(9421), []
+    for step in rng.uniform(20.0, 200.0, 60):
+        values = np.round(np.round(rng.uniform(-4e4, 4e4, 2000) / step) * step, digits)
+        found = step_of(values)
+        if found:
+            off.append(abs(found - step) / sigma_of(values, found))
+    assert len(off) > 40
+    assert 0.4 < np.mean(np.array(off) < 1.0) < 0.8
+    assert max(off) < 2.5
 
 
 @pytest.mark.parametrize("between", [0.1, 0.5, 0.93])

@@ -26,6 +26,9 @@ _FEWEST_INSIDE: Final = 8
 """Levels without the ends from which their step is the lattice's: on one of half of it all would be even by chance once
 in 128 times."""
 
+_DIGITS: Final = range(-2, 10)
+"""Decimals that values may be written with [log10 of 1/nT]: from 0.1 uT on, as far as a double of 1e5 nT has them."""
+
 _SAME_STEP: Final = 1e-6  # relative; the ends of a lattice move its step by rounding alone
 
 
@@ -58,9 +61,26 @@ def _step_of_levels(levels: Array) -> float:
     return refined if float(np.quantile(off, 0.95)) < _ON_LATTICE else 0.0
 
 
+def sigma_of(values: Array, step: float) -> float:
+    """1 sigma of the lattice's step: the way between the ends of values (n,) over its number of steps; 0 of no step.
+
+    Both ends are off by the rounding of the file: what values differ from whole steps by, and its last digit.
+    """
+    if step <= 0.0:
+        return 0.0
+    levels = np.unique(values)
+    number = np.round((levels - levels[0]) / step)
+    off = (levels - levels[0] - number * step)[1:-1]  # the ends may lie between two steps
+    scaled = (levels * 10.0**digits for digits in _DIGITS)
+    digits = next((d for d, one in zip(_DIGITS, scaled, strict=True) if np.abs(one - np.round(one)).max() < 1e-4), 9)
+    rounding = max(float(np.std(off)), 10.0**-digits / math.sqrt(12.0))
+    return math.sqrt(2.0) * rounding / max(float(number[-1]), 1.0)
+
+
 def _find(view: View) -> Finding | None:
     field = view.scene.field_nt
     steps = np.array([step_of(field[:, axis]) for axis in range(3)])
+    sigmas = np.array([sigma_of(field[:, axis], float(one)) for axis, one in enumerate(steps)])
     step = float(steps.max())
     if step < _LEAST_SIGMAS * view.noise_nt:
         return None
@@ -70,8 +90,8 @@ def _find(view: View) -> Finding | None:
         return None
     share = min(1.0, own_nt**2 / max(float(np.mean(view.residual_nt**2)), 1e-12))
     parameters = {
-        "lsb_nt": value_of(step, step * 1e-3, "nT"),
-        "lsb_by_axis_nt": value_of(steps, steps * 1e-3, "nT"),
+        "lsb_nt": value_of(step, sigmas[int(np.argmax(steps))], "nT"),
+        "lsb_by_axis_nt": value_of(steps, sigmas, "nT"),
         "added_noise_nt": value_of(own_nt, 0.0, "nT"),
     }
     return Finding(parameters, nats=detectability, share=share)
