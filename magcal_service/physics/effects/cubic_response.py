@@ -82,6 +82,10 @@ EFFECT = Effect(
     separated_by="a larger field on one axis: a knee is flat below its start, a cube is not",
     source="Brauer et al. 1997 (transverse field effect); data sheets of AMR sensors (linearity 0.1-1 %)",
     says=(
+        "The answer of {per_nt2.place} bends with the cube of the field, by {per_nt2.size}, and of "
+        "{cross_per_nt2.place} with the field across, by {cross_per_nt2.size}.",
+        "The answer of {per_nt2.place} bends with the cube of the field, by {per_nt2.size}, and of "
+        "{cross_each_per_nt2.place} with the field across, by {cross_each_per_nt2.size}.",
         "The answer of {per_nt2.place} bends with the cube of the field, by {per_nt2.size}.",
         "The answer bends with the field's size, by {common_per_nt2.size}.",
     ),
