@@ -195,7 +195,8 @@ def _turning(
         return (replace(scene, body_from_eci=attitude[1]) if attitude[0] is Axes.ECI else scene), None, None
     spin = _spin(recording, scene)
     if spin is not None:
-        return replace(scene, body_from_eci=spin.body_from_eci, is_solved=True), spin, None
+        turned = replace(scene, body_from_eci=spin.body_from_eci, is_solved=True) if spin.is_attitude else scene
+        return turned, spin, None
     alone = _turn_alone(recording, scene)
     if alone is not None:
         rate = np.gradient(alone.phase_rad, scene.time_s)

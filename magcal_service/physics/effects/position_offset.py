@@ -19,6 +19,10 @@ from magcal_service.physics.scene.scene import Scene
 _STEP_KM = 10.0
 """Step of the differences [km]: |H| bends over thousands of km, and rounding of the model is far below."""
 
+_PLANE_BESIDE = 2.0
+"""Nats against places that are off to one side alone: the plane of no orbit passes beside the Earth's centre.  Choice:
+odds of 7 to 1; elements that are wrong in all put a short arc there."""
+
 _LARGEST_NT = 3000.0  # of a place that is wrong by about 100 km
 
 
@@ -126,6 +130,7 @@ def _hypotheses(scene: Scene) -> Iterator[Hypothesis]:
             lambda _, made=made: made,  # type: ignore[misc]
             blocks,
             variant,
+            odds=_PLANE_BESIDE if variant == "cross" else 0.0,
             largest_nt=_LARGEST_NT,
             moves_s=lambda a, names=names: _along_km(names, a, hours) / speed_km_s,  # type: ignore[misc]
         )

@@ -19,8 +19,11 @@ from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
 
 LARGEST_MISFIT: Final = 0.3
-"""Of |H|: a craft whose field along the axis misses by more, or that misses by more in all, does not turn steadily
-about a fixed axis."""
+"""Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
+
+_FAR_OFF: Final = 0.2
+"""Of |H|, what the vectors turned by a spin may miss by: a craft that swings farther beside it has another attitude,
+and what follows from this one (the Sun in the body, how fast the field turns) is not its own."""
 
 ORBITAL_RATE_RAD_S: Final = 1.1e-3
 """Once round the Earth in 95 min; the field goes round twice in a polar orbit."""
@@ -41,7 +44,7 @@ _AS_GOOD: Final = 1.3
 _MOST_OF_IT: Final = 0.95
 """Quantile of the part of the field along the axis over that across it by which an axis that is off turns the phase."""
 
-_KNOT_TURNS: Final = (12.0, 6.0, 3.0)
+_KNOT_TURNS: Final = (12.0, 6.0, 3.0, 1.5)
 """Turns between knots of the smoothed phase; choice: fewer let noise in, and are only taken where the rate changes."""
 
 _FOLLOWS: Final = 0.5
@@ -73,6 +76,7 @@ class SpinSolution:
     body_from_eci: (n, 3, 3).
     axial_misfit_nt: (n,) w . a_b - H . a_i.
     across_nt: (n,) part of H across the axis.
+    size_nt: mean of |H|.
     bent_rad: what the phase may be bent by because the axis may be off.
     """
 
@@ -84,7 +88,14 @@ class SpinSolution:
     body_from_eci: Array
     axial_misfit_nt: Array
     across_nt: Array
+    size_nt: float
     bent_rad: float = 0.0
+
+    @property
+    def is_attitude(self) -> bool:
+        """Whether the craft is turned so, and does not swing far beside it."""
+        beside_nt = 2.0 * np.sin(0.5 * (self.raw_phase_rad - self.phase_rad)) * self.across_nt
+        return math.hypot(_rms(self.axial_misfit_nt), _rms(beside_nt)) < _FAR_OFF * self.size_nt
 
     @property
     def rate_rpm(self) -> float:
@@ -204,13 +215,11 @@ def _about(
     raw, smooth = _phases(scene, turn, strength, rate)
     if raw is None or smooth is None:
         return None
-    beside = 2.0 * np.sin(0.5 * (raw - smooth)) * strength
-    if math.hypot(_rms(misfit), _rms(beside)) > LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
-        return None
     attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     lever = float(np.quantile(np.abs(reference @ axis_eci) / np.maximum(strength, 1e-9), _MOST_OF_IT))
-    return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength, 2.0 * off_rad * lever)
+    size_nt, bent_rad = float(np.mean(scene.magnitude_nt)), 2.0 * off_rad * lever
+    return SpinSolution(axis_body, axis_eci, smooth, raw, mean_rate, attitude, misfit, strength, size_nt, bent_rad)
 
 
 def _mirrored(axis_eci: Array, reference: Array) -> Array:
@@ -362,14 +371,13 @@ def _tracked(turn: Array, time_s: Array, rate: float, sure: Array) -> Array:
 def _smooth(scene: Scene, raw: Array, strength: Array, rate: float) -> Array:
     """Least-squares line through knots some turns apart, in each stretch: slow changes of rate are kept."""
     weight = strength / np.maximum(strength.max(), 1e-9)
-    found, misfit = raw, math.inf
-    for turns in _KNOT_TURNS:
-        trial = _with_knots(scene, raw, weight, turns * 2.0 * np.pi / max(abs(rate), 1e-6))
-        left = _rms((raw - trial) * weight)
-        if not left < _FOLLOWS * misfit:
-            break
-        found, misfit = trial, left
-    return found
+    trials = [_with_knots(scene, raw, weight, turns * 2.0 * np.pi / max(abs(rate), 1e-6)) for turns in _KNOT_TURNS]
+    misfits = [_rms((raw - trial) * weight) for trial in trials]
+    found = 0
+    for number, misfit in enumerate(misfits):
+        if misfit < _FOLLOWS * misfits[found]:
+            found = number
+    return trials[found]
 
 
 def _with_knots(scene: Scene, raw: Array, weight: Array, width_s: float) -> Array:
