@@ -125,13 +125,18 @@ def axes_changed(log: Log) -> Iterator[Seen]:
     The service watches for the same in flight; what it doubts a calibration for is no physics of a diagnosis.
     """
     watch, order = AxesWatch(), np.argsort(log.time_s, kind="stable")
+    changes, from_s, until_s = list[int](), np.inf, np.inf
     for time_s, (x, y, z) in zip(log.time_s[order].tolist(), log.field_nt[order].tolist(), strict=True):
         watch.push(time_s, (x, y, z))
-        if watch.changes:
-            rows = np.sort(log.rows[log.time_s >= watch.since_s])
-            says = f"from here on axes look as if {any_of(watch.changes)}: the vector jumps, and then goes on as before"
-            yield Seen(Code.AXES_CHANGED, False, rows, says, "diagnose what is before and after it each by itself")
-            return
+        if watch.changes and not changes:
+            changes, from_s = watch.changes, watch.since_s
+        elif changes and not watch.changes:
+            until_s = watch.since_s
+            break
+    if changes:
+        rows = log.rows[(from_s <= log.time_s) & (log.time_s < until_s)]
+        says = f"for {len(rows)} rows axes look as if {any_of(changes)}: the vector jumps, and then goes on as before"
+        yield Seen(Code.AXES_CHANGED, False, rows, says, "diagnose these rows and the others each by themselves")
 
 
 def _fitted(field: FloatArray, body: FloatArray) -> tuple[float, FloatArray]:

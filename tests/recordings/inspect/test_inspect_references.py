@@ -114,16 +114,14 @@ def test_a_gyro_in_its_unit_is_not_asked_about(rates_deg_s: tuple[float, float],
 
 
 @pytest.mark.parametrize("spoil", [swapped, flipped, turned])
-def test_axes_that_become_others_at_a_row_are_asked_about(spoil, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("rows", [100, None])
+def test_axes_that_become_others_at_a_row_are_asked_about(spoil, rows: int | None, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     """No gyro and no attitude: the service saw it in flight, and a diagnosis named a jump of the bias, trusted."""
     whole = clean_log(TURNING).described(channels="")
-    log = whole.changed(
-        **{
-            name: np.where(np.arange(len(whole.time_ns)) < 900, whole.columns[name], column)
-            for name, column in spoil(whole).columns.items()
-            if name in ("mx", "my", "mz")
-        }
-    )
+    there = np.zeros(len(whole.time_ns), dtype=bool)
+    there[900 : None if rows is None else 900 + rows] = True
+    others = {name: column for name, column in spoil(whole).columns.items() if name in ("mx", "my", "mz")}
+    log = whole.changed(**{name: np.where(there, column, whole.columns[name]) for name, column in others.items()})
     (finding,) = log.inspected(tmp_path).findings
     assert (finding.code, finding.certain, finding.first) == (Code.AXES_CHANGED, False, 902)
-    assert finding.rows == len(whole.time_ns) - 900
+    assert finding.rows == there.sum()
