@@ -129,13 +129,16 @@ def axes_changed(log: Log) -> Iterator[Seen]:
     for time_s, (x, y, z) in zip(log.time_s[order].tolist(), log.field_nt[order].tolist(), strict=True):
         watch.push(time_s, (x, y, z))
         if watch.changes and not changes:
-            changes, from_s = watch.changes, watch.since_s
-        elif changes and not watch.changes:
+            changes, from_s = list(watch.changes), watch.since_s
+        elif changes and watch.changes != changes:
             until_s = watch.since_s
             break
     if changes:
         rows = log.rows[(from_s <= log.time_s) & (log.time_s < until_s)]
-        says = f"for {len(rows)} rows axes look as if {any_of(changes)}: the vector jumps, and then goes on as before"
+        says = (
+            f"against the rows before, for {len(rows)} rows axes look as if {any_of(changes)}: the vector jumps, and "
+        )
+        says += "goes on as it did"
         yield Seen(Code.AXES_CHANGED, False, rows, says, "diagnose these rows and the others each by themselves")
 
 
