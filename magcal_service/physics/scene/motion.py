@@ -7,20 +7,13 @@ from numpy.typing import NDArray
 
 from magcal_service.model import Array
 
-_GAP = 10.0  # steps that make a gap
-_USUAL = 0.75  # quantile of the steps that counts as the usual one
 _FEWEST_FOR_SLOPE = 2  # samples of a stretch: of two, both have the difference between them
 FEWEST_FOR_MEANS = 4  # samples of a stretch in which means before and after an instant are compared
 
 
-def pauses(time_s: Array) -> NDArray[np.intp]:
-    """Rows (k,) that begin a new stretch after a gap of more than ten steps, with row 0, for times (n,) [s].
-
-    A step is what three of four take at most: of samples that come in pairs, the long one between them is no gap.
-    """
-    steps = np.diff(time_s)
-    gaps = np.flatnonzero(steps > _GAP * np.quantile(steps, _USUAL)) if len(steps) else steps
-    return np.concatenate([[0], gaps + 1]).astype(np.intp) if len(gaps) else np.zeros(1, dtype=np.intp)
+def pauses(time_s: Array, longest_s: float) -> NDArray[np.intp]:
+    """Rows (k,) that begin a new stretch after a step longer than ``longest_s`` [s], with row 0, for times (n,) [s]."""
+    return np.concatenate([[0], np.flatnonzero(np.diff(time_s) > longest_s) + 1]).astype(np.intp)
 
 
 def slope(values: Array, time_s: Array, pauses: NDArray[np.intp]) -> Array:

@@ -211,8 +211,8 @@ class Scene:
 
     @cached_property
     def pauses(self) -> NDArray[np.intp]:
-        """Rows (k,) that begin a new stretch after a gap, with row 0."""
-        return motion.pauses(self.time_s)
+        """Rows (k,) that begin a new stretch after a gap of more than ten sample periods, with row 0."""
+        return motion.pauses(self.time_s, 10.0 * self.period_s)
 
     @cached_property
     def time_ns(self) -> NDArray[np.int64]:
@@ -230,8 +230,9 @@ class Scene:
 
     @cached_property
     def magnitude_slope(self) -> Array:
-        """(n,) d|H|/dt [nT/s]."""
-        return self.slope(self.magnitude_nt)
+        """(n,) d|H|/dt [nT/s], over gaps of up to ten usual steps too, as between samples that come in pairs."""
+        usual_s = float(np.quantile(np.diff(self.time_s, prepend=self.time_s[:1]), 0.75))
+        return motion.slope(self.magnitude_nt, self.time_s, motion.pauses(self.time_s, 10.0 * usual_s))
 
     @cached_property
     def magnitude_bend(self) -> Array:
