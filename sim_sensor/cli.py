@@ -232,7 +232,7 @@ def _tell_missing(report: NodeReport, view: Progress, address: str) -> None:
     sent, answered = report.sent["MagnetometerSample"], view.received["CalibratedVector"]
     if answered < sent:
         text = (
-            f"{sent - answered} of {sent} samples have no answer: the daemon refused them, or they were lost on the way"
+            f"{sent - answered} of {sent} samples have no answer: the daemon is behind, refused them, or they were lost"
         )
         print(f"{text}\nnext: {_what_next(address)}", file=sys.stderr)
 

@@ -39,6 +39,7 @@ def _export(options: argparse.Namespace) -> int:
     from magcal_service.base.errors import ConfigError, Fault
     from magcal_service.base.typed_toml import nearest
     from magcal_service.offline.exports import FORMS, Wanted
+    from magcal_service.offline.exports.form import left_out
     from magcal_service.offline.given import read_given
 
     form = FORMS.get(options.format)
@@ -51,6 +52,6 @@ def _export(options: argparse.Namespace) -> int:
     given = read_given(options.result)
     made = form.make(given, Wanted(options.index, options.lsb_nt))
     write_text(options.out, made.text)
-    for line in filter(None, (made.remark, *given.doubts())):
+    for line in filter(None, (made.remark, *left_out(given), *given.doubts())):
         print(line, file=sys.stderr)
     return NOT_TRUSTED if made.lossy or not given.trusted else DONE

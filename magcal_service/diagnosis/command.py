@@ -6,7 +6,7 @@ import hashlib
 import json
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magcal_service.base.disk import write_whole
@@ -159,7 +159,8 @@ def _made(request: Request, accepted: _Accepted, progress: Callable[[str], None]
     progress(WRITING)
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
-    origin = _origin(request, *recording.descriptor.files)
+    onward = tuple(line.removeprefix("next:").strip() for line in request.next_lines(diagnosis))
+    origin = replace(_origin(request, *recording.descriptor.files), onward=onward)
     contents = {
         DIAGNOSIS: content,
         REPORT: report(diagnosis, found, content, origin),

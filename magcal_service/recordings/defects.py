@@ -28,6 +28,7 @@ class Code(StrEnum):
     AXES_CHANGED = "axes_changed"
     GYRO_UNIT = "gyro_unit"
     TORQUER_UNIT = "torquer_unit"
+    CURRENT_UNIT = "current_unit"
     FIELD_SCALE = "field_scale"
     START_TRANSIENT = "start_transient"
     REFERENCE_REPEATS = "reference_repeats"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shlex
 import tomllib
@@ -131,6 +132,17 @@ def test_it_says_at_which_temperature_the_nine_errors_hold(
     assert f"With effects, the nine errors are those at {says}." in page
     exported = run("export", folder / "physics.toml", "--format", "c-header")
     assert f"without that they hold at {says}" in exported.out
+    assert "not in these numbers: thermal_bias, thermal_scale; they hold where their field is subtracted" in exported.err
+    assert "#define MAGCAL_RESULT_EFFECTS_LEFT_OUT 2\n" in exported.out
+
+
+def test_the_report_says_what_to_do_next_as_the_summary_does(done: Done, folder: Path) -> None:
+    page = html.unescape((folder / "report.html").read_text(encoding="utf-8"))
+    lines = done.out.splitlines()
+    first = next(number for number, line in enumerate(lines) if line.startswith("next: "))
+    assert "What to do next" in page
+    for line in lines[first:]:
+        assert f"<code>{line.removeprefix('next: ').strip()}</code>" in page
 
 
 def test_without_heat_the_nine_errors_hold_anywhere(clean: Path, tmp_path: Path) -> None:

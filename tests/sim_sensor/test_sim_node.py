@@ -275,7 +275,7 @@ def test_samples_without_an_answer_are_counted_and_said_with_what_to_do(
     report.sent.update(MagnetometerSample=20, ReferenceSample=20)
     view.received["CalibratedVector"] = 17
     cli._tell_missing(report, view, address)
-    why = "the daemon refused them, or they were lost on the way"
+    why = "the daemon is behind, refused them, or they were lost"
     assert capsys.readouterr().err == f"3 of 20 samples have no answer: {why}\nnext: {next_step}\n"
     assert "40 messages sent, 17 of 20 samples answered" in view._line(report)
     view.received["CalibratedVector"] = 20

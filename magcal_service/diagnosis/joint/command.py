@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magcal_service.diagnosis.command import digest, in_flight, write
@@ -74,9 +74,10 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=progress, assumed=gathered.assumed)
     progress(WRITING)
     model = model_of(diagnosis)
+    onward = (in_flight(request.out / PHYSICS),) if diagnosis.trusted and model.terms else ()
     contents = {
         DIAGNOSIS: as_json(diagnosis),
-        REPORT: report(diagnosis, _origin(request, gathered)),
+        REPORT: report(diagnosis, replace(_origin(request, gathered), onward=onward)),
         PHYSICS: text_of(model),
     }
     files = [write(request.out / name, content) for name, content in contents.items()]
@@ -84,10 +85,12 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     for recording, one in zip(gathered.recordings, diagnosis.recordings, strict=True):
         rows = f"rows: {account_of(one.inspection, one.prepared)}"
         said += [f"{one.name}: {line}" for line in [*recording.report.lines(), *one.inspection.lines(), rows]]
-    onward = []
-    if diagnosis.trusted and model.terms:
-        onward = [f"next: {in_flight(request.out / PHYSICS)}"]
-    lines = [*said, *summary(diagnosis, files), *onward, *removed_line(request.out, earlier, files)]
+    lines = [
+        *said,
+        *summary(diagnosis, files),
+        *(f"next: {one}" for one in onward),
+        *removed_line(request.out, earlier, files),
+    ]
     return JointOutcome(diagnosis, tuple(lines))
 
 

@@ -25,12 +25,14 @@ class Origin:
     command: the command line.
     files: (name, SHA-256) of every file that was read.
     simulation: name of the scenario compared with; empty for the forward model as calibrated.
+    onward: what to do with the result, a command or a line of a configuration each; none where it is not to be trusted.
     """
 
     recording: str
     command: str
     files: tuple[tuple[str, str], ...]
     simulation: str = ""
+    onward: tuple[str, ...] = ()
 
 
 def check_packages() -> None:

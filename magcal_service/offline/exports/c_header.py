@@ -17,6 +17,8 @@ def _make(given: Given, _wanted: Wanted) -> Exported:
 #define MAGCAL_RESULT_H
 
 #define MAGCAL_RESULT_TRUSTED {int(given.trusted)}
+/* Effects of physics.toml that have to be subtracted besides. */
+#define MAGCAL_RESULT_EFFECTS_LEFT_OUT {0 if given.model is None else len(given.model.terms)}
 #define MAGCAL_RESULT_SHA256 "{given.sha256}"
 
 /* b [nT]. */

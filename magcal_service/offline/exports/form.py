@@ -71,13 +71,17 @@ def about(given: Given) -> list[str]:
         f"{EQUATION}: B measured, w calibrated, both in nT in the sensor's own axes; b is subtracted after the matrix",
     ]
     lines += [f"DO NOT FLY THIS: {doubt.removeprefix(f'{DO_NOT}: ')}" for doubt in given.doubts()]
-    if given.model is not None and given.model.terms:
-        lines.append(
-            "the effects of physics.toml are not in these numbers: they hold where its disturbances are subtracted"
-        )
-        held = held_in_words(held_at(given.model.terms))
-        lines += [f"without that they hold at {held}"] if held else []
-    return list(map(_plain, lines))
+    return list(map(_plain, [*lines, *left_out(given)]))
+
+
+def left_out(given: Given) -> list[str]:
+    """What nine numbers do not hold of a physics file, and where they are right without it; nothing where they do."""
+    if given.model is None or not given.model.terms:
+        return []
+    effects = ", ".join(dict.fromkeys(term.effect for term in given.model.terms))
+    lines = [f"not in these numbers: {effects}; they hold where their field is subtracted"]
+    held = held_in_words(held_at(given.model.terms))
+    return [*lines, f"without that they hold at {held}"] if held else lines
 
 
 def _plain(text: str) -> str:

@@ -15,6 +15,7 @@ from magcal_service.base.progress import each
 from magcal_service.recordings.inspect.account import Account
 from magcal_service.recordings.inspect.axes import axes_by_attitude, axes_by_gyro, axes_changed
 from magcal_service.recordings.inspect.bursts import bursts
+from magcal_service.recordings.inspect.current_unit import current_unit
 from magcal_service.recordings.inspect.finding import Finding, Seen, Spoils
 from magcal_service.recordings.inspect.gyro_unit import gyro_unit
 from magcal_service.recordings.inspect.log import Log
@@ -54,6 +55,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     start_transient,
     gyro_unit,
     torquer_unit,
+    current_unit,
     axes_by_gyro,
     axes_by_attitude,
     axes_changed,

@@ -75,3 +75,19 @@ def test_what_only_goes_as_slowly_as_the_residual_has_no_size(tmp_path: Path) ->
     slow = np.linspace(-1.0, 1.0, len(clean.time_ns))
     drifted = clean.changed(mx=clean.columns["mx"] + 2000.0 * slow, tx=1e-5 * slow, ty=0.0 * slow, tz=0.0 * slow)
     assert Code.TORQUER_UNIT not in drifted.described(channels=CHANNEL.format("A m2")).found(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("usual", "unit", "asked"), [(350.0, "A", True), (350.0, "mA", False), (40.0, "A", False), (350e3, "mA", True)]
+)
+def test_currents_in_another_unit_are_asked_about(usual: float, unit: str, asked: bool, tmp_path: Path) -> None:
+    """mA of a CubeSat called A, by which its field per ampere is a thousand times too small."""
+    clean = clean_log(Kind(channels=False), seed=42)
+    flows = usual * np.random.default_rng(4108).uniform(0.5, 1.5, len(clean.time_ns))
+    channels = f'[channels]\nbus = {{ column = "i", unit = "{unit}" }}'
+    found = clean.changed(i=flows).described(channels=channels).found(tmp_path)
+    assert (Code.CURRENT_UNIT in found) is asked
+    if asked:
+        finding = found[Code.CURRENT_UNIT]
+        assert not finding.certain
+        assert 'write unit = "mA"' in finding.remedy
