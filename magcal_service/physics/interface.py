@@ -329,8 +329,7 @@ class Effect:
     needs_rate: live, it needs the craft's rate.
     in_orbit_only: it does not occur anywhere else.
     switched: what one switches off to make it go away, with its article; empty where nobody can.
-    of_one_recording: its strength is another one every day, or its course begins with the first sample: several
-        recordings never have its numbers in common.
+    of_one_recording: its strength is another one every day, or its course begins with the first sample.
     two_levels: it may go on and off at no regular times, by what is often not recorded.
     is_line: it is one line of a spectrum, of which several together repeat in any shape.
     watched: what the watch sees of it, and the quantity that it follows where there is one.

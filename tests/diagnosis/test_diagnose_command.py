@@ -132,7 +132,9 @@ def test_it_says_at_which_temperature_the_nine_errors_hold(
     assert f"With effects, the nine errors are those at {says}." in page
     exported = run("export", folder / "physics.toml", "--format", "c-header")
     assert f"without that they hold at {says}" in exported.out
-    assert "not in these numbers: thermal_bias, thermal_scale; they hold where their field is subtracted" in exported.err
+    assert (
+        "not in these numbers: thermal_bias, thermal_scale; they hold where their field is subtracted" in exported.err
+    )
     assert "#define MAGCAL_RESULT_EFFECTS_LEFT_OUT 2\n" in exported.out
 
 

@@ -160,7 +160,7 @@ def test_what_samples_show_is_said_of_each_recording_where_nothing_is_named() ->
     assert (both.verdict, both.trusted) == (Verdict.NAMED, True)
     assert sentence(both) == f"In {both.recordings[1].name}: values on a lattice."
     (line,) = samples_lines(both)
-    assert line.startswith(f"{both.recordings[1].name}: quantisation: Values lie on a lattice of 200.00 ")
+    assert line.startswith(f"{both.recordings[1].name}: quantisation: Values lie on a lattice of 200.0")
     assert f"  {line}" in summary(both, ())
     assert line in html.unescape(report(both, Origin("two days", "magcal diagnose a b", ())))
 

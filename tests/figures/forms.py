@@ -52,8 +52,7 @@ MEANS: Final = {
     "over a while": "from one value to another between `from_s` and `to_s`",
     "switched at N instants": "on at the first instant, off at the second, and so on: one size",
     "steps at N instants": "at each instant a step of its own",
-    "axis x behind, axis y behind, axis z behind": "that axis answers later than the other two, as it does inside a "
-    "loop of metal",
+    "axis x behind": "that axis, or y or z so, answers later than the other two, as it does inside a loop of metal",
     "with cross terms": "beside the cube of each axis what the other two axes make in it, the same both ways",
     "with cross terms of each axis": "each way by itself, which only whole vectors show",
     "by the field's size": "one factor for all axes, by the square of the field's length",
@@ -159,6 +158,7 @@ def parts_of(variant: str) -> list[str]:
         part = _LETTERS.sub("N", _COUNTED.sub("N", part))
         named = {"radial": "radial, along, cross", "along": "radial, along, cross", "cross": "radial, along, cross"}
         part = "panel, panels" if part.startswith(("panel ", "panels ")) else named.get(part, part)
+        part = "axis x behind" if part.endswith(" behind") else part
         found.append("sum of panels" if part.startswith("sum of ") else part)
     return found
 

@@ -136,7 +136,7 @@ def test_a_lattice_counts_from_half_of_the_noise_on(step_nt: float, found: bool)
         own = step_nt / math.sqrt(12.0)
         assert float(finding.parameters["lsb_nt"].value) == pytest.approx(step_nt)
         assert finding.parameters["lsb_by_axis_nt"].value == pytest.approx([0.0, step_nt, 0.0])
-        assert float(finding.parameters["lsb_nt"].sigma) == pytest.approx(step_nt * 1e-3)
+        assert 0.0 < float(finding.parameters["lsb_nt"].sigma) < 1e-3 * step_nt  # whole nT over hundreds of steps
         assert float(finding.parameters["added_noise_nt"].value) == pytest.approx(own)
         assert finding.nats == pytest.approx(math.sqrt(COUNT) * own / NOISE_NT)
         assert finding.share == pytest.approx(own**2 / 100.0)

@@ -13,7 +13,7 @@ from magcal_service.physics.effects.coloured_noise import Whitener, autoregressi
 from magcal_service.physics.effects.nutation import _distance, _peak, _spectrum
 from magcal_service.physics.effects.quantisation import step_of
 from magcal_service.physics.effects.spin_rate import _fitted, _tolerance
-from magcal_service.physics.scene import steady_spin
+from magcal_service.physics.scene import spin_phase, steady_spin
 from magcal_service.physics.scene.scene import Scene
 
 AXIS_BODY, AXIS_ECI = np.array([0.36, 0.48, 0.8]), np.array([-0.6, 0.64, 0.48])
@@ -95,7 +95,7 @@ def test_a_phase_is_unwrapped_through_noise_and_a_slow_change_of_rate() -> None:
     time_s = np.arange(400.0)
     phase = 0.2 + 0.9 * time_s + 2e-4 * time_s**2
     noise = np.random.default_rng(3).normal(0.0, 0.3, 400)
-    found = steady_spin._tracked(np.exp(1j * (phase + noise)), time_s, 0.9, np.ones(400))
+    found = spin_phase._tracked(np.exp(1j * (phase + noise)), time_s, 0.9, np.ones(400))
     assert found - found[0] == pytest.approx(phase + noise - (phase[0] + noise[0]), abs=1e-9)
 
 
@@ -103,13 +103,13 @@ def test_a_curve_through_knots_is_a_broken_line_and_weighs_its_samples() -> None
     time_s = np.linspace(0.0, 10.0, 101)
     broken = np.interp(time_s, [0.0, 5.0, 10.0], [1.0, 3.0, -2.0])
     weight = np.ones(101)
-    assert steady_spin._through_knots(time_s, broken, weight, 3) == pytest.approx(broken, abs=1e-5)
+    assert spin_phase._through_knots(time_s, broken, weight, 3) == pytest.approx(broken, abs=1e-5)
     spoiled = np.array(broken)
     spoiled[40] += 100.0
     weight[40] = 0.0
-    assert steady_spin._through_knots(time_s, spoiled, weight, 3)[:40] == pytest.approx(broken[:40], abs=1e-4)
+    assert spin_phase._through_knots(time_s, spoiled, weight, 3)[:40] == pytest.approx(broken[:40], abs=1e-4)
     line = np.polyval(np.polyfit(time_s, broken, 1), time_s)
-    assert steady_spin._through_knots(time_s, broken, np.ones(101), 2) == pytest.approx(line, abs=1e-5)
+    assert spin_phase._through_knots(time_s, broken, np.ones(101), 2) == pytest.approx(line, abs=1e-5)
 
 
 # A rate that is told

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
-from magcal_service.physics.scene import steady_spin
+from magcal_service.physics.scene import spin_phase, steady_spin
 from magcal_service.physics.scene.scene import Scene
 from magcal_service.physics.scene.steady_spin import SpinSolution
 from magcal_service.physics.scene.view import View
@@ -24,7 +24,7 @@ def timed(time_s: Array, w: Array | None = None, reference: Array | None = None)
 
 
 def phases(time_s: Array, phase: Array, rate: float) -> tuple[Array, Array]:
-    raw, smooth = steady_spin._phases(timed(time_s), np.exp(1j * phase), np.ones(len(time_s)), rate)
+    raw, smooth = spin_phase.phases(timed(time_s), np.exp(1j * phase), np.ones(len(time_s)), rate)
     assert raw is not None
     assert smooth is not None
     return raw, smooth
@@ -52,7 +52,7 @@ def test_a_smoothed_phase_keeps_a_slow_change_of_rate_and_loses_the_noise() -> N
     time_s = np.arange(3000.0)
     phase = 0.7 * time_s + 1e-6 * time_s**2
     noise = np.random.default_rng(1).normal(0.0, 0.05, 3000)
-    smooth = steady_spin._smooth(timed(time_s), phase + noise, np.ones(3000), 0.7)
+    smooth = spin_phase.smoothed(timed(time_s), phase + noise, np.ones(3000), 0.7)
     assert float(np.abs(smooth - phase).max()) < 0.03
     assert float(np.std(smooth - phase)) < 0.012
 
@@ -62,7 +62,7 @@ def test_a_smoothed_phase_listens_to_strong_samples_and_leaves_three_as_they_are
     phase = 0.7 * time_s
     spoiled = phase + np.where(np.arange(503) % 2, 0.5, 0.0)
     strength = np.where(np.arange(503) % 2, 1e-3, 1.0)
-    smooth = steady_spin._smooth(timed(time_s), spoiled, strength, 0.7)
+    smooth = spin_phase.smoothed(timed(time_s), spoiled, strength, 0.7)
     assert smooth[:500] == pytest.approx(phase[:500], abs=0.01)
     assert smooth[500:].tolist() == spoiled[500:].tolist()
 
@@ -116,7 +116,7 @@ def test_a_smoothed_phase_follows_a_slow_spin_that_dies_away() -> None:
     time_s = np.arange(3000.0)
     phase = 0.09 * time_s * (1.0 - 0.2 * time_s / 3000.0)
     noise = np.random.default_rng(2).normal(0.0, 0.01, 3000)
-    smooth = steady_spin._smooth(timed(time_s), phase + noise, np.ones(3000), 0.07)
+    smooth = spin_phase.smoothed(timed(time_s), phase + noise, np.ones(3000), 0.07)
     assert float(np.abs(smooth - phase).max()) < 0.15
 
 
@@ -152,5 +152,5 @@ def test_a_spin_of_a_few_turns_that_dies_away_is_followed(rate: float, span_s: i
     """With six turns in all, 12 and 6 turns a knot are the same two knots, and no step to 3 was made."""
     time_s = np.arange(float(span_s))
     phase = rate * time_s * (1.0 - 0.5 * lost * time_s / span_s)
-    smooth = steady_spin._smooth(timed(time_s), phase, np.ones(span_s), phase[-1] / span_s)
+    smooth = spin_phase.smoothed(timed(time_s), phase, np.ones(span_s), phase[-1] / span_s)
     assert float(np.abs(smooth - phase).max()) < 0.3

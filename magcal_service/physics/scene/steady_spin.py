@@ -17,6 +17,8 @@ import numpy as np
 
 from magcal_service.model import Array
 from magcal_service.physics.scene.scene import Scene
+from magcal_service.physics.scene.spin_phase import phases
+from magcal_service.residuals import rms
 
 LARGEST_MISFIT: Final = 0.3
 """Of |H|: a craft whose field along the axis misses by more does not turn about a fixed axis."""
@@ -44,12 +46,6 @@ _AS_GOOD: Final = 1.3
 _MOST_OF_IT: Final = 0.95
 """Quantile of the part of the field along the axis over that across it by which an axis that is off turns the phase."""
 
-_KNOT_TURNS: Final = (12.0, 6.0, 3.0, 1.5)
-"""Turns between knots of the smoothed phase; choice: fewer let noise in, and are only taken where the rate changes."""
-
-_FOLLOWS: Final = 0.5
-"""Of the misfit with fewer knots, to which twice as many bring it where the rate changes between them."""
-
 _LEAST_ACROSS: Final = 0.1  # of |H|
 
 _HALVINGS: Final = 60
@@ -57,10 +53,6 @@ _HALVINGS: Final = 60
 
 _ALIKE: Final = 1e-3
 """Difference of the squares of two lengths, of their sum, up to which they are alike; choice: it turns nothing."""
-
-_SURE_ACROSS: Final = 0.2
-"""Part of the field across the axis, of its mean size, at which a sample moves the tracked turn half as much as usual:
-near the axis a degree of error in the reference, as of coefficients 15 years old, turns the direction round it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +87,7 @@ class SpinSolution:
     def is_attitude(self) -> bool:
         """Whether the craft is turned so, and does not swing far beside it."""
         beside_nt = 2.0 * np.sin(0.5 * (self.raw_phase_rad - self.phase_rad)) * self.across_nt
-        return math.hypot(_rms(self.axial_misfit_nt), _rms(beside_nt)) < _FAR_OFF * self.size_nt
+        return math.hypot(rms(self.axial_misfit_nt), rms(beside_nt)) < _FAR_OFF * self.size_nt
 
     @property
     def rate_rpm(self) -> float:
@@ -146,7 +138,7 @@ def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None)
     rate = _rate(scene, turn, nominal_rate_rad_s)
     if rate is None:
         return None
-    raw, smooth = _phases(scene, turn, strength, rate)
+    raw, smooth = phases(scene, turn, strength, rate)
     if raw is None or smooth is None:
         return None
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
@@ -183,7 +175,7 @@ def solve_spin(scene: Scene, nominal_axis: Array | None, nominal_rate_rad_s: flo
         return None
     body, inertial, off_rad = axes
     along, mirrored = scene.calibrated_nt @ body, _mirrored(inertial, reference)
-    is_as_good = _rms(along - reference @ mirrored) < _AS_GOOD * _rms(along - reference @ inertial)
+    is_as_good = rms(along - reference @ mirrored) < _AS_GOOD * rms(along - reference @ inertial)
     pairs = [(body, inertial), (body, mirrored)] if is_as_good else [(body, inertial)]
     found = [_about(scene, one, off_rad, nominal_axis, nominal_rate_rad_s) for one in pairs]
     return min(filter(None, found), key=lambda one: _unsteadiness(scene, one), default=None)
@@ -203,7 +195,7 @@ def _about(
     if nominal_axis is not None and float(axis_body @ nominal_axis) < 0.0:
         axis_body, axis_eci = -axis_body, -axis_eci
     misfit = w @ axis_body - reference @ axis_eci
-    if not _rms(misfit) <= LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
+    if not rms(misfit) <= LARGEST_MISFIT * float(np.mean(scene.magnitude_nt)):
         return None
     turn, strength = turns_of(w, reference, axis_body, axis_eci)
     rate = _rate(scene, turn, nominal_rate_rad_s)
@@ -212,7 +204,7 @@ def _about(
     if nominal_axis is None and rate < 0.0:
         axis_body, axis_eci, turn, rate = -axis_body, -axis_eci, np.conj(turn), -rate
         misfit = -misfit
-    raw, smooth = _phases(scene, turn, strength, rate)
+    raw, smooth = phases(scene, turn, strength, rate)
     if raw is None or smooth is None:
         return None
     attitude = attitude_of(axis_body, axis_eci, smooth)
@@ -236,10 +228,6 @@ def _unsteadiness(scene: Scene, spin: SpinSolution) -> float:
     line = np.polyfit(scene.time_s, spin.raw_phase_rad, 1, w=spin.across_nt)
     left = spin.raw_phase_rad - np.polyval(line, scene.time_s)
     return float(np.sqrt(np.average(left**2, weights=spin.across_nt**2)))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _axes(w: Array, reference: Array) -> tuple[Array, Array, float] | None:
@@ -321,96 +309,6 @@ def _rate(scene: Scene, turn: Array, nominal: float | None) -> float | None:
         alias = 2.0 * np.pi / period
         rate += alias * round((nominal - rate) / alias)
     return rate
-
-
-def _phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array | None, Array | None]:
-    """Raw and smoothed phases (n,): local straight lines carried from stretch to stretch, then a spline through knots.
-
-    Each stretch is unwrapped by itself, relative to its mean rate; over a gap the phase is carried on at the rate
-    of the two sides, which is right while it drifts by less than half a turn.
-    """
-    raw = np.empty(len(scene))
-    sure = strength**2 / (strength**2 + (_SURE_ACROSS * float(np.mean(scene.magnitude_nt))) ** 2)
-    ends = np.append(scene.pauses[1:], len(scene))
-    last: tuple[float, float, float] | None = None
-    for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
-        time_s = scene.time_s[first:end] - scene.time_s[first]
-        local = _tracked(turn[first:end], time_s, rate, sure[first:end])
-        if last is not None:
-            expected = last[0] + last[1] * (scene.time_s[first] - last[2])
-            local += 2.0 * np.pi * np.round((expected - local[0]) / (2.0 * np.pi))
-        raw[first:end] = local
-        if end - first >= 10:
-            slope, level = np.polyfit(time_s, local, 1)
-            last = (float(level + slope * time_s[-1]), float(slope), float(scene.time_s[end - 1]))
-        else:
-            last = (float(local[-1]), rate if last is None else last[1], float(scene.time_s[end - 1]))
-    return raw, _smooth(scene, raw, strength, rate)
-
-
-def _tracked(turn: Array, time_s: Array, rate: float, sure: Array) -> Array:
-    """Unwrapped phase of one stretch: a running estimate of phase and rate, each sample within half a turn of it.
-
-    ``sure`` (n,), 0 to 1, is how far a sample counts: what is near the axis must not carry the estimate off by a turn.
-    """
-    angles = np.angle(turn).tolist()
-    times, weights = time_s.tolist(), sure.tolist()
-    phase, speed, usual_s = angles[0], rate, float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-    found = [phase]
-    for index in range(1, len(times)):
-        step = times[index] - times[index - 1]
-        expected = phase + speed * step
-        miss = (angles[index] - expected + np.pi) % (2.0 * np.pi) - np.pi
-        phase = expected + 0.25 * weights[index] * miss
-        # a direction's error grows by 1/s, its rate by 1/s^2; two stamps much closer than usual tell no rate
-        speed += 0.02 * weights[index] ** 2 * miss / max(step, usual_s)
-        found.append(expected + miss)
-    return np.array(found)
-
-
-def _smooth(scene: Scene, raw: Array, strength: Array, rate: float) -> Array:
-    """Least-squares line through knots some turns apart, in each stretch: slow changes of rate are kept."""
-    weight = strength / np.maximum(strength.max(), 1e-9)
-    trials = [_with_knots(scene, raw, weight, turns * 2.0 * np.pi / max(abs(rate), 1e-6)) for turns in _KNOT_TURNS]
-    misfits = [_rms((raw - trial) * weight) for trial in trials]
-    found = 0
-    for number, misfit in enumerate(misfits):
-        if misfit < _FOLLOWS * misfits[found]:
-            found = number
-    return trials[found]
-
-
-def _with_knots(scene: Scene, raw: Array, weight: Array, width_s: float) -> Array:
-    """The line through knots so far apart [s], in each stretch, for weights (n,)."""
-    smooth = np.empty_like(raw)
-    ends = np.append(scene.pauses[1:], len(scene))
-    for first, end in zip(scene.pauses.tolist(), ends.tolist(), strict=True):
-        time_s, values, heft = scene.time_s[first:end], raw[first:end], weight[first:end]
-        if end - first < 4:
-            smooth[first:end] = values
-            continue
-        count = int(np.clip((time_s[-1] - time_s[0]) / width_s, 1, 60)) + 1
-        count = min(count, (end - first) // 2)
-        slope, level = np.polyfit(time_s - time_s[0], values, 1)
-        line = level + slope * (time_s - time_s[0])
-        smooth[first:end] = line + _through_knots(time_s, values - line, heft, max(count, 2))
-    return smooth
-
-
-def _through_knots(time_s: Array, values: Array, weight: Array, count: int) -> Array:
-    """Weighted least-squares piecewise-linear curve with ``count`` even knots, at the samples (n,)."""
-    position = (time_s - time_s[0]) / max(time_s[-1] - time_s[0], 1e-9) * (count - 1)
-    left = np.minimum(position.astype(np.intp), count - 2)
-    share = position - left
-    design = np.zeros((len(time_s), count))
-    rows = np.arange(len(time_s))
-    design[rows, left] = 1.0 - share
-    design[rows, left + 1] = share
-    weighted = design * weight[:, None]
-    normal = weighted.T @ weighted + 1e-6 * np.eye(count)
-    knots = np.linalg.solve(normal, weighted.T @ (values * weight))
-    result: Array = design @ knots
-    return result
 
 
 def attitude_of(axis_body: Array, axis_eci: Array, phase: Array) -> Array:
