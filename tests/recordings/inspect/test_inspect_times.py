@@ -72,6 +72,18 @@ def test_another_epoch_is_asked_about(start: int, tmp_path: Path) -> None:
     assert ns_to_iso8601(start * SECOND)[:10] in finding.says
 
 
+@pytest.mark.parametrize(("declared", "written", "unit"), [("ms", "s", 1), ("us", "ms", 1000), ("ns", "s", 1)])
+def test_a_time_since_1970_in_another_unit_is_told_with_it(
+    declared: str, written: str, unit: int, tmp_path: Path
+) -> None:
+    """The year 1970 for the date of the log: the epoch was asked about, and a start for it."""
+    log = clean_log(Kind(time_format=f"unix_{declared}", step_s=10.0))
+    cells = [str(value * unit // SECOND) for value in log.time_ns.tolist()]
+    finding = log.at(log.time_ns, cells).found(tmp_path)[Code.TIME_EPOCH]
+    assert finding.remedy == f'check the unit of the times; if they are in {written}, write format = "unix_{written}"'
+    assert f"around 2025-03-01 if they are in {written}" in finding.says
+
+
 def test_rows_before_the_clock_was_set_are_left_out(tmp_path: Path) -> None:
     log = clean_log()
     times = log.time_ns.copy()
