@@ -191,7 +191,7 @@ def _least_unlisted(explained: Explained, index: int) -> float:
     levels = max((block.shape[0] for block in hypothesis.blocks if len(block.shape) > 1), default=1)
     jumps = levels if any(number.role == "instant" for number in hypothesis.nonlinear) else 1
     least = _LEAST_UNLISTED[not is_recorded(hypothesis)] * max(jumps - _FEW_LEVELS + 1, 1)
-    if _is_within_another(explained, index) or _share_an_orbit(fit, index) or _are_of_one_light(fit, index):
+    if _is_within_another(explained, index) or _share_an_orbit(fit, index) or _are_inferred_along(fit, index):
         least = max(least, _OF_A_FORM)
     if hypothesis.blocks and all(block.is_start for block in hypothesis.blocks):
         least = max(least, _OF_A_FORM)  # what settles, and follows no record, is as well any drift that relaxes
@@ -234,7 +234,7 @@ def _orbit_s(scene: Scene) -> float:
     return 2.0 * math.pi / kepler_rad_s(float(np.linalg.norm(place, axis=1).mean()))
 
 
-def _are_of_one_light(fit: Fit, index: int) -> bool:
+def _are_inferred_along(fit: Fit, index: int) -> bool:
     """Whether a name and one beside it are inferred and change the field along one line: one cause of another
     course is a sum of the two, as what follows a warmth's change is of warmth and light."""
     own = fit.terms[index]

@@ -69,20 +69,22 @@ class Request:
         parts = ["--craft", self.craft] if self.craft is not None else []
         return parts + (["--source", self.source] if self.source is not None else [])
 
-    def next_lines(self, diagnosis: Diagnosis) -> list[str]:
+    def onward(self, diagnosis: Diagnosis) -> tuple[str, ...]:
         """What to do with a result that may be acted on; none where it may not: its reasons hold their remedies."""
         if not diagnosis.trusted:
-            return []
+            return ()
         found, physics = diagnosis.verdict is not Verdict.NONE, self.out / PHYSICS
         given = physics if found else self.out / CALIBRATION
         commands = [] if found else [["calibrate", str(self.recording), *self._which, "--json", str(given)]]
         commands += [["apply", str(self.recording), *self._which, "--with", str(given)]]
         commands[-1] += ["--out", str(self.out / "vectors.csv")]
-        lines = [f"next: {shlex.join(['magcal', *commands[0]])}"]
-        lines += [f"      {shlex.join(['magcal', *command])}" for command in commands[1:]]
         if diagnosis.fit.terms or diagnosis.modelled is not None:
-            return [*lines, f"      {in_flight(physics)}"]
-        return [*lines, f"      {shlex.join(['magcal', 'export', str(given), '--format', 'c-header'])}"]
+            return (*map(_command_line, commands), in_flight(physics))
+        return tuple(map(_command_line, [*commands, ["export", str(given), "--format", "c-header"]]))
+
+
+def _command_line(command: list[str]) -> str:
+    return shlex.join(["magcal", *command])
 
 
 def in_flight(physics: Path) -> str:
@@ -102,12 +104,14 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """A diagnosis whose files are not written yet: their contents by name, and what was said of the recording."""
+    """A diagnosis whose files are not written yet: their contents by name, what was said of the recording, and what to
+    do next."""
 
     diagnosis: Diagnosis
     found: tuple[Entry, ...]
     contents: dict[str, str]
     lines: tuple[str, ...]
+    onward: tuple[str, ...]
 
 
 def run(request: Request, progress: Callable[[str], None]) -> Outcome:
@@ -126,7 +130,7 @@ def run(request: Request, progress: Callable[[str], None]) -> Outcome:
     made = _made(request, accepted, progress)
     files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
-    lines += request.next_lines(made.diagnosis)
+    lines += [f"{'      ' if number else 'next: '}{line}" for number, line in enumerate(made.onward)]
     lines += removed_line(request.out, earlier, files)
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 
@@ -159,14 +163,14 @@ def _made(request: Request, accepted: _Accepted, progress: Callable[[str], None]
     progress(WRITING)
     found = entries(diagnosis)
     content = as_json(diagnosis, found)
-    onward = tuple(line.removeprefix("next:").strip() for line in request.next_lines(diagnosis))
+    onward = request.onward(diagnosis)
     origin = replace(_origin(request, *recording.descriptor.files), onward=onward)
     contents = {
         DIAGNOSIS: content,
         REPORT: report(diagnosis, found, content, origin),
         PHYSICS: write_model(diagnosis, found, recording.name, recording.of_craft or ""),
     }
-    return Made(diagnosis, found, contents, (*recording.report.lines(), *inspection.lines()))
+    return Made(diagnosis, found, contents, (*recording.report.lines(), *inspection.lines()), onward)
 
 
 def _origin(request: Request, *files: Path) -> Origin:

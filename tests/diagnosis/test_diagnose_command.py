@@ -314,6 +314,6 @@ def test_what_compensates_nothing_is_no_file_for_the_flight(terms: tuple[object,
     named = SimpleNamespace(
         trusted=True, verdict=Verdict.NAMED, fit=SimpleNamespace(terms=terms), modelled=modelled, command=""
     )
-    last = Request(Path("log.toml"), Path("out")).next_lines(named)[-1].strip()  # type: ignore[arg-type]
+    last = Request(Path("log.toml"), Path("out")).onward(named)[-1]  # type: ignore[arg-type]
     in_flight = bool(terms) or modelled is not None
     assert last.startswith("in flight: physics = " if in_flight else "magcal export out/physics.toml")

@@ -19,7 +19,6 @@ from magcal_service.diagnosis.problem import Fit, Problem, Term, free_numbers
 from magcal_service.diagnosis.screen import ACCEPTED_NATS
 from magcal_service.diagnosis.squares import held_out_nt2
 from magcal_service.model import Array
-from magcal_service.physics.interface import Hypothesis
 
 SURE_DIFFERENCE: Final = 0.01
 """Probability below which a difference between a recording and the others is no chance."""
@@ -155,19 +154,20 @@ class Predicted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """Every recording's own fit, and what the others say of it."""
+    """Every recording's own fit, and what the others say of it; of each term, the least that common numbers hold."""
 
     own: tuple[Fit, ...]
     shared: tuple[Shared, ...]
     predicted: tuple[Predicted, ...]
+    least: tuple[float, ...]
 
-    def is_common(self, index: int, form: Hypothesis) -> bool:
+    def is_common(self, index: int) -> bool:
         """Whether a term's numbers are the same in all recordings, as far as they show it.
 
         Either they differ by no more than chance, or the others' numbers do most of what the recordings' own would: no
-        model is so exact that they would not differ, but what is common predicts.  ``form``: of the term.
+        model is so exact that they would not differ, but what is common predicts.
         """
-        return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= common_share(form)
+        return all(one.agrees for one in self.shared if one.index == index) or self.kept(index) >= self.least[index]
 
     def spread(self, index: int, parameter: str) -> float:
         """Times its own sigma by which a number of a term differs between recordings; 1 where it is each one's own."""
@@ -207,7 +207,8 @@ class Apart:
         others = [self._refitted([k for k in every if k != number]) for number in every]
         shared = _shared(self.fit, own, others, self.names)
         predicted = [self._predicted(number, own[number], others[number]) for number in every]
-        return Compared(tuple(own), tuple(shared), tuple(predicted))
+        least = tuple(common_share(term.hypothesis) for term in self.fit.terms)
+        return Compared(tuple(own), tuple(shared), tuple(predicted), least)
 
     def _refitted(
         self,

@@ -298,9 +298,7 @@ class _Run:
         for _ in range(len(explained.fit.terms) + 1):
             compared = self._apart(explained.fit).compared()
             apart = [
-                k
-                for k, term in enumerate(explained.fit.terms)
-                if joint(term).common and not compared.is_common(k, term.hypothesis)
+                k for k, term in enumerate(explained.fit.terms) if joint(term).common and not compared.is_common(k)
             ]
             if not apart:
                 break

@@ -258,7 +258,7 @@ def agreement(diagnosis: JointDiagnosis, one: Shared) -> str:
     by_chance = f"the largest difference comes by chance in {percent(one.probability)}"
     if one.agrees:
         return f"shared ({by_chance})"
-    if not diagnosis.compared.is_common(one.index, diagnosis.fit.terms[one.index].hypothesis):
+    if not diagnosis.compared.is_common(one.index):
         return f"not shared ({by_chance})"
     return (
         f"shared, but the recordings differ by more than their sigma ({by_chance}); the others' numbers do "

@@ -80,7 +80,6 @@ def sigma_of(values: Array, step: float) -> float:
 def _find(view: View) -> Finding | None:
     field = view.scene.field_nt
     steps = np.array([step_of(field[:, axis]) for axis in range(3)])
-    sigmas = np.array([sigma_of(field[:, axis], float(one)) for axis, one in enumerate(steps)])
     step = float(steps.max())
     if step < _LEAST_SIGMAS * view.noise_nt:
         return None
@@ -89,6 +88,7 @@ def _find(view: View) -> Finding | None:
     if detectability < _LEAST_DETECTABILITY:
         return None
     share = min(1.0, own_nt**2 / max(float(np.mean(view.residual_nt**2)), 1e-12))
+    sigmas = np.array([sigma_of(field[:, axis], float(one)) for axis, one in enumerate(steps)])
     parameters = {
         "lsb_nt": value_of(step, sigmas[int(np.argmax(steps))], "nT"),
         "lsb_by_axis_nt": value_of(steps, sigmas, "nT"),

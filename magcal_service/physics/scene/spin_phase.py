@@ -21,7 +21,7 @@ _SURE_ACROSS: Final = 0.2
 near the axis a degree of error in the reference, as of coefficients 15 years old, turns the direction round it."""
 
 
-def phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array | None, Array | None]:
+def phases(scene: Scene, turn: Array, strength: Array, rate: float) -> tuple[Array, Array]:
     """Raw and smoothed phases (n,): local straight lines carried from stretch to stretch, then a spline through knots.
 
     Each stretch is unwrapped by itself, relative to its mean rate; over a gap the phase is carried on at the rate

@@ -139,8 +139,6 @@ def turn_alone(scene: Scene, axis_body: Array, nominal_rate_rad_s: float | None)
     if rate is None:
         return None
     raw, smooth = phases(scene, turn, strength, rate)
-    if raw is None or smooth is None:
-        return None
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     return Turn(axis_body, smooth, raw, mean_rate, strength, 2.0 * ORBITAL_RATE_RAD_S)
 
@@ -205,8 +203,6 @@ def _about(
         axis_body, axis_eci, turn, rate = -axis_body, -axis_eci, np.conj(turn), -rate
         misfit = -misfit
     raw, smooth = phases(scene, turn, strength, rate)
-    if raw is None or smooth is None:
-        return None
     attitude = attitude_of(axis_body, axis_eci, smooth)
     mean_rate = float(np.polyfit(scene.time_s, smooth, 1)[0])
     lever = float(np.quantile(np.abs(reference @ axis_eci) / np.maximum(strength, 1e-9), _MOST_OF_IT))

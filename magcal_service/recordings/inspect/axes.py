@@ -135,10 +135,8 @@ def axes_changed(log: Log) -> Iterator[Seen]:
             break
     if changes:
         rows = log.rows[(from_s <= log.time_s) & (log.time_s < until_s)]
-        says = (
-            f"against the rows before, for {len(rows)} rows axes look as if {any_of(changes)}: the vector jumps, and "
-        )
-        says += "goes on as it did"
+        says = f"against the rows before, for {len(rows)} rows axes look as if {any_of(changes)}: "
+        says += "the vector jumps, and goes on as it did"
         yield Seen(Code.AXES_CHANGED, False, rows, says, "diagnose these rows and the others each by themselves")
 
 

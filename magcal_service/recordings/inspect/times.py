@@ -39,8 +39,6 @@ _EPOCHS: Final = (
 _YEARS: Final = (2006, 2036)
 """UTC that small satellites fly in; GPS week counters rolled over in 1999 and 2019."""
 
-_PER_S: Final = {"s": 1, "ms": 1000, "us": 1_000_000, "ns": 1_000_000_000}
-
 _YEAR_S: Final = 31_556_952
 """Mean length of a year of the calendar, 365.2425 days [s]."""
 
@@ -108,25 +106,24 @@ def time_epoch(log: Log) -> Iterator[Seen]:
     if abs(middle) < 8 * 86_400 * _NS:
         guess = "; are they seconds since the start, of the day or of the week?"
     says = f"the times lie around {ns_to_iso8601(middle)[:10]}"
-    unit, other_ns = _other_unit(log.recording.descriptor.time.format, middle)
-    if unit:
+    other, other_ns = _in_another_unit(log.recording.descriptor.time.format, middle)
+    if other is not None:
+        unit = other.value.removeprefix("unix_")
         says += f", and around {ns_to_iso8601(other_ns)[:10]} if they are in {unit}"
-        remedy = f'check the unit of the times; if they are in {unit}, write format = "unix_{unit}"'
+        remedy = f'check the unit of the times; if they are in {unit}, write format = "{other}"'
         yield Seen(Code.TIME_EPOCH, False, log.rows, says, remedy)
         return
     remedy = f'check the epoch of the times{guess} with format = "elapsed_s", start says what instant their zero is'
     yield Seen(Code.TIME_EPOCH, False, log.rows, says, remedy)
 
 
-def _other_unit(form: TimeFormat, time_ns: int) -> tuple[str, int]:
-    """The unit in which a time since 1970 lies in these years, and that time [ns]; empty where there is none."""
-    if form.kind == "unix":
-        declared = form.value.partition("_")[2]
-        for unit, per_s in _PER_S.items():
-            other_ns = time_ns * _PER_S[declared] // per_s
-            if _YEARS[0] <= _year(other_ns) < _YEARS[1]:
-                return unit, other_ns
-    return "", 0
+def _in_another_unit(form: TimeFormat, time_ns: int) -> tuple[TimeFormat | None, int]:
+    """The format by which a time since 1970 lies in these years, and that time [ns]; None where there is none."""
+    for other in (one for one in TimeFormat if one.kind == form.kind == "unix"):
+        other_ns = time_ns * 10**other.decimals // 10**form.decimals
+        if _YEARS[0] <= _year(other_ns) < _YEARS[1]:
+            return other, other_ns
+    return None, 0
 
 
 def _clock_not_set(log: Log) -> Iterator[Seen]:
