@@ -100,12 +100,14 @@ def _through_knots(time_s: Array, values: Array, weight: Array, count: int) -> A
     position = (time_s - time_s[0]) / max(time_s[-1] - time_s[0], 1e-9) * (count - 1)
     left = np.minimum(position.astype(np.intp), count - 2)
     share = position - left
-    design = np.zeros((len(time_s), count))
-    rows = np.arange(len(time_s))
-    design[rows, left] = 1.0 - share
-    design[rows, left + 1] = share
-    weighted = design * weight[:, None]
-    normal = weighted.T @ weighted + 1e-6 * np.eye(count)
-    knots = np.linalg.solve(normal, weighted.T @ (values * weight))
-    result: Array = design @ knots
+    near, far, squares = 1.0 - share, share, weight**2
+
+    def summed(at_left: Array, at_right: Array) -> Array:
+        """(count,) sums over the samples on either side of each knot."""
+        return np.asarray(np.bincount(left, at_left, count) + np.bincount(left + 1, at_right, count), np.float64)
+
+    beside = np.bincount(left, squares * near * far, count)[: count - 1]
+    normal = np.diag(summed(squares * near**2, squares * far**2) + 1e-6) + np.diag(beside, 1) + np.diag(beside, -1)
+    knots = np.linalg.solve(normal, summed(squares * near * values, squares * far * values))
+    result: Array = near * knots[left] + far * knots[left + 1]
     return result
