@@ -57,6 +57,10 @@ cost evidence by their number.
 
 _COLUMNS_AT_ONCE: Final = 54  # made, or made white, together: those of a line's courses would be 46 MB at 20 000 rows
 
+_FAINT: Final = 0.02
+"""Of the square of what a whitening leaves, up to which a family may be a part of the noise's memory: a seventh of its
+size.  Of 1 / f noise that remembers for minutes the coefficients of some hours leave 0.005 to 0.011."""
+
 _MOST_TRANSIENTS: Final = 40
 """Stretches in one family; choice: 40 of 90 s are an hour, and what fills half of a recording is no transient."""
 
@@ -221,10 +225,26 @@ def with_courses(search: Search, fit: Fit, found: list[Structure], floor_nt: flo
     beside, sigma = _beside(search, fit, floor_nt)
     cost = math.log(len(found) + 3.0)
     followed = _following(beside, sigma, strongest_signal(search, fit, floor_nt))
+    blocks = _blocks(beside, sigma)
+    if blocks is not None and len(search.whitening):
+        remembered = max(of_every_axis(blocks), 0.0)
+        faint = _FAINT * sigma**2 * beside.space.count
+        found = [replace(one, nats=one.nats - remembered) if one.squares < faint else one for one in found]
     return sorted(
-        [*found, *_sweeping(beside, sigma, cost), *_wandering(beside, sigma, cost), *followed],
+        [*found, *_sweeping(beside, sigma, cost), *_wandering(beside, blocks, sigma, cost), *followed],
         key=lambda structure: -structure.nats,
     )
+
+
+def _blocks(beside: _Beside, sigma: float) -> Blocks | None:
+    """What short blocks of a residual say of a field fixed in the body; None of a recording too short for them."""
+    search, problem = beside.search, beside.search.problem
+    first = first_samples(problem.scene)
+    if not len(first):
+        return None
+    rows = search.seen(along_axes(np.ones(len(problem.scene))), beside.fit)
+    sums = beside.space.clipped(_TAIL * sigma).segments(rows, problem.rows_per_sample * first)
+    return Blocks.of(problem.scene, first, rows, sums, sigma)
 
 
 def _sweeping(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure]:
@@ -239,17 +259,11 @@ def _sweeping(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure]
         yield _structure(shape, beside.products(shape), beside, sigma, cost + one.cost)
 
 
-def _wandering(beside: _Beside, sigma: float, cost: float) -> Iterator[Structure]:
+def _wandering(beside: _Beside, blocks: Blocks | None, sigma: float, cost: float) -> Iterator[Structure]:
     """A course at no regular times along one direction: between two levels, where it rather is, or any."""
     search, problem = beside.search, beside.search.problem
-    first = first_samples(problem.scene)
-    if not len(first):
-        return
-    rows = search.seen(along_axes(np.ones(len(problem.scene))), beside.fit)
-    sums = beside.space.clipped(_TAIL * sigma).segments(rows, problem.rows_per_sample * first)
-    blocks = Blocks.of(problem.scene, first, rows, sums, sigma)
-    course = wandering(blocks)
-    if course.nats < SIGNIFICANT_NATS:
+    course = None if blocks is None else wandering(blocks)
+    if blocks is None or course is None or course.nats < SIGNIFICANT_NATS:
         return
     levels = two_levels(blocks, course.direction)
     if len(search.whitening) and of_every_axis(blocks) > max(course.nats, levels.nats):

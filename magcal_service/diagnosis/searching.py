@@ -41,6 +41,10 @@ _LONGEST_MEMORY: Final = 20.0
 """Samples over which noise may remember itself: a correlation of 0.9 from one to the next.  What lasts longer is
 structure, until physics and shapes without a name have had their turn."""
 
+_MOST_LASTS: Final = 0.5
+"""Share of what lasts from sample to sample, from which on names leave the most of it: they hardly explain what is
+there, and change its looks."""
+
 _MUCH_WORSE: Final = 1.2
 """Times what magnitudes are left with, or the noise, from which on whole vectors are doubted: a sound attitude leaves
 the same to a few per cent."""
@@ -202,14 +206,17 @@ def _settled(prepared: Prepared, problem: Problem) -> Prepared:
 def with_memory(prepared: Prepared, search: Search, explained: Explained, progress: Progress) -> End:
     """What stands, on a residual whitened by the memory of its noise where it has one.
 
-    It is not whitened where a recorded driver would go with it, or where it follows a channel in spite of it: what the
-    blocks bear out of a record is no noise.
+    The memory is that beside the names; where those leave the most of what lasts, and that is none, beside the nine
+    errors alone.  It is not whitened where a recorded driver would go with it, or where it follows a channel in spite
+    of it: what the blocks bear out of a record is no noise.
     """
     problem, baseline = prepared.problem, prepared.baseline
     floor = FLOOR * problem.noise_nt
     phase = None if prepared.spin is None else prepared.spin.phase_rad
     lower = LOWER * floor
     quiet = quieted(prepared, search, problem, explained.fit, lower)
+    if quiet is None and explained.fit.terms and Rest.of(baseline, explained.fit).share > _MOST_LASTS:
+        quiet = quieted(prepared, search, problem, baseline, lower)
     if quiet is None:
         return End(search, *_standing(search, baseline, explained, phase, floor), floor, np.zeros(0))
     again = quiet.run(quiet.recorded_first(explained.fit, baseline, lower), lower, progress)
