@@ -197,7 +197,8 @@ def _least_unlisted(explained: Explained, index: int) -> float:
         least = max(least, _OF_A_FORM)  # what settles, and follows no record, is as well any drift that relaxes
     if not foretells(fit, index):
         least = max(least, _NOT_FORETOLD)
-    if explained.has_memory and hypothesis.by_samples:
+    of_memory = not is_recorded(hypothesis) and any(term.hypothesis.by_samples for term in fit.terms)
+    if explained.has_memory and of_memory:  # what stands beside such a form stands with it
         least = max(least, _OF_A_MEMORY)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
     return max(least, _ONE_WAVE) if is_part else least
