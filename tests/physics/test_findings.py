@@ -178,6 +178,19 @@ def test_a_rate_that_changes_is_told_at_the_start_with_its_change() -> None:
     assert found.nats > 1000.0
 
 
+@pytest.mark.parametrize("time_constant_s", [900.0, 3000.0])
+@pytest.mark.parametrize("stated", [0.8, 0.5])
+def test_a_rate_that_dies_away_is_told_at_the_start(time_constant_s: float, stated: float) -> None:
+    """As eddy currents take it, by one exponential: a parabola through the whole said -1.4 +- 3.4 rpm."""
+    phase = 0.8 * time_constant_s * -np.expm1(-TIME_S / time_constant_s)
+    found = spun(turned(phase), stated / RPM)
+    assert found is not None
+    for name, truth in (("rate_rpm", 0.8 / RPM), ("rate_rpm_per_s", -0.8 / time_constant_s / RPM)):
+        value = found.parameters[name]
+        assert float(value.value) == pytest.approx(truth, abs=3.0 * float(value.sigma)), name
+        assert float(value.sigma) < 0.05 * abs(truth), name
+
+
 @pytest.mark.parametrize(("bend_deg", "found"), [(2.8, False), (3.2, True)])
 def test_a_bend_counts_from_three_degrees_on_and_beyond_what_the_direction_may_turn(
     bend_deg: float, found: bool

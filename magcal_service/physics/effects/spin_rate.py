@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +22,14 @@ _LEAST_BEND_RAD: Final = math.radians(3.0)
 
 _LEAST_SHARE: Final = 0.001
 """Least difference from the stated rate that is one; choice: a rate is stated to three digits at best."""
+
+_MOST_BENT: Final = 7
+"""Order of the phase's polynomial at the most: of a rate that dies away to a twentieth it leaves 0.02 % at the start,
+and its columns still keep five digits."""
+
+_BACK: Final = 0.05
+"""Of all that a rate changes, what it may go back again where one torque takes it: what a polynomial of this order is
+off by at its ends.  What goes back and forth is no torque's, and may be the direction that a phase is counted from."""
 
 _SIGMAS: Final = 5.0
 """Sigmas of the rate that a difference has to have: by chance once in 2 million."""
@@ -46,7 +56,8 @@ def _find(view: View) -> Finding | None:
     time_s = scene.time_s - scene.time_s[0]
     span = max(float(time_s[-1]), 1.0)
     sigma = view.noise_nt / np.maximum(turn.across_nt, 1e-3 * scene.magnitude_nt)
-    line, curve, cubic = (_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in (1, 2, 3))
+    orders = [_fitted(turn.raw_phase_rad, time_s / span, sigma, order) for order in range(1, _MOST_BENT + 1)]
+    line, curve = orders[:2]
     scatter = max(1.0, float(np.mean(curve.left**2)))
     bend = abs(float(curve.values[2])) / 4.0
     # what the direction may bend that the phase is counted from, and what the axis bends where it is off
@@ -63,11 +74,14 @@ def _find(view: View) -> Finding | None:
     other = nominal is not None and abs(turn.rate_rad_s - nominal) > allowed
     if not drifting and not other:
         return None
-    sigmas = np.sqrt(np.diagonal(curve.covariance) * scatter)
-    # a rate that does not change evenly: what one order more says otherwise, and the turn of the direction itself
+    # beneath what the direction bends nothing is the rate's
+    curve, more = _as_bent(orders[1:]) if float(np.std(curve.left * sigma)) > drifted else orders[1:3]
+    sigmas = np.sqrt(np.diagonal(curve.covariance) * max(1.0, float(np.mean(curve.left**2))))
+    # what one order more says otherwise, and the turn of the direction itself
     bent = turn.bent_rad  # at one end of three and at another, so once for a rate and twice for its change
-    rate_sigma = math.hypot(sigmas[1], float(cubic.values[1] - curve.values[1]), 0.5 * turn.drift_rad_s * span, bent)
-    change_sigma = math.hypot(sigmas[2], 1.5 * float(cubic.values[3]), 0.25 * turn.drift_rad_s * span, 2.0 * bent)
+    otherwise = more.values[:3] - curve.values[:3]
+    rate_sigma = math.hypot(sigmas[1], float(otherwise[1]), 0.5 * turn.drift_rad_s * span, bent)
+    change_sigma = math.hypot(sigmas[2], float(otherwise[2]), 0.25 * turn.drift_rad_s * span, 2.0 * bent)
     start_rad_s = float(curve.values[1]) / span
     differs = nominal is not None and abs(start_rad_s - nominal) > _STANDS_OUT * rate_sigma / span
     if not differs and abs(float(curve.values[2])) < _STANDS_OUT * change_sigma:
@@ -94,6 +108,24 @@ class _Fitted(NamedTuple):
     covariance: Array
 
 
+def _as_bent(orders: Sequence[_Fitted]) -> tuple[_Fitted, _Fitted]:
+    """The polynomial of the least order that the next one gains no evidence over, and that next one; of the rate that
+    goes back and forth the first two, which disagree by that."""
+    scatter = max(1.0, float(np.mean(orders[-1].left ** 2)))
+    for one, more in itertools.pairwise(orders):
+        gain = 0.5 * (float(one.left @ one.left) - float(more.left @ more.left)) / scatter
+        if gain - math.log(len(one.left)) < _LEAST_NATS or more is orders[-1]:
+            return (one, more) if _is_one_way(one) else (orders[0], orders[1])
+    raise AssertionError("the last pair is taken")
+
+
+def _is_one_way(fitted: _Fitted) -> bool:
+    """Whether a phase's rate changes in one sense."""
+    slope = np.polynomial.Polynomial(fitted.values).deriv()
+    steps = np.diff(slope(np.linspace(0.0, 1.0, 41)))
+    return float(min(np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum())) <= _BACK * float(np.abs(steps).sum())
+
+
 def _fitted(phase_rad: Array, share: Array, sigma_rad: Array, order: int) -> _Fitted:
     weight = 1.0 / np.maximum(sigma_rad, 1e-6)
     design = np.vander(share, order + 1, increasing=True) * weight[:, None]
@@ -105,7 +137,7 @@ EFFECT = Effect(
     name="spin_rate",
     acts_on=ActsOn.ATTITUDE,
     title="the spin rate is not what was assumed, or changes",
-    equation="phase = phase_0 + rate t + change t^2 / 2, from the part of the field across the axis",
+    equation="phase = phase_0 + rate t + change t^2 / 2 (+ t^3 .. t^7 where uneven), from the field across the axis",
     units={"rate_rpm": "rpm", "rate_rpm_per_s": "rpm/s", "nominal_rpm": "rpm"},
     prior=(10.0, 50000.0),
     valid="turn about one axis; the rate changes smoothly; seen in the vectors, never in their magnitude",
