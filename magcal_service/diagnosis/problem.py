@@ -326,8 +326,14 @@ class Fit:
 
 
 def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
-    """(k,) inverse prior variances of a term's amplitudes: what cancels could be of any size otherwise."""
-    return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2)
+    """(k,) inverse prior variances of a term's amplitudes: what cancels, or hardly acts, could be of any size otherwise.
+
+    By the largest field that an effect makes, and by what one amplitude is at the most: evenly spread up to there, it
+    has a third of its square for a variance.
+    """
+    blocks = term.hypothesis.blocks
+    most = np.repeat([block.most for block in blocks], [block.size for block in blocks])
+    return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2 + 3.0 / most**2)
 
 
 def disturbances(terms: Sequence[Term], scene: Scene, made: Sequence[Columns] = ()) -> tuple[Array, Array]:

@@ -169,9 +169,9 @@ class JointProblem(Problem):
         largest, found = self.largest(term.hypothesis), []
         for block in term.hypothesis.blocks:
             at_full_nt = largest if block.unit == "nT" else np.inf  # of a signal that is 1 at its fullest
-            found.append(np.full(block.size, min(block.most, at_full_nt) ** -2.0))
-        rms = amplitude_tie(self, term, term.hypothesis.columns(term.theta))
-        return np.asarray(self.dispersion * np.maximum(rms, np.concatenate([*found, np.zeros(0)])))
+            found.append(np.full(block.size, at_full_nt**-2.0))
+        own = amplitude_tie(self, term, term.hypothesis.columns(term.theta))
+        return np.asarray(self.dispersion * np.maximum(own, np.concatenate([*found, np.zeros(0)])))
 
     def fits(self, x: Array, terms: Sequence[Term], derivatives: bool = True) -> list[Fit]:
         """Each recording's own residual and derivatives at given unknowns of all."""
