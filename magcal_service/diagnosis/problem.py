@@ -326,7 +326,7 @@ class Fit:
 
 
 def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
-    """(k,) inverse prior variances of a term's amplitudes: what cancels, or hardly acts, could be of any size otherwise.
+    """(k,) inverse prior variances of a term's amplitudes: what cancels or hardly acts could be of any size else.
 
     By the largest field that an effect makes, and by what one amplitude is at the most: evenly spread up to there, it
     has a third of its square for a variance.
