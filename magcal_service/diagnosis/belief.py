@@ -139,7 +139,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
 
 def _slow_odds(explained: Explained, index: int) -> float:
     """Odds of a change over minutes against a term's jump; 0 where it is none."""
-    return _SLOW_ODDS * sum(explained.slower[index : index + 1])
+    return 0.0 if explained.slower is None else _SLOW_ODDS * explained.slower.likelihoods[index]
 
 
 def _may_be_slow(explained: Explained, index: int) -> bool:

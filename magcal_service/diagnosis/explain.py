@@ -23,7 +23,7 @@ from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hy
 from magcal_service.diagnosis.solution import exchanged, solve
 from magcal_service.diagnosis.squares import held_out_nt2, inside_nt2
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
-from magcal_service.diagnosis.sudden import slower
+from magcal_service.diagnosis.sudden import Slower
 from magcal_service.model import Array
 from magcal_service.physics.interface import Hypothesis
 from magcal_service.physics.scene.vectors import Vectors
@@ -66,7 +66,7 @@ class Explained:
     gains: for each term, what it gains over the blocks.
     drivers: for each term, its own effect by each driver, at its best, best first.
     courses: for each term, whether another course of its effect, of other numbers, holds nearly as much.
-    slower: for each term, likelihood of a change over minutes beside that of its jump; 0 where it is none.
+    slower: changes over minutes instead of the terms' jumps; None without terms.
     has_memory: whether the noise that they are held against has one.
     shaped_nats, lasting_nats: what is seen beside all of them and has no name: in a shape of its own, and lasting.
     """
@@ -77,7 +77,7 @@ class Explained:
     gains: tuple[Gain, ...] = ()
     drivers: tuple[tuple[Candidate, ...], ...] = ()
     courses: tuple[bool, ...] = ()
-    slower: tuple[float, ...] = ()
+    slower: Slower | None = None
     has_memory: bool = False
     shaped_nats: float = 0.0
     lasting_nats: float = 0.0
@@ -361,7 +361,7 @@ class Search(Screen):
         courses = tuple(
             has_other_course(term, ranked, CLASS_NATS) for term, ranked in zip(fit.terms, rivals, strict=True)
         )
-        slow = tuple(slower(self, fit, k, one, sigma * gains[k].dispersion ** 0.5) for k, one in enumerate(spaces))
+        slow = Slower(replace(self), fit, [sigma * gain.dispersion**0.5 for gain in gains])
         return Explained(fit, best, tuple(nats), tuple(gains), self._drivers(fit, rivals), courses, slow)
 
     def _drivers(self, fit: Fit, rivals: Sequence[Sequence[Candidate]]) -> tuple[tuple[Candidate, ...], ...]:

@@ -11,7 +11,9 @@ fitted in the jump's place, and its likelihood is that of the solution.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -47,6 +49,31 @@ first; choice: less moves no probability by more than a fortieth."""
 _NEARER: Final = 2
 """Times that the way is halved by which the middle of a slow change is moved to find where its solution leaves least:
 half of its length, then a quarter."""
+
+
+@dataclass(eq=False)
+class Slower:
+    """Likelihoods of changes over minutes over the jumps of a fit, worked out once they are asked for: of most fits on
+    the way they are not.
+
+    Parameters
+    ----------
+    search: where it stood at the fit, of its own; ``fit``: with the jumps.
+    sigmas_nt: for each term, the noise that evidence is counted in [nT].
+    """
+
+    search: Screen
+    fit: Fit
+    sigmas_nt: Sequence[float]
+
+    @cached_property
+    def likelihoods(self) -> tuple[float, ...]:
+        """For each term, as ``slower`` has it."""
+        search = replace(self.search)  # what it makes for this is not kept
+        return tuple(
+            slower(search, self.fit, index, search.workspace(self.fit, index), sigma_nt)
+            for index, sigma_nt in enumerate(self.sigmas_nt)
+        )
 
 
 def slower(search: Screen, fit: Fit, index: int, space: Workspace, sigma_nt: float) -> float:

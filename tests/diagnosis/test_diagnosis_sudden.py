@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import optimize
 
+from magcal_service.diagnosis import sudden as changes
 from magcal_service.diagnosis.belief import posterior, unlisted
 from magcal_service.diagnosis.blocks import Gain
 from magcal_service.diagnosis.doubts import SURE
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.solution import solve
-from magcal_service.diagnosis.sudden import _jointly, slower
+from magcal_service.diagnosis.sudden import Slower, _jointly, slower
 from magcal_service.model import Array, calibrate, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.interface import Hypothesis
@@ -81,11 +84,22 @@ def test_its_likelihood_is_that_of_every_change_fitted_alone() -> None:
 @pytest.mark.parametrize(("size", "is_sure"), [(1.0, True), (0.1, False)])
 def test_a_jump_too_faint_to_be_seen_as_sudden_is_not_sure(size: float, is_sure: bool) -> None:
     slow, fit = likelihood(1e-3, size), jump(1e-3, size)[1]
-    named = Explained(fit, ((),), (100.0,), (Gain(100.0, 1.0, 10, 10),), slower=(slow,))
+    told: Any = SimpleNamespace(likelihoods=(slow,))
+    named = Explained(fit, ((),), (100.0,), (Gain(100.0, 1.0, 10, 10),), slower=told)
     believed = posterior(named, 0)
     assert (believed.own >= SURE) is is_sure
     assert believed.members == (("bias_step",) if is_sure else ("bias_step", "unknown"))
     assert unlisted(named, 0) == ("" if is_sure else "a drift over minutes by a cause in no catalogue")
+
+
+def test_slow_changes_are_worked_out_once_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(changes, "slower", lambda *arguments: asked.append(arguments[2]) or 0.5)
+    search, fit = jump(1e-3, 1.0)
+    lazy = Slower(search, fit, [fit.white_rms_nt])
+    assert asked == []
+    assert lazy.likelihoods == lazy.likelihoods == (0.5,)
+    assert asked == [0]
 
 
 def test_a_slow_change_that_comes_near_to_first_order_counts_as_it_does_by_a_joint_solution() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -207,7 +209,8 @@ def test_a_cause_in_no_catalogue_that_is_clearly_likelier_leaves_no_name(lasting
     """By what lasts beside a hundred nats; an even chance leaves the name, and so does a slow change of the same."""
     named = replace(explained([]), lasting_nats=lasting)
     assert are_rather_unlisted(named) is rather
-    assert not are_rather_unlisted(replace(named, slower=(6.0,)))
+    slow: Any = SimpleNamespace(likelihoods=(6.0,))
+    assert not are_rather_unlisted(replace(named, slower=slow))
     assert not are_rather_unlisted(Explained(fits()[0]))
 
 
