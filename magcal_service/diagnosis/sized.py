@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.term_columns import amplitude_columns
+from magcal_service.model import Array
 from magcal_service.physics.drivers.loads import jumps_along
 
 _OF_ITS_SIGMA: Final = 3.0
@@ -37,12 +39,14 @@ def has_size(fit: Fit, index: int) -> bool:
 
 def may_as_well_be(fit: Fit, index: int) -> tuple[str, ...]:
     """Effects that a term may as well be, by its form: those that act exactly so, and those that are met by what
-    completes its form, where nothing else of it stands out, or where a recorded current jumps along."""
+    completes its form, where nothing else of it stands out, where a recorded current jumps along, or where what would
+    tell them apart is not seen."""
     hypothesis = fit.terms[index].hypothesis
     completed = hypothesis.if_completed and not _stands_out(fit, index)
     each = fit.problem.acting(fit.terms[index])
     along = hypothesis.if_along and any(jumps_along(part.scene, own.theta) for part, own in each)
-    others = (*(hypothesis.if_completed if completed else ()), *(hypothesis.if_along if along else ()))
+    alike = [effect for effect, weights in hypothesis.if_none if _are_none(fit, index, weights)]
+    others = (*(hypothesis.if_completed if completed else ()), *(hypothesis.if_along if along else ()), *alike)
     return tuple(dict.fromkeys((*hypothesis.exactly_alike, *others)))
 
 
@@ -52,6 +56,14 @@ def _stands_out(fit: Fit, index: int) -> bool:
     own = np.repeat([not block.completes for block in blocks], [block.size for block in blocks])
     sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance)[amplitude_columns(fit, index)], 1e-300))
     return bool(np.max((np.abs(fit.terms[index].amplitudes) / sigma)[own]) >= _OF_ITS_SIGMA)
+
+
+def _are_none(fit: Fit, index: int, weights: Array) -> bool:
+    """Whether sums (c,) of a term's amplitudes hold less evidence than so many numbers cost."""
+    own = amplitude_columns(fit, index)
+    sums = weights @ fit.terms[index].amplitudes
+    chi2 = float(sums @ np.linalg.pinv(weights @ fit.covariance[own, own] @ weights.T) @ sums)
+    return chi2 <= len(sums) * math.log(len(fit.residual))
 
 
 def _at_an_end(term: Term) -> bool:

@@ -138,14 +138,12 @@ class Hypothesis:
     odds: natural logarithm of the prior odds against the plain form.
     largest_nt: rms that this form may have at most [nT], where that is less than the effect's.
     least_nt: rms that this form has at least [nT], whatever its numbers: a small residual rules it out.
-    is_free: whether no recorded or computed driver holds its shape, so that it can follow what is not its own: it has
-        to be likelier than a family without a name.
+    is_free: whether no driver holds its shape, so that it can follow anything: it has to beat families without a name.
     by_samples: whether it acts by how the samples follow one another, as noise with a memory does.
     is_whole: whether its one amplitude is 1 by its physics: a shift that takes part of a shifted field is none.
     proposals: from sums over the residual, and the grids (m) that are tried for it, to nonlinear numbers (q, m) worth
         trying; None: the grids' combinations are.
-    refines: label of the form that it adds a number to: it is tried only where that one comes near the best; empty:
-        always.
+    refines: label of the form that it adds a number to: tried only where that comes near the best; empty: always.
     in_place: whether it only takes the place of a form that was found, as it does better there; never one effect more.
     at_once: effect of the same change at an instant, for one that takes a while.
     as_well: other effects that act exactly so, and are met as often: the field alone never tells them apart.
@@ -154,6 +152,7 @@ class Hypothesis:
     inexact: of its evidence, what its form leaves for others to take, as where its course is guessed.
     if_completed: other effects that it may as well be where only blocks that complete its form stand out.
     if_along: other effects that a jump may as well be where a record jumps along with it.
+    if_none: effects that it may as well be where sums of amplitudes, by rows (c, k) of weights, are not seen.
     samples_in: from its nonlinear numbers (m,) to how many samples see a change over a while come about; None: it is
         none.
     moves_s: from its amplitudes (k,) to how far along the recording's course it moves the reference [s], one number or
@@ -183,6 +182,7 @@ class Hypothesis:
     inexact: float = 0.0
     if_completed: tuple[str, ...] = ()
     if_along: tuple[str, ...] = ()
+    if_none: tuple[tuple[str, Array], ...] = ()
     samples_in: Callable[[Array], int] | None = None
     moves_s: Callable[[Array], Array | float] | None = None
 

@@ -14,6 +14,8 @@ from magcal_service.physics.held import Form, HeldAt
 from magcal_service.physics.interface import START, Block, Hypothesis, Nonlinear
 from magcal_service.physics.scene.scene import Scene
 
+_AN_ORBIT_S: Final = 5400.0  # of the lowest orbits that last
+
 TIME_CONSTANTS_S: Final = np.geomspace(120.0, 14400.0, 9)
 """2 minutes (an uncovered board) to 4 hours (the middle of a craft)."""
 
@@ -59,8 +61,10 @@ def recorded(scene: Scene, effect: str, act: Act, block: Block) -> Iterator[Hypo
 
 
 def warms_unseen(scene: Scene) -> bool:
-    """Whether a sensor may warm with nobody seeing it: without a record, and without an orbit that tells its course."""
-    return not scene.in_orbit and not scene.of_quantity("temperature")
+    """Whether a sensor may warm with nobody seeing it: without a record, and without an orbit that tells its course, or
+    in less than one, when it may still be settling after it was switched on."""
+    is_told = scene.in_orbit and float(np.ptp(scene.time_s)) >= _AN_ORBIT_S
+    return not is_told and not scene.of_quantity("temperature")
 
 
 def direct_by_temperature(term: Term, block: str, *, is_gain: bool = False) -> Direct | None:

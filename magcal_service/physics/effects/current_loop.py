@@ -276,8 +276,23 @@ def _inferred(scene: Scene) -> Iterator[Hypothesis]:
     if len(used) >= 3:
         yield from _strings(faces, used, scene.is_given)
         every = Block("nt_full_sun", "nT", (len(used), 3), labels=(tuple(f"panel {names[i]}" for i in used), AXES))
-        form, constants = "every panel its own circuit", _faces(used)
-        yield Hypothesis("current_loop", driver, _fixed(faces[:, used]), (every,), form, constants=constants)
+        yield Hypothesis(
+            "current_loop",
+            driver,
+            _fixed(faces[:, used]),
+            (every,),
+            "every panel its own circuit",
+            constants=_faces(used),
+            if_none=(("sun_disturbance", _alike_on_both_sides(used)),),
+        )
+
+
+def _alike_on_both_sides(used: Sequence[int]) -> Array:
+    """(c, 3 p) weights of the sums over the panels of both sides, on each axis of the sensor: nothing where all that
+    they do is linear in the Sun's direction."""
+    pairs = [[float(face % 3 == side) for face in used] for side in range(3)]
+    both = np.array([pair for pair in pairs if sum(pair) == 2.0])
+    return np.kron(both.reshape(-1, len(used)), np.eye(3))
 
 
 def _strings(faces: Array, used: Sequence[int], is_given: bool) -> Iterator[Hypothesis]:

@@ -20,6 +20,10 @@ _WORD: Final = 65_536.0
 """Values of 16 bits."""
 
 _SHORTEST_STUCK: Final = 60  # rows; as the daemon's watch over axes has it
+_OFTEN_STILL: Final = 0.2
+"""Share of all other steps in which an axis does not move, from which on it may stay for long where the sensor turns
+about it: of steps of 520 nT in 60 nT of noise 43 % are none, and a table that turned about z was a stuck axis."""
+
 _OTHERS_MOVE: Final = 30.0
 """Times its own usual step that an axis would have moved, going by the others."""
 
@@ -127,7 +131,9 @@ def stuck_axis(log: Log) -> Iterator[Seen]:
             continue
         rows = np.concatenate(at)
         whole = len(rows) == len(log)  # dead from the beginning, or coarse and along the axis of a spin
-        if usual[axis] <= 1.1 * log.resolution[axis] and not whole:
+        elsewhere = still[~np.isin(np.arange(len(still)), rows)]
+        is_coarse = usual[axis] <= 1.1 * log.resolution[axis] or np.mean(elsewhere) > _OFTEN_STILL
+        if is_coarse and not whole:
             continue
         value = log.field_nt[rows[0], axis]
         says = f"{_AXES[axis]} repeats one value over {rows_text(len(rows))} of {len(log)} while the others move"
