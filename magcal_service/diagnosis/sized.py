@@ -59,8 +59,11 @@ def _stands_out(fit: Fit, index: int) -> bool:
 
 
 def _are_none(fit: Fit, index: int, weights: Array) -> bool:
-    """Whether sums (c,) of a term's amplitudes hold less evidence than so many numbers cost."""
+    """Whether sums (c,) of a term's amplitudes hold less evidence than so many numbers cost; not of a form that each of
+    several recordings has its own amplitudes of."""
     own = amplitude_columns(fit, index)
+    if weights.shape[1] != own.stop - own.start:
+        return False
     sums = weights @ fit.terms[index].amplitudes
     chi2 = float(sums @ np.linalg.pinv(weights @ fit.covariance[own, own] @ weights.T) @ sums)
     return chi2 <= len(sums) * math.log(len(fit.residual))

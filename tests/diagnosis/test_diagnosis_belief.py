@@ -52,6 +52,19 @@ def test_what_only_completes_a_form_may_be_the_cause_that_it_is_met_of_too(
     assert may_as_well_be(fit, 0) == others
 
 
+@pytest.mark.parametrize(("second_nt", "others"), [(-300.0, ("sun_disturbance",)), (-200.0, ())])
+def test_what_two_amplitudes_of_opposite_signs_leave_open_is_an_open_name(
+    second_nt: float, others: tuple[str, ...]
+) -> None:
+    """Of panels on both sides of a craft whose sums are not seen, as of a field that follows the Sun's direction."""
+    apart = (("sun_disturbance", np.array([[1.0, 1.0]])),)
+    both = body_form("current_loop", "", along(0, SLOW), along(1, QUICK), if_none=apart)
+    of = made_of(300.0 * along(0, SLOW) + second_nt * along(1, QUICK))
+    search, alone = searching(of, replace(both, blocks=(Block("nt", "nT", (2,)),)))
+    fit = solve(search.problem, alone.x, [Term(search.hypotheses[0], np.zeros(0), np.zeros(2))])
+    assert may_as_well_be(fit, 0) == others
+
+
 def test_what_the_sun_is_met_of_in_the_second_degree_may_be_panels() -> None:
     forms = {h.variant: h.if_completed for h in effect_named("sun_disturbance").hypotheses(scene())}
     panels = ("current_loop",)

@@ -31,7 +31,7 @@ COUNTS, OFFSETS, NAMES = (300, 100), (0.0, 5000.0), ("a", "b")
 MADE = {"columns", "blocks", "variant", "nonlinear", "proposals", "refines", "samples_in", "moves_s"}
 """What is made anew of the recordings' own columns, amplitudes and times."""
 
-OF_EACH = {"odds", "largest_nt", "least_nt", "inexact", "imitated_by", "as_well", "if_completed", "if_along"}
+OF_EACH = {"odds", "largest_nt", "least_nt", "inexact", "imitated_by", "as_well", "if_completed", "if_along", "if_none"}
 """What each recording may say otherwise, and is put together: every one of them is tested below."""
 
 
@@ -65,6 +65,11 @@ def test_what_a_form_has_by_itself_is_taken_over(name: str) -> None:
 def test_what_acts_alike_in_any_recording_acts_alike_in_all(name: str) -> None:
     found = together({name: ("heat", "loop")}, {name: ("loop", "sun")})
     assert getattr(found, name) == ("heat", "loop", "sun")
+
+
+def test_sums_that_tell_a_form_from_another_are_those_of_one_recording() -> None:
+    weights = (("sun", np.eye(1)),)
+    assert together({"if_none": weights}, {"if_none": weights}).if_none == weights
 
 
 def test_what_imitates_a_form_in_any_recording_is_said_once() -> None:

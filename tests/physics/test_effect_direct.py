@@ -108,6 +108,30 @@ def test_what_changes_as_slowly_as_warmth_in_counts_may_be_warmth(course: Array,
         assert {form.variant for form in recorded} == {"", "lagging", "recorded late"}
 
 
+@pytest.mark.parametrize(("span_s", "is_open"), [(5000.0, True), (6000.0, False)])
+def test_a_drift_of_less_than_an_orbit_may_be_the_warmth_that_nobody_recorded(span_s: float, is_open: bool) -> None:
+    """A sensor that was switched on settles for as long; over more an orbit tells the course of its warmth."""
+    short = replace(scene(), time_s=TIME_S * (span_s / float(np.ptp(TIME_S))))
+    for effect, warmth in (("bias_drift", "thermal_bias"), ("scale_drift", "thermal_scale")):
+        alone = forms(effect, replace(short, channels={})).values()
+        assert {form.as_well for form in alone} == {(warmth,) if is_open else ()}
+        seen = Telemetry("t", "temperature", 20.0 + short.time_s[:, None] / 900.0)
+        assert {form.as_well for form in forms(effect, replace(short, channels={"t": seen})).values()} == {()}
+
+
+def test_panels_of_both_sides_are_told_from_the_suns_direction_by_their_sums() -> None:
+    """What is linear in the Sun's direction has amplitudes of opposite signs there, and none of the sums."""
+    (panels,) = (h for h in forms("current_loop", scene()).values() if h.variant == "every panel its own circuit")
+    ((effect, weights),) = panels.if_none
+    faces = [int(panels.constants[f"face_{index}"]) for index in range(len(panels.constants))]
+    linear = np.random.default_rng(9152).normal(size=(3, 3))
+    amplitudes = np.concatenate([linear[face % 3] * (1.0 if face < 3 else -1.0) for face in faces])
+    assert effect == "sun_disturbance"
+    assert weights.shape == (3 * (len(faces) - 3), panels.size)
+    assert np.abs(weights @ amplitudes).max() < 1e-12
+    assert np.abs(weights @ np.ones(panels.size)).min() == 2.0
+
+
 def test_a_drift_swings_by_what_a_warming_sensor_may_at_the_most() -> None:
     """3000 nT over the recording; a parabola that comes back has four times the slope; none where a model is given."""
     span_s = float(np.ptp(TIME_S))

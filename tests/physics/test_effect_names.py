@@ -50,7 +50,7 @@ def references(tree: ast.AST) -> set[int]:
         id(part)
         for node in ast.walk(tree)
         if isinstance(node, ast.keyword)
-        and node.arg in ("confused_with", "as_well", "at_once", "if_completed", "if_along")
+        and node.arg in ("confused_with", "as_well", "at_once", "if_completed", "if_along", "if_none")
         for part in ast.walk(node.value)
     }
 

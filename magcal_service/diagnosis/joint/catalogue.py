@@ -19,7 +19,7 @@ _OF_ONE_RECORDING: Final = ("middle_s", "span_s")
 _LARGEST: Final = ("full_sun", "full_scale_nt", "largest_am2", "scale_nt")
 """Constants that scale a signal to its largest value."""
 
-_BY_THE_DATA: Final = ("as_well", "imitated_by", "if_completed", "if_along")
+_BY_THE_DATA: Final = ("as_well", "imitated_by", "if_completed", "if_along", "if_none")
 """Fields of a hypothesis that say what else a recording may be showing."""
 
 _NUMBERED: Final = ("face", "column")

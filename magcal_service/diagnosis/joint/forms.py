@@ -227,6 +227,7 @@ def _together(parts: Sequence[Hypothesis | None], counts: Sequence[int]) -> dict
         "least_nt": math.sqrt(least / sum(counts)),  # as the residual's rms, over the samples of all
         "inexact": max(part.inexact for part in acting),
         "imitated_by": " or ".join(said),
+        "if_none": acting[0].if_none,  # of one label and its constants, so of the same amplitudes
         **{
             name: tuple(dict.fromkeys(other for part in acting for other in getattr(part, name)))
             for name in ("as_well", "if_completed", "if_along")

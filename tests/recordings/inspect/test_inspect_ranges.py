@@ -79,6 +79,17 @@ def test_a_coarse_axis_along_the_spin_stands_for_no_fault(tmp_path: Path) -> Non
     assert finding is None or not finding.certain
 
 
+def test_a_table_that_turns_about_a_coarse_axis_for_a_while_holds_no_stuck_one(tmp_path: Path) -> None:
+    """In steps of 520 nT z moves while the table turns about x, and stays while it turns about z."""
+    angle = 0.2 * np.arange(1800)
+    field = np.stack([20e3 + 0.0 * angle, 35e3 * np.cos(angle), 35e3 * np.sin(angle)], axis=1)
+    field[900:] = np.stack([30e3 * np.cos(angle), 26e3 * np.sin(angle), 11.7e3 + 0.0 * angle], axis=1)[900:]
+    noise = np.random.default_rng(9151).normal(0.0, 60.0, field.shape)
+    columns = dict(zip(("mx", "my", "mz"), (520.0 * np.round((field + noise) / 520.0)).T, strict=True))
+    turned = clean_log(Kind(step_s=1.0, noise_nt=60.0)).changed(**columns, F=np.full(1800, 40_311.0))
+    assert turned.described(channels="", position="").found(tmp_path).get(Code.STUCK_AXIS) is None
+
+
 @pytest.mark.parametrize("count", [1, 5, 20])
 def test_rows_of_a_recorder_that_begins_badly_are_left_out(count: int, tmp_path: Path) -> None:
     def begin(column: np.ndarray) -> np.ndarray:
