@@ -328,11 +328,9 @@ class Fit:
 def amplitude_tie(problem: Problem, term: Term, columns: Columns) -> Array:
     """(k,) inverse prior variances of a term's amplitudes: what cancels or hardly acts could be of any size else.
 
-    By the largest field that an effect makes, and by what one amplitude is at the most: evenly spread up to there, it
-    has a third of its square for a variance.
+    By the largest field of an effect, and the most that a number is: evenly spread, of a third of its square.
     """
-    blocks = term.hypothesis.blocks
-    most = np.repeat([block.most for block in blocks], [block.size for block in blocks])
+    most = np.repeat([block.most for block in term.hypothesis.blocks], [block.size for block in term.hypothesis.blocks])
     return np.asarray((columns.sizes() / problem.largest(term.hypothesis)) ** 2 + 3.0 / most**2)
 
 
