@@ -74,6 +74,10 @@ _SLOW_ODDS: Final = 0.5
 """Odds of a change over minutes against a sudden one, before it is looked at: of jumps that were not seen to be
 sudden two of six were currents that fell as a battery filled."""
 
+_HARDLY: Final = 0.05
+"""Probability of a name, below which it is none beside a cause in no catalogue, though that has a form: a name at 2 %
+was all that was said."""
+
 _RATHER: Final = 1.05
 """Times a name's class that a cause in no catalogue is likelier, from which on there is no name; choice: an even chance
 is none."""
@@ -154,10 +158,12 @@ def are_rather_unlisted(explained: Explained) -> bool:
 
 
 def _is_rather_unlisted(believed: Posterior) -> bool:
-    if UNLISTED in believed.members:  # what it is has a form, which is not told from the name
+    if (
+        UNLISTED in believed.members and believed.own > _HARDLY
+    ):  # what it is has a form, which is not told from the name
         return False
     rivals = dict(believed.rivals)
-    listed = believed.own + sum(rivals.get(name, 0.0) for name in believed.members)
+    listed = believed.own + sum(rivals.get(name, 0.0) for name in believed.members if name != UNLISTED)
     return rivals.get(UNLISTED, 0.0) > _RATHER * listed
 
 

@@ -110,10 +110,10 @@ def agreed(
 
 def nameless(unexplained: float, sized: str, titles: Sequence[str]) -> str:
     """The verdict where most has no name: the share without one, how large that is, and what has a name besides."""
-    besides = f" besides {listed(titles)}" if titles else ""
+    besides = f"; named beside it: {listed(titles)}" if titles else ""
     return (
-        f"Something without a name makes {percent(unexplained)} of the mismatch{besides}{sized}: "
-        "no effect of the catalogue explains it."
+        f"Something without a name makes {percent(unexplained)} of the mismatch{sized}: "
+        f"no effect of the catalogue explains it{besides}."
     )
 
 

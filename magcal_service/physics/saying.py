@@ -79,6 +79,14 @@ class Said:
         """The same without the sign."""
         return self.signed.removeprefix("-")
 
+    def __format__(self, either: str) -> str:
+        """The size and the first of two words, the second where it is negative: ``"52.5 ± 2.6 km behind"`` by
+        ``"ahead|behind"``; all numbers where there are none."""
+        if not either:
+            return str(self)
+        positive, negative = either.split("|")
+        return f"{self.size} {negative if float(self.value[self._largest]) < 0.0 else positive}"
+
     @property
     def each(self) -> str:
         """All numbers of a list and the unit: ``"1204.5, 3410.5 and 5002.5 s"``."""

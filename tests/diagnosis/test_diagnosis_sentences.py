@@ -217,9 +217,9 @@ def test_what_has_no_name_is_said_beside_what_has() -> None:
     tail = "no effect of the catalogue explains it."
     alone = verdict_sentence(unknown, [entry("unknown")], HELD_OUT)
     assert alone == f"Something without a name makes 61 % of the mismatch: {tail}"
-    makes = "makes 61 % of the mismatch besides currents, 310.4 nT rms of it in the shape that fits best"
+    makes = "makes 61 % of the mismatch, 310.4 nT rms of it in the shape that fits best"
     beside = verdict_sentence(unknown, [entry("unknown", rms=310.44), entry("b")], HELD_OUT)
-    assert beside == f"Something without a name {makes}: {tail}"
+    assert beside == f"Something without a name {makes}: {tail.removesuffix('.')}; named beside it: currents."
 
 
 @pytest.mark.parametrize(

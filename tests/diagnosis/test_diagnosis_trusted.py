@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magcal_service.diagnosis.belief import are_rather_unlisted, posterior, unlisted, with_left
+from magcal_service.diagnosis.belief import (
+    Posterior,
+    _is_rather_unlisted,
+    are_rather_unlisted,
+    posterior,
+    unlisted,
+    with_left,
+)
 from magcal_service.diagnosis.doubts import reasons, stands_out
 from magcal_service.diagnosis.explain import Explained, Search
 from magcal_service.diagnosis.field_error import FieldError
@@ -204,13 +211,20 @@ def test_a_rival_that_comes_to_nothing_in_a_names_place_gives_it_back(monkeypatc
     assert "scale_step" in names
 
 
+@pytest.mark.parametrize(("own", "rather"), [(0.02, True), (0.06, False)])
+def test_a_name_at_two_per_cent_is_none_though_what_is_likelier_has_a_form(own: float, rather: bool) -> None:
+    """A Sun's field was said at 2 %, beside a gain that follows a thermometer by more than any sensor's does."""
+    rivals = (("unknown", 0.95 - own), ("thermal_scale", 0.05))
+    assert _is_rather_unlisted(Posterior(own, rivals, ("sun_disturbance", "unknown", "thermal_scale"))) is rather
+
+
 @pytest.mark.parametrize(("lasting", "rather"), [(0.0, False), (100.0, False), (120.0, True), (900.0, True)])
 def test_a_cause_in_no_catalogue_that_is_clearly_likelier_leaves_no_name(lasting: float, rather: bool) -> None:
     """By what lasts beside a hundred nats; an even chance leaves the name, and so does a slow change of the same."""
     named = replace(explained([]), lasting_nats=lasting)
     assert are_rather_unlisted(named) is rather
     slow: Any = SimpleNamespace(likelihoods=(6.0,))
-    assert not are_rather_unlisted(replace(named, slower=slow))
+    assert not are_rather_unlisted(replace(explained([]), slower=slow))
     assert not are_rather_unlisted(Explained(fits()[0]))
 
 

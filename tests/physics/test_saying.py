@@ -101,6 +101,12 @@ def test_a_growing_correction_is_a_falling_gain() -> None:
     assert (said(0.1, 0.01, "1/K").falls, said(-0.1, 0.01, "1/K").falls) == ("falls", "rises")
 
 
+@pytest.mark.parametrize(("value", "words"), [(52.5, "52.5 ± 2.6 km ahead"), (-52.5, "52.5 ± 2.6 km behind")])
+def test_a_direction_is_said_by_its_word(value: float, words: str) -> None:
+    assert f"{said(value, 2.6, 'km'):ahead|behind}" == words
+    assert f"{said(value, 2.6, 'km')}" == f"{value}"
+
+
 def test_what_is_not_named_is_an_axis_or_a_number() -> None:
     assert labels_of((3,)) == (("axis x", "axis y", "axis z"),)
     assert labels_of((2, 3)) == (("1", "2"), ("axis x", "axis y", "axis z"))
@@ -121,12 +127,13 @@ FIELDS = [(effect, text) for effect in catalogue() for text in effect.says]
 @pytest.mark.parametrize(("effect", "text"), FIELDS, ids=lambda part: getattr(part, "name", ""))
 def test_every_sentence_holds_a_size_with_its_sigma(effect: Effect, text: str) -> None:
     """Cause and size: all sentences of the catalogue say a number with 1 sigma, but for what has none."""
-    names = [field.partition(".") for _, field, _, _ in string.Formatter().parse(text) if field and field != "driver"]
+    fields = [(field, either) for _, field, either, _ in string.Formatter().parse(text) if field and field != "driver"]
+    names = [field.partition(".") for field, _ in fields]
     given: dict[str, Value] = {name: value_of([2.0, 7.0, 1.0], [0.2, 0.4, 0.3], "nT") for name, _, _ in names}
     given |= {name: value_of(7.0, 0.4, "nT") for name in given if name.endswith(("_s", "degree"))}
     sentence = effect.sentence(given, "channel:bus")
     assert "{" not in sentence
     assert sentence.endswith(".")
-    sized = [name for name, _, how in names if how in ("size", "signed", "percent")]
+    sized = [field for field, either in fields if either or field.endswith((".size", ".signed", ".percent"))]
     assert (sized != []) == ("±" in sentence)
     assert sized or effect.name in ("stuck_axis", "reference_epoch")

@@ -40,7 +40,7 @@ EFFECT = Effect(
     source="magnetisation by launch, deployment or torquers: 10-5000 nT (Springmann & Cutler 2012)",
     says=(
         "The bias of {step_nt.place} jumps by {step_nt.signed} at {at_s.size}, the most of the three.",
-        "Something is switched at {at_s.each}: while it is, {switched_nt.place} has {switched_nt.signed} more.",
+        "Something is switched at {at_s.each}: while it is, {switched_nt.place} has {switched_nt:more|less}.",
         "The bias jumps at {at_s.each}, the most by {steps_nt.signed} ({steps_nt.place}).",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),

@@ -162,23 +162,24 @@ EFFECT = Effect(
     separated_by="newer orbit elements or a GNSS fix: along the track a wrong place and a wrong clock are nearly one",
     source="at most 25 nT/km radial, 5.5 nT/km along (IGRF at 500 km); Vallado 2013, section 9 (along-track error)",
     says=(
-        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
-        "{along_km.signed} ahead, growing by {along_km_per_h.signed}, {cross_km.signed} to the left.",
+        "The reference was computed at the wrong place: the craft is {radial_km:further out|further in}, "
+        "{along_km:ahead|behind} at the start, moving by {along_km_per_h:forwards|backwards}, "
+        "{cross_km:to the left|to the right}.",
         "The reference was computed at the wrong place: after t hours the craft is {along_km.signed}, "
         "{along_km_per_h.signed} times t and {along_km_per_h2.signed} times t squared ahead.",
-        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out, "
-        "{along_km.signed} ahead, {cross_km.signed} to the left.",
-        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out and "
-        "{along_km.signed} ahead.",
-        "The reference was computed at the wrong place: the craft is {along_km.signed} ahead at the start, growing "
-        "by {along_km_per_h.signed}.",
-        "The reference was computed at the wrong place: the craft is {radial_km.signed} further out.",
-        "The reference was computed at the wrong place: the craft is {along_km.signed} ahead.",
-        "The reference was computed at the wrong place: the craft is {cross_km.signed} to the left of it.",
+        "The reference was computed at the wrong place: the craft is {radial_km:further out|further in}, "
+        "{along_km:ahead|behind}, {cross_km:to the left|to the right}.",
+        "The reference was computed at the wrong place: the craft is {radial_km:further out|further in} and "
+        "{along_km:ahead|behind}.",
+        "The reference was computed at the wrong place: the craft is {along_km:ahead|behind} at the start, moving "
+        "by {along_km_per_h:forwards|backwards}.",
+        "The reference was computed at the wrong place: the craft is {radial_km:further out|further in}.",
+        "The reference was computed at the wrong place: the craft is {along_km:ahead|behind}.",
+        "The reference was computed at the wrong place: the craft is {cross_km:to the left|to the right} of it.",
         "The reference's places were read wrongly, geodetic latitude and height as geocentric: {geocentric_share.size} "
         "of what that does is there.",
-        "The reference was computed at the wrong place: the craft is {ahead_s.signed} ahead on its orbit at the "
-        "start, growing by {ahead_s_per_h.signed}.",
+        "The reference was computed at the wrong place: the craft is {ahead_s:ahead|behind} on its orbit at the "
+        "start, moving by {ahead_s_per_h:forwards|backwards}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )

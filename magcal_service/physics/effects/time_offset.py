@@ -81,13 +81,14 @@ EFFECT = Effect(
     separated_by="a GNSS time stamp in both logs; or an arc at another inclination to the Earth's turning",
     source="51 nT per second through IGRF at 300 km (largest d|H|/dt); clocks as in pulsar timing (PINT)",
     says=(
-        "The samples match the reference {offset_s.signed} later than tagged; the clocks drift apart by "
+        "The samples match the reference {offset_s:later|earlier} than tagged; the clocks drift apart by "
         "{drift_ppm.signed}.",
-        "The samples match the reference {offset_s.signed} later than tagged.",
-        "The samples match the recorded attitude {ahead_s.signed} later than tagged; by as much more as the sensor "
+        "The samples match the reference {offset_s:later|earlier} than tagged.",
+        "The samples match the recorded attitude {ahead_s.size} later than tagged; by as much more as the sensor "
         "answers late, if it does.",
-        "The samples match the recorded attitude {behind_s.signed} earlier than tagged.",
-        "The samples match the reference {late_s.signed} later than tagged, and later by {late_s_per_h.signed}.",
+        "The samples match the recorded attitude {behind_s.size} earlier than tagged.",
+        "The samples match the reference {late_s:later|earlier} than tagged at the start, changing by "
+        "{late_s_per_h.signed}.",
     ),
     hypotheses=lambda scene: tuple(_hypotheses(scene)),
 )
