@@ -6,7 +6,9 @@ A message names the value that was refused, what is accepted, and the next step.
 
 from __future__ import annotations
 
+import difflib
 import errno
+import os
 from pathlib import Path
 from typing import Final
 
@@ -99,7 +101,22 @@ class FileFault(Fault):
         return cls(where, IsADirectoryError(errno.EISDIR, "a folder"), accepted)
 
     def __str__(self) -> str:
-        return printable(f"{self.where}: {why_not(self.value)}; {self.accepted}")
+        meant = _meant(self.value)
+        return printable(
+            f"{self.where}: {why_not(self.value)}; {f'did you mean {meant}? ' if meant else ''}{self.accepted}"
+        )
+
+
+def _meant(error: object) -> str:
+    """The name beside a missing file that is nearest to its own; empty where none is near."""
+    if not isinstance(error, FileNotFoundError) or not isinstance(error.filename, str):
+        return ""
+    path = Path(error.filename)
+    try:
+        beside = os.listdir(path.parent)
+    except OSError:
+        return ""
+    return next(iter(difflib.get_close_matches(path.name, beside, n=1)), "")
 
 
 MISSING: Final = "missing"

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.base.errors import Fault, FileFault, RecordingError
+from magcal_service.base.errors import Fault, FileFault, Lacking, RecordingError
 from magcal_service.base.progress import Work, counted
 from magcal_service.base.typed_toml import nearest
 from magcal_service.recordings.descriptor import load_descriptor
@@ -204,8 +204,21 @@ def _check_columns(descriptor: Descriptor, table: TextTable) -> None:
                     accepted += "; the header is one cell: check delimiter under [samples], and quotes about whole rows"
                 problem = f"a column of {descriptor.samples.name} is accepted; {accepted}"
                 faults.append(Fault(f"{descriptor.path.name}: {key}", column, problem))
+    if faults and descriptor.form.header and not any(map(_has_letters, table.header)):
+        found = f"the first line of {descriptor.samples.name} holds numbers and no names"
+        accepted = "header = false under [samples] is accepted, with columns by their number from 1"
+        raise RecordingError([Lacking(f"{descriptor.path.name}: samples", found, accepted)])
     if faults:
         raise RecordingError(faults)
+
+
+def _has_letters(cell: str) -> bool:
+    """Whether a cell of a header is a name: it has a letter and is no number such as ``1e5`` or ``nan``."""
+    try:
+        float(cell)
+    except ValueError:
+        return any(map(str.isalpha, cell))
+    return False
 
 
 def _check_usable(recording: Recording) -> None:

@@ -196,6 +196,18 @@ def test_a_missing_log_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "log.csv").unlink()
     with pytest.raises(RecordingError, match=r"log\.csv: there is no such file or folder; give"):
         read_recording(path)
+    (tmp_path / "lgo.csv").write_text("", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"no such file or folder; did you mean lgo\.csv\? give a readable log"):
+        read_recording(path)
+
+
+def test_a_log_without_a_line_of_names_is_told_once(tmp_path: Path) -> None:
+    """Of 31 columns each was refused by itself, with all the numbers of the first row as known names."""
+    path = write_log(tmp_path, header=",".join(map(str, range(len(HEADER.split(","))))))
+    with pytest.raises(RecordingError) as refused:
+        read_recording(path)
+    (line,) = str(refused.value).splitlines()
+    assert "the first line of log.csv holds numbers and no names; header = false under [samples]" in line
 
 
 def test_an_empty_log_is_refused(tmp_path: Path) -> None:
