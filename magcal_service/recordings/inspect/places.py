@@ -36,10 +36,15 @@ def position_zero(log: Log) -> Iterator[Seen]:
     """Latitude and longitude are exactly 0, or a place that the reader refused lies within the Earth."""
     for entry in log.recording.report.entries:
         if entry.part == "position" and entry.fault is RowFault.ABSURD:
+            shows = f" ({entry.shows})" if entry.shows else ""
             says = (
-                f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}, lie in the Earth or far off it"
+                f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}{shows}, lie where no craft is: "
             )
-            remedy = "they have no place; if most have none, check the unit and the columns of [position]"
+            says += "in the Earth, far off it, or beyond a latitude of 90 degrees"
+            remedy = (
+                "they have no place; if many have none, check the unit of [position], and its columns: the latitude "
+            )
+            remedy += "comes first, then the longitude"
             yield Seen(Code.POSITION_ZERO, True, NO_ROWS, says, remedy, refused=entry)
     if log.place_km is None or log.recording.position is None or log.recording.position.frame is not Frame.ECEF:
         return
@@ -77,7 +82,10 @@ def position_jump(log: Log) -> Iterator[Seen]:
     bad = rows[~held]
     fastest = float(np.max((np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time_s))[far]))
     says = f"{rows_text(len(bad))} of {len(log)} have a place {fastest:.3g} km/s from the next: no orbit is so fast"
-    remedy = "their place is not used; leave the cells empty where the receiver has no fix"
+    remedy = (
+        "their place is not used; leave the cells empty where the receiver has no fix; if many jump, check columns "
+    )
+    remedy += "and unit of [position]"
     yield Seen(Code.POSITION_JUMP, True, log.rows[np.sort(bad)], says, remedy, Spoils.PLACE)
 
 

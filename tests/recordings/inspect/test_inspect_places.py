@@ -37,6 +37,16 @@ def test_the_place_of_no_fix_is_left_out(rows: np.ndarray, columns: str, tmp_pat
     assert len(inspection.usable) == 1800 - len(rows)
 
 
+def test_latitude_and_longitude_in_each_others_place_are_told_by_their_order(tmp_path: Path) -> None:
+    log = igrf()
+    turned = log.changed(lat=np.where(np.arange(1800) < 200, 120.5, log.columns["lat"]))
+    finding = {one.code: one for one in turned.inspected(tmp_path).findings}[Code.POSITION_ZERO]
+    assert (finding.certain, finding.rows) == (True, 200)
+    assert "beyond a latitude of 90 degrees" in finding.says
+    assert "'120.5'" in finding.says
+    assert finding.remedy.endswith("the latitude comes first, then the longitude")
+
+
 @pytest.mark.parametrize(("latitude", "longitude"), [(48.1, 11.6), (-33.4, -70.6)])
 def test_a_place_that_no_orbit_reaches_is_left_out(latitude: float, longitude: float, tmp_path: Path) -> None:
     rows = np.arange(300, 360)
