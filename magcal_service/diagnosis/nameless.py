@@ -78,7 +78,9 @@ def standing(
     if explained.fit.terms and not explained.fit.converged:
         fit = ended(explained.fit)
         fit = fit if fit.converged else _in_a_simpler_form(search, fit, floor_nt)
-        explained = search.compared(fit, floor_nt) if fit.converged else explained
+        before, after = ({term.hypothesis.label for term in one.terms} for one in (explained.fit, fit))
+        # a form that has not arrived does not take its place again
+        explained = search.compared(fit, floor_nt, frozenset(before - after)) if fit.converged else explained
     while explained.fit.terms:
         failing = _weakest_failing(baseline, explained, floor_nt)
         if failing is None:
@@ -105,13 +107,16 @@ def spoken_against(search: Search, baseline: Fit, explained: Explained, phase: A
 
 
 def _in_a_simpler_form(search: Search, fit: Fit, floor_nt: float) -> Fit:
-    """A fit that has not arrived with one of its terms in a form of fewer amplitudes, if that arrives; else the fit.
+    """A fit that has not arrived with one of its terms in a form of fewer amplitudes, or in the one that it refines by
+    a number, if that arrives; else the fit.
 
-    What a form has more may be what nothing tells apart: the level that a coil keeps is a bias where it never changes.
+    What a form has more may be what nothing tells apart: the level that a coil keeps is a bias where it never changes,
+    and a record that is late by less than a sample may as well be none.
     """
     sigma = max(fit.white_rms_nt, floor_nt)
     for index, term in enumerate(fit.terms):
-        forms = [form for form in search.hypotheses if is_simpler(form, term.hypothesis)]
+        own = term.hypothesis
+        forms = [form for form in search.hypotheses if is_simpler(form, own) or form.label == own.refines]
         for one in search.screen(search.workspace(fit, index), fit, sigma, among=forms) if forms else ():
             if one.nats <= ACCEPTED_NATS:
                 break
