@@ -85,7 +85,9 @@ def _said(given: Given, inspection: Inspection, applied: Applied, out: Path) -> 
     before, after = residual_rms(given, inspection, applied)
     lines.append(f"residual rms: {before:.1f} nT before, {after:.1f} nT after")
     if not given.whole:
-        lines.append("covariance: of the sigmas alone, for the file has no covariance")
+        lines.append(
+            f"covariance: of the nine sigmas in {given.name} without their correlations: too wide along some axes"
+        )
     if applied.partly:
         lines.append(f"{applied.partly} vectors are doubtful: not every effect was subtracted from them")
     if applied.strayed:

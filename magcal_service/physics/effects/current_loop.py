@@ -134,8 +134,9 @@ def _shaded(scene: Scene, values: Array) -> NDArray[np.bool_]:
     is_dark = np.abs(values) < _SHADE * np.max(np.abs(values), axis=0)
     in_shade = np.mean(is_dark, axis=0)
     found = (in_shade > _OFTEN_IN_SHADE) & (in_shade < 1.0 - _OFTEN_IN_SHADE)
-    if scene.lit is not None and scene.eclipses:
-        found &= np.mean(is_dark[scene.lit < _NO_SUN], axis=0) > _DARK_THERE
+    no_sun = np.zeros(0, dtype=bool) if scene.lit is None or not scene.eclipses else scene.lit < _NO_SUN
+    if no_sun.any():
+        found &= np.mean(is_dark[no_sun], axis=0) > _DARK_THERE
     return np.asarray(found)
 
 

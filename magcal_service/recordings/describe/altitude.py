@@ -91,6 +91,7 @@ def find_altitude(
     size = told or AnsweredUnit(unit)
     draft.put("position", "altitude", {"column": draft.name(column)} | size.entries)
     draft.conclude("position.altitude", f"{column.label} in {size}", why)
+    draft.reserved.add(column.number)
     return column.number, heights.usual * size.factor * LENGTH_KM[LengthUnit(size.unit)]
 
 

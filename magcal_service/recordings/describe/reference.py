@@ -50,7 +50,7 @@ def find_reference(
     for triple in triples:
         if _vector(draft, times, place, triple, ""):
             return
-    if _magnitude_in_log(draft, groups, magnetometers, times):
+    if _magnitude_in_log(draft, groups, magnetometers):
         return
     if place is not None and times is not None and times.absolute:
         _model(
@@ -229,11 +229,9 @@ def _magnitude(draft: Draft, column: Column, size: Size | None, by: str, expecte
     return True
 
 
-def _magnitude_in_log(
-    draft: Draft, groups: list[Triple], magnetometers: list[Magnetometer], times: Times | None
-) -> bool:
+def _magnitude_in_log(draft: Draft, groups: list[Triple], magnetometers: list[Magnetometer]) -> bool:
     """A column of magnitudes that is not the sensor's own length."""
-    used = {c.number for one in magnetometers for c in one.triple.columns} | set(times.columns if times else ())
+    used = draft.reserved | {c.number for one in magnetometers for c in one.triple.columns}
     for column in draft.log.columns:
         words = set(column.words) | {column.stem.lower()}
         if not column.numeric or column.number in used or not _may_be_magnitude(column, words):

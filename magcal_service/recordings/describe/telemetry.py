@@ -19,6 +19,7 @@ from magcal_service.recordings.describe.kinds import kind_of_triple
 from magcal_service.recordings.describe.times_found import Times
 from magcal_service.recordings.describe.unit_answer import read_unit
 from magcal_service.recordings.describe.vocabulary import CURRENT, TEMPERATURE, Kind
+from magcal_service.recordings.inspect.current_unit import MOST_A
 from magcal_service.recordings.inspect.gyro_unit import by_turning
 from magcal_service.recordings.unit_words import unknown_unit
 
@@ -327,5 +328,6 @@ def _by_range(quantity: str, values: FloatArray) -> _Unit:
             return _Unit("", f"no name says it, and {low:.4g} to {high:.4g} leave it open", ("degC", "degF", "K"))
         return _Unit("", f"the name says temperature, but {low:.4g} to {high:.4g} are none in any unit")
     if quantity == "current":
-        return _Unit("", f"no name says it, and {low:.4g} to {high:.4g} leave it open", ("A", "mA"))
+        units = ("mA", "A") if max(-low, high) > MOST_A else ("A", "mA")
+        return _Unit("", f"no name says it, and {low:.4g} to {high:.4g} leave it open", units)
     return _Unit("", "no name says its unit")

@@ -43,6 +43,9 @@ _OF_ANY_DAY: Final = {"mjd", "jd", "julian"} | _OF_1950
 _OF_DAYS: Final = {"excel", "serial", "datenum", "matlab", "day", "days", "date", "datetime"} | _OF_ANY_DAY
 """What says that a number counts days; 34000 to 51000 may be Excel's, or the seconds of a day from 9 to 14 h."""
 
+_COUNTERS: Final = {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"}
+"""What a count since some start is called."""
+
 _OF_1970: Final = {"unix", "unixtime", "posix", "epoch"}
 """What says that seconds count from 1970."""
 
@@ -137,7 +140,8 @@ def numbers(column: Column) -> list[Form]:
     for unit, factor in S.items():
         if within(values * factor, *UNIX) and step * factor <= 86400.0:
             fits = column.unit in {"", unit}
-            counter = bool(set(column.words) & {"millis", "micros", "uptime", "elapsed", "met", "ticks", "tick"})
+            # in the unit that its name has no counter comes so far: it would have run for 25 years
+            counter = bool(set(column.words) & _COUNTERS) and column.unit != unit
             years = f"{_year(values[0] * factor)}"
             runs = (
                 "rises from row to row"
@@ -151,7 +155,7 @@ def numbers(column: Column) -> list[Form]:
             spaced = named or _as_rows(step * factor)
             sure = fits and not counter and not other and (named or not column.name) and spaced
             found.append(Form((column,), f"unix_{unit}", values * factor, True, why + other, sure, 1 if named else 3))
-            if other or not spaced:
+            if other or not spaced or (counter and fits):
                 return [*found, *_in_rank(_elapsed(column, step, named), found[-1].rank)]
     for form, (low, high, epoch) in DAYS.items():
         since_1950 = form == "mjd1950_days"

@@ -335,3 +335,24 @@ def test_coordinates_without_names_that_go_round_the_earth_are_offered(
     text = describe(log, answers).text or ""
     assert f'frame = "{frame}"' in text
     assert 'model = "igrf"' in text
+
+
+def test_a_column_that_was_answered_to_be_the_height_is_no_reference(tmp_path: Path) -> None:
+    """It was offered as the field in mG, and stood in the descriptor twice; the inspection had no defect."""
+    way = orbit(97.0, 20.0, 10.0, 60.0)
+    answers = {"position.columns": "d,e", "position.altitude": "f", "position.altitude.unit": "km"}
+    result = described(tmp_path, way, "d,e,f", [way.latitude_deg, way.longitude_deg, way.height_km], answers)
+    assert "f" not in offered(result, "reference")
+    assert result.text is not None
+    assert result.text.count('"f"') == 1
+    assert 'model = "igrf"' in result.text
+
+
+@pytest.mark.parametrize(("most", "first"), [(500.0, "mA"), (3.0, "A")])
+def test_a_current_of_hundreds_is_offered_in_milliamperes_first(most: float, first: str, tmp_path: Path) -> None:
+    """In ampere the inspection would doubt it, by the same hundred."""
+    way = orbit(97.0, 20.0, 10.0, 60.0)
+    places = [way.latitude_deg, way.longitude_deg, way.height_km]
+    load = most * (0.5 + 0.4 * np.sin(way.time_s / 170.0))
+    result = described(tmp_path, way, "lat,lon,alt_km,current", [*places, load])
+    assert offered(result, "channels.current.unit")[0] == first

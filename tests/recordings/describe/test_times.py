@@ -190,6 +190,10 @@ def test_an_answer_decides(answers: dict[str, str], seconds: float, tmp_path: Pa
         ("time", 8.02e8, 1.0, "unix_s", True),  # of 2025 as seconds since 2000
         ("unix", 8.02e8, 1.0, "unix_s", False),
         ("gps_time", 1.75e9, 1.0, "unix_s", False),
+        ("tick_s", 1.75e9, 1.0, "unix_s", False),  # a counter would have run for 55 years
+        ("uptime", 1.75e9, 1.0, "unix_s elapsed_s", True),  # in ms it is 20 days
+        ("tick_ms", 1.75e12, 200.0, "unix_ms", False),
+        ("tick_ms", 1.75e9, 200.0, "elapsed_ms", False),
     ],
 )
 def test_a_time_by_its_numbers_alone_is_sure_only_where_no_other_is_as_likely(
