@@ -191,6 +191,15 @@ def test_a_rate_that_dies_away_is_told_at_the_start(time_constant_s: float, stat
         assert float(value.sigma) < 0.05 * abs(truth), name
 
 
+def test_a_rate_that_falls_at_once_and_then_hardly_has_no_sure_rate() -> None:
+    """No polynomial follows it: 0.56 +- 0.20 rpm were said of 2.9, by two that both miss the start."""
+    phase = 0.05 * TIME_S + 0.25 * 60.0 * -np.expm1(-TIME_S / 60.0)
+    found = spun(turned(phase), 0.2 / RPM)
+    if found is not None:
+        rate = found.parameters["rate_rpm"]
+        assert float(rate.value) == pytest.approx(0.3 / RPM, abs=3.0 * float(rate.sigma))
+
+
 @pytest.mark.parametrize(("bend_deg", "found"), [(2.8, False), (3.2, True)])
 def test_a_bend_counts_from_three_degrees_on_and_beyond_what_the_direction_may_turn(
     bend_deg: float, found: bool

@@ -75,11 +75,11 @@ def _find(view: View) -> Finding | None:
     if not drifting and not other:
         return None
     # beneath what the direction bends nothing is the rate's
-    curve, more = _as_bent(orders[1:]) if float(np.std(curve.left * sigma)) > drifted else orders[1:3]
+    curve, *more = _as_bent(orders[1:]) if float(np.std(curve.left * sigma)) > drifted else orders[1:3]
     sigmas = np.sqrt(np.diagonal(curve.covariance) * max(1.0, float(np.mean(curve.left**2))))
-    # what one order more says otherwise, and the turn of the direction itself
+    # what more orders say otherwise, and the turn of the direction itself
     bent = turn.bent_rad  # at one end of three and at another, so once for a rate and twice for its change
-    otherwise = more.values[:3] - curve.values[:3]
+    otherwise = np.max([np.abs(one.values[:3] - curve.values[:3]) for one in more], axis=0)
     rate_sigma = math.hypot(sigmas[1], float(otherwise[1]), 0.5 * turn.drift_rad_s * span, bent)
     change_sigma = math.hypot(sigmas[2], float(otherwise[2]), 0.25 * turn.drift_rad_s * span, 2.0 * bent)
     start_rad_s = float(curve.values[1]) / span
@@ -108,15 +108,15 @@ class _Fitted(NamedTuple):
     covariance: Array
 
 
-def _as_bent(orders: Sequence[_Fitted]) -> tuple[_Fitted, _Fitted]:
-    """The polynomial of the least order that the next one gains no evidence over, and that next one; of the rate that
-    goes back and forth the first two, which disagree by that."""
+def _as_bent(orders: Sequence[_Fitted]) -> Sequence[_Fitted]:
+    """The polynomial of the least order that the next one gains no evidence over, and that next one; all of a rate that
+    goes back and forth by it: they disagree by what none of them is right in."""
     scatter = max(1.0, float(np.mean(orders[-1].left ** 2)))
     for one, more in itertools.pairwise(orders):
         gain = 0.5 * (float(one.left @ one.left) - float(more.left @ more.left)) / scatter
         if gain - math.log(len(one.left)) < _LEAST_NATS or more is orders[-1]:
-            return (one, more) if _is_one_way(one) else (orders[0], orders[1])
-    raise AssertionError("the last pair is taken")
+            return (one, more) if _is_one_way(one) else orders
+    return orders
 
 
 def _is_one_way(fitted: _Fitted) -> bool:
