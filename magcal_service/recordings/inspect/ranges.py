@@ -132,7 +132,7 @@ def stuck_axis(log: Log) -> Iterator[Seen]:
         rows = np.concatenate(at)
         whole = len(rows) == len(log)  # dead from the beginning, or coarse and along the axis of a spin
         elsewhere = still[~np.isin(np.arange(len(still)), rows)]
-        is_coarse = usual[axis] <= 1.1 * log.resolution[axis] or np.mean(elsewhere) > _OFTEN_STILL
+        is_coarse = usual[axis] <= 1.1 * log.resolution[axis] or elsewhere.sum() > _OFTEN_STILL * len(elsewhere)
         if is_coarse and not whole:
             continue
         value = log.field_nt[rows[0], axis]

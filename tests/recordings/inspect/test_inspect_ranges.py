@@ -100,3 +100,10 @@ def test_rows_of_a_recorder_that_begins_badly_are_left_out(count: int, tmp_path:
     (finding,) = inspection.findings
     assert (finding.code, finding.certain, finding.rows, finding.first) == (Code.START_TRANSIENT, True, count, 2)
     assert len(inspection.usable) == 1800 - count
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_axis_that_is_dead_from_the_beginning_is_asked_about(tmp_path: Path) -> None:
+    dead = clean_log().changed(mz=np.full(1800, 120.0))
+    finding = dead.found(tmp_path)[Code.STUCK_AXIS]
+    assert (finding.certain, finding.rows) == (False, 1800)
