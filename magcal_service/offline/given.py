@@ -110,7 +110,9 @@ def read_given(path: Path) -> Given:
             raw = file.read(_LARGEST_FILE + 1)
             size = max(len(raw), path.stat().st_size)
     except OSError as error:
-        raise InputRefusedError([FileFault(str(path), error, "give a readable file")]) from None
+        within = sorted(one.name for one in path.glob("*") if one.suffix in {".toml", ".json"}) if path.is_dir() else []
+        accepted = f"give one of its files: {', '.join(within)}" if within else "give a readable file"
+        raise InputRefusedError([FileFault(str(path), error, accepted)]) from None
     if len(raw) > _LARGEST_FILE:
         raise InputRefusedError([Fault(str(path), f"{size} bytes", f"at most {_LARGEST_FILE} bytes; {ACCEPTED}")])
     digest = hashlib.sha256(raw).hexdigest()

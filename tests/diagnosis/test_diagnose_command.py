@@ -132,9 +132,8 @@ def test_it_says_at_which_temperature_the_nine_errors_hold(
     assert f"With effects, the nine errors are those at {says}." in page
     exported = run("export", folder / "physics.toml", "--format", "c-header")
     assert f"without that they hold at {says}" in exported.out
-    assert (
-        "not in these numbers: thermal_bias, thermal_scale; they hold where their field is subtracted" in exported.err
-    )
+    left_out = "thermal_bias, thermal_scale; they hold for B less the field of these, which physics.toml has"
+    assert f"not in these numbers: {left_out}" in exported.err
     assert "#define MAGCAL_RESULT_EFFECTS_LEFT_OUT 2\n" in exported.out
 
 

@@ -13,6 +13,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from magcal_service.base.errors import InputRefusedError
 from magcal_service.model import Array, d_matrix
 from magcal_service.offline.exports import FORMS
 from magcal_service.offline.given import Given, read_given
@@ -230,6 +231,17 @@ def test_texts_of_a_result_end_no_comment(tmp_path: Path) -> None:
         text = run("export", path, "--format", name).out
         assert "x * /?#define EVIL 1?/* " in text
         assert not any(line.startswith("#define EVIL") for line in text.splitlines())
+
+
+def test_a_folder_is_refused_with_the_files_in_it(tmp_path: Path) -> None:
+    """As the folder that a diagnosis wrote is given in place of its physics file."""
+    for name in ("report.html", "physics.toml", "diagnosis.json"):
+        (tmp_path / name).write_text("", encoding="utf-8")
+    with pytest.raises(InputRefusedError, match=r"give one of its files: diagnosis\.json, physics\.toml$"):
+        read_given(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputRefusedError, match="a folder, not a file; give a readable file"):
+        read_given(tmp_path / "empty")
 
 
 def test_numbers_beyond_the_target_are_refused(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def left_out(given: Given) -> list[str]:
     if given.model is None or not given.model.terms:
         return []
     effects = ", ".join(dict.fromkeys(term.effect for term in given.model.terms))
-    lines = [f"not in these numbers: {effects}; they hold where their field is subtracted"]
+    lines = [f"not in these numbers: {effects}; they hold for B less the field of these, which {given.name} has"]
     held = held_in_words(held_at(given.model.terms))
     return [*lines, f"without that they hold at {held}"] if held else lines
 
