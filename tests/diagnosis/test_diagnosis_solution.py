@@ -9,18 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import solution
 from magcal_service.diagnosis.collapse import is_collapsed
 from magcal_service.diagnosis.prepare import baseline_start
-from magcal_service.diagnosis.problem import Problem, Term, evaluate
-from magcal_service.diagnosis.solution import (
-    _by_differences,
-    _Held,
-    _score_slopes,
-    _Step,
-    _where_it_turns,
-    ended,
-    solve,
-)
+from magcal_service.diagnosis.problem import Fit, Problem, Term, evaluate
+from magcal_service.diagnosis.solution import _Held, _Step, _tried, _where_it_turns, ended, solve
 from magcal_service.model import STATE_SIZE, Array, d_matrix, measure
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.columns import Columns, along_axes
@@ -119,21 +112,61 @@ def test_a_short_arc_does_not_end_in_a_half_collapsed_minimum() -> None:
     )
 
 
-def test_the_score_s_own_derivative_leads_to_its_zero() -> None:
-    """From half a sigma off in every unknown; and where the residual is small, it is that of Gauss and Newton."""
-    problem = Problem(scene(NOISE_NT), NOISE_NT)
-    end = solve(problem, X)
-    sigma = np.sqrt(np.diagonal(end.covariance))
-    off = evaluate(problem, end.x + 0.5 * sigma * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1]), [])
-    here = _Step.of(off, off.white_rms_nt**2)
-    assert here.to_go > 0.1 * here.sigma2
-    found = _by_differences(off, here)
-    assert found.converged
-    assert float((np.abs(found.x - end.x) / sigma).max()) < 0.02
-    slopes = _score_slopes(off, here.sigma2)
-    assert slopes is not None
-    slopes = slopes / np.outer(here.scale, here.scale)
-    np.testing.assert_allclose(slopes, here.normal, atol=0.02)
+def relaxing_to(amplitude_nt: float) -> tuple[Problem, Term]:
+    """A field that changes in the middle of a recording, and a relaxation that is fitted to it: much is left that bends
+    with its time constant."""
+    part = scene().time_s / scene().time_s[-1]
+    change = amplitude_nt * np.tanh(6.0 * part - 3.0)[:, None] * np.array([1.0, 0.6, -0.5])
+    noise = NOISE_NT * np.random.default_rng(5).normal(size=change.shape)
+    problem = Problem(spoiled(measure(X, scene().calibrated_nt + change) + noise, scene()), NOISE_NT)
+    shares = Nonlinear("share", "1", np.geomspace(0.01, 10.0, 9))
+    form = Hypothesis(
+        "bias_drift",
+        "none",
+        lambda theta: along_axes(np.exp(-part / theta[0])),
+        (Block("k", "nT"),),
+        nonlinear=(shares,),
+        largest_nt=5000.0,
+    )
+    return problem, Term(form, np.array([0.5]), np.full(3, 10.0))
+
+
+@pytest.mark.parametrize("amplitude_nt", [1000.0, 3000.0])
+def test_where_columns_bend_the_steps_learn_of_it(amplitude_nt: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps by the normal matrix alone creep, 34 and 28 of them; with what they tell half as many arrive, no less near."""
+    problem, term = relaxing_to(amplitude_nt)
+    taken = []
+
+    def solved(bends: float, converged: float) -> Fit:
+        calls: list[None] = []
+        monkeypatch.setattr(solution, "evaluate", lambda *a, **k: calls.append(None) or evaluate(*a, **k))
+        monkeypatch.setattr(solution, "_BENDS", bends)
+        monkeypatch.setattr(solution, "_CONVERGED", converged)
+        fit = solve(problem, X, [term])
+        taken.append(len(calls))
+        assert fit.converged
+        return fit
+
+    exact, learned, creeping = solved(100.0, 1e-10), solved(100.0, 1e-4), solved(0.0, 1e-4)
+    sigma = float(np.sqrt(exact.covariance[-1, -1]))
+    for one in (learned, creeping):
+        assert abs(float(one.terms[0].theta[0] - exact.terms[0].theta[0])) < 0.01 * sigma
+    assert taken[1] < 0.6 * taken[2]
+
+
+def test_a_bend_tells_how_the_score_fell() -> None:
+    """With it the equations are exact over the step that it was learned from, and in one direction only."""
+    problem, term = relaxing_to(1000.0)
+    first = evaluate(problem, X, [term])
+    before = _Step.of(first, first.white_rms_nt**2)
+    step = 0.1 * before.damped(0.0) / before.scale
+    there = _tried(before, step)
+    assert there is not None
+    bend = there.bent(before, step, None)
+    fallen = before.score * before.scale - there.score * there.scale
+    normal = there.normal * np.outer(there.scale, there.scale)
+    np.testing.assert_allclose((normal + bend) @ step, fallen, rtol=1e-6, atol=1e-9 * float(np.abs(fallen).max()))
+    assert np.linalg.matrix_rank(bend / np.outer(there.scale, there.scale), tol=1e-9) == 1
 
 
 def test_a_number_that_nothing_tells_does_not_end_in_an_error() -> None:
@@ -146,10 +179,12 @@ def test_a_number_that_nothing_tells_does_not_end_in_an_error() -> None:
     form = Hypothesis("torquer", "none", columns, (Block("k", "nT"),), nonlinear=(grid,), largest_nt=500.0)
     problem = Problem(scene(NOISE_NT), NOISE_NT)
     fit = evaluate(problem, X + 1e-3, [Term(form, np.array([5.0]), np.full(3, 10.0))])
-    here = _Step.of(fit, fit.white_rms_nt**2)
     assert float(np.sqrt(fit.covariance[-1, -1])) > 1e4
-    assert _score_slopes(fit, here.sigma2) is None
-    assert not _by_differences(fit, here).converged
+    here = _Step.of(fit, fit.white_rms_nt**2)
+    out = np.zeros(len(here.scale))
+    out[-1] = 1e4
+    assert _tried(here, out) is None
+    assert np.isfinite(solve(problem, fit.x, fit.terms).terms[0].theta[0])
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -206,17 +241,21 @@ def test_a_duty_arrives_though_the_model_jumps_with_its_period(period_s: float, 
 
 
 @pytest.mark.parametrize(
-    ("half_width", "seed"), [(0.3, 1), (0.3, 4), (0.5, 3)], ids=["by steps", "at a kink", "at another"]
+    ("half_width", "seed", "stalls"),
+    [(0.3, 1, False), (0.3, 4, True), (0.5, 3, True)],
+    ids=["by its own steps", "at a kink", "at another"],
 )
-def test_a_faint_hysteresis_arrives_though_its_answer_bends_with_its_width(half_width: float, seed: int) -> None:
-    """Damped steps stall at where samples change sides; its width is within 3 sigma of the truth there."""
+def test_a_faint_hysteresis_arrives_though_its_answer_bends_with_its_width(
+    half_width: float, seed: int, stalls: bool
+) -> None:
+    """Damped steps may stall at where samples change sides; its width is within 3 sigma of the truth there."""
     form = effect_named("hysteresis").hypotheses(scene())[0]
     width, share = np.array([half_width]), np.array([0.004, -0.006, 0.002])
     noise = NOISE_NT * np.random.default_rng(seed).normal(size=(len(scene()), 3))
     spoilt = spoiled(measure(X, scene().calibrated_nt + form.columns(width).field(share) + noise), scene())
-    stalled = solve(Problem(spoilt, NOISE_NT), X, [Term(form, 1.1 * width, share)])
-    assert not stalled.converged
-    found = ended(stalled)
+    solved = solve(Problem(spoilt, NOISE_NT), X, [Term(form, 1.1 * width, share)])
+    assert solved.converged is not stalls
+    found = ended(solved)
     assert found.converged
     sigma = float(np.sqrt(np.diagonal(found.covariance))[-1])
     assert abs(found.terms[0].theta[0] - half_width) < 3.0 * sigma
