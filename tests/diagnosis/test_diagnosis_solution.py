@@ -133,7 +133,7 @@ def relaxing_to(amplitude_nt: float) -> tuple[Problem, Term]:
 
 @pytest.mark.parametrize("amplitude_nt", [1000.0, 3000.0])
 def test_where_columns_bend_the_steps_learn_of_it(amplitude_nt: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps by the normal matrix alone creep, 34 and 28 of them; with what they tell half as many arrive, no less near."""
+    """Steps by the normal matrix alone creep, 34 and 28 of them; with what they tell half as many arrive."""
     problem, term = relaxing_to(amplitude_nt)
     taken = []
 
