@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import errno
-import os
 from pathlib import Path
 from typing import Final
 
@@ -113,7 +112,7 @@ def _meant(error: object) -> str:
         return ""
     path = Path(error.filename)
     try:
-        beside = os.listdir(path.parent)
+        beside = [one.name for one in path.parent.iterdir()]
     except OSError:
         return ""
     return next(iter(difflib.get_close_matches(path.name, beside, n=1)), "")

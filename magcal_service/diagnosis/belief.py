@@ -13,6 +13,7 @@ from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rest import Rest
 from magcal_service.diagnosis.rivals import is_recorded
+from magcal_service.diagnosis.screen import Candidate
 from magcal_service.diagnosis.signals import said
 from magcal_service.diagnosis.sized import may_as_well_be, numbers_of
 from magcal_service.model import Array
@@ -52,8 +53,9 @@ _OF_A_COURSE: Final = 0.005
 half of that as a rule.  A rival behind by some times as much may be the cause: of six within 3 % one was."""
 
 OF_A_RECORD: Final = 0.01
-"""Of a name's evidence that follows no record, what a recorded driver loses by its own noise and lag; choice: a tenth
-of a course, squared.  A relaxing drift was 3 % before a thermometer that had recorded what caused it."""
+"""Of a name's evidence, what a recorded driver loses by its own noise and lag, held against one by no record; choice: a
+tenth of a course, squared.  A relaxing drift was 3 % before a thermometer that had recorded what caused it, and a field
+of the Sun's direction 1 % before recorded panels."""
 
 _OF_A_RAMP: Final = 0.02
 """Of the evidence for a change over a while, what its two free ends take up of the field model's errors over short ways
@@ -117,7 +119,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
     mine = explained.fit.terms[index].hypothesis
     name = mine.effect
     ranked, own = explained.rivals[index], explained.own_nats(index)
-    ahead = [(c.nats - own) / _inexact_by(explained, index, c.hypothesis) for c in ranked]
+    ahead = [(c.nats - own) / _inexact_by(explained, index, c) for c in ranked]
     weights = {
         c.hypothesis.effect: math.exp(float(np.clip(one, -MOST_NATS, MOST_NATS)))
         for c, one in zip(ranked, ahead, strict=True)
@@ -167,20 +169,21 @@ def _is_rather_unlisted(believed: Posterior) -> bool:
     return rivals.get(UNLISTED, 0.0) > _RATHER * listed
 
 
-def _inexact_by(explained: Explained, index: int, rival: Hypothesis) -> float:
-    """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true, or the
-    rival's is a record of it, which is not either; or a change's ends are free to follow what a field model errs by.
+def _inexact_by(explained: Explained, index: int, beside: Candidate) -> float:
+    """What a rival's evidence beside a term's own is divided by: its driver is inferred, and not exactly true, or one
+    of the two is a record of it, which is not either; or a change's ends are free to follow what a field model errs by.
 
-    A rival by the same driver errs along with it.
+    A rival by the same driver errs along with it, and a name by a record that is ahead of others is so in spite of it.
     """
-    fit = explained.fit
+    fit, rival = explained.fit, beside.hypothesis
     mine = fit.terms[index].hypothesis
     errs = any(part.field_error is not None for part, _ in fit.problem.acting(fit.terms[index]))
     if rival.effect == mine.at_once and errs:
         return 1.0 + _OF_A_RAMP * max(explained.own_nats(index), 0.0)
     if rival.driver == mine.driver:
         return 1.0
-    by_record = OF_A_RECORD if _is_name_of_record(rival) and not is_recorded(mine) else 0.0
+    is_behind = is_recorded(mine) and not is_recorded(rival) and beside.nats > explained.own_nats(index)
+    by_record = OF_A_RECORD if is_behind or (_is_name_of_record(rival) and not is_recorded(mine)) else 0.0
     by_course = _OF_A_COURSE if mine.is_inferred else 0.0
     return 1.0 + max(by_record, by_course) * max(explained.own_nats(index), 0.0)
 

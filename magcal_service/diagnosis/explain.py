@@ -20,7 +20,7 @@ from magcal_service.diagnosis.plausible import all_within_physics, within_physic
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.rivals import best_of_each, is_as_sudden, is_recorded, tempered
 from magcal_service.diagnosis.screen import ACCEPTED_NATS, Candidate, Screen, hypotheses_of, search_cost, with_simpler
-from magcal_service.diagnosis.solution import exchanged, solve
+from magcal_service.diagnosis.solution import ON_THE_WAY, exchanged, solve
 from magcal_service.diagnosis.squares import held_out_nt2, inside_nt2
 from magcal_service.diagnosis.stages import RIVALS, SEARCHING, Progress, untold
 from magcal_service.diagnosis.sudden import Slower
@@ -90,12 +90,8 @@ class Explained:
 
 @dataclass(eq=False)
 class Search(Screen):
-    """One search over a problem; parameters as ``Screen``.
-
-    Parameters
-    ----------
-    close: labels of hypotheses that came near the best one in any step.
-    """
+    """One search over a problem; parameters as ``Screen``, and ``close``: labels of hypotheses that came near the best
+    one in any step."""
 
     close: set[str] = field(default_factory=set, repr=False)
 
@@ -127,13 +123,18 @@ class Search(Screen):
         return found if more is found.fit else self.settled(more, floor_nt)
 
     def selected(self, fit: Fit, floor_nt: float, progress: Progress, without: Set[str] = frozenset()) -> Fit:
-        """A fit with further effects, as many as hold; ``without``: effects that are not tried."""
+        """A fit with further effects, as many as hold; ``without``: effects, or labels of forms, that are not tried."""
         while len(fit.terms) < MOST_EFFECTS:
             progress(SEARCHING[len(fit.terms)])
+            before = self.problem, self.hypotheses
             larger = self._larger(fit, floor_nt, without)
             if larger is None:
                 break
             larger = self.refreshed(larger)
+            if not within_physics(larger, len(fit.terms)):  # what it was first found by is not what it needs
+                without = {*without, larger.terms[-1].hypothesis.label}
+                self.look_at(*before)
+                continue
             fit = self._exchanged(self._pruned(larger, floor_nt), floor_nt)
             if len(fit.terms) < len(larger.terms):
                 break
@@ -167,12 +168,11 @@ class Search(Screen):
     def refreshed(self, fit: Fit) -> Fit:
         """Fit once more with all columns made of what the fit has found; the search continues there.
 
-        They are made of the vectors that it has calibrated, and expanded halfway to where it has moved the reference.
-
-        Columns made of other vectors than the model's are inconsistent with it, and combinations of many of them
-        then hold the radial noise that they were freed of one by one.
+        They are made of the vectors that it has calibrated, and expanded halfway to where it has moved the reference:
+        columns of other vectors are inconsistent with the model, and combinations of many of them then hold the radial
+        noise that they were freed of one by one.
         """
-        for _ in range(_MOST_REFRESHED):
+        for count in range(1, _MOST_REFRESHED + 1):
             found, scene = self.clean(fit), self.problem.scene
             moved_s, before_s = (np.zeros(1) if one is None else one for one in (found.moved_s, scene.moved_s))
             moved_nt = found.calibrated_nt - scene.calibrated_nt
@@ -181,10 +181,11 @@ class Search(Screen):
             self.look_at(problem, ())  # forms and columns of the vectors before go before there are new ones
             self.look_at(problem, self.forms(problem))
             known = {hypothesis.label: hypothesis for hypothesis in self.hypotheses}
-            fit = solve(self.problem, fit.x, [anew(term, known[term.hypothesis.label]) for term in fit.terms])
-            if moved_nt2 < (_STILL * fit.rms_nt) ** 2:
+            terms = [anew(term, known[term.hypothesis.label]) for term in fit.terms]
+            if moved_nt2 < (_STILL * fit.rms_nt) ** 2 or count == _MOST_REFRESHED:
                 break
-        return fit
+            fit = solve(self.problem, fit.x, terms, ON_THE_WAY)
+        return solve(self.problem, fit.x, terms)
 
     def forms(self, problem: Problem) -> list[Hypothesis]:
         """Every hypothesis of the catalogue on a problem."""
@@ -211,7 +212,7 @@ class Search(Screen):
             tried.add(candidate.hypothesis.effect)
             for one in with_simpler(candidate, ranked, ACCEPTED_NATS):
                 term = Term(one.hypothesis, one.theta, one.gain.amplitudes)
-                trial = solve(self.problem, fit.x, (*fit.terms, term))
+                trial = solve(self.problem, fit.x, (*fit.terms, term), ON_THE_WAY)
                 if self.agrees(fit, trial) and all_within_physics(trial):
                     return trial
         return None
@@ -286,10 +287,8 @@ class Search(Screen):
         return fit
 
     def _by_channel(self, fit: Fit, floor_nt: float) -> Fit:
-        """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much.
-
-        An inferred driver has no sensor noise, and so fits a little better than its record.
-        """
+        """Terms with an inferred driver as the same effect by a recorded one, where that holds nearly as much: an
+        inferred one has no sensor noise, and so fits a little better than its record."""
         for index, term in enumerate(fit.terms):
             if not term.hypothesis.is_inferred:
                 continue
@@ -387,7 +386,8 @@ class Search(Screen):
             return None
         noise = fit.white_rms_nt / fit.noise_gain
         for best in with_simpler(ranked[0], ranked, own + by_nats):
-            trial = exchanged(self.problem, fit, index, Term(best.hypothesis, best.theta, best.gain.amplitudes))
+            term = Term(best.hypothesis, best.theta, best.gain.amplitudes)
+            trial = exchanged(self.problem, fit, index, term, ON_THE_WAY)
             gained = best.nats - own if math.isfinite(own) else 0.0
             most = 2.0 * noise**2 * (gained if may_cost is None else may_cost)
             if best.hypothesis.is_quickest(trial.terms[index].theta) or not all_within_physics(trial):

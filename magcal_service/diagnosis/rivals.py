@@ -85,7 +85,11 @@ def tempered(
             has_turn = most_fitted > 0 and (is_sudden or len(fitted) <= most_fitted)
             if has_turn and one.nats > _WORTH_FITTING * own.nats and kind not in fitted:
                 fitted.add(kind)
-                by_fit = _fitted(search, one, own, fit, index, sigma_nt)
+                trial = _trial(search, one, fit, index)
+                if not all_within_physics(trial):  # beyond its size it does what it does to first order
+                    fitted.discard(kind)
+                    continue
+                by_fit = _by_fit(search, one, own, fit, trial, index, sigma_nt) if trial.converged else None
             if by_fit is None:
                 beside = _left(search, one, fit, space), best
             else:
@@ -127,18 +131,20 @@ def _left(search: Screen, candidate: Candidate, fit: Fit, space: Workspace) -> A
     return found
 
 
-def _fitted(
-    search: Screen, rival: Candidate, own: Candidate, fit: Fit, index: int, sigma_nt: float
-) -> tuple[Candidate, Array] | None:
-    """A rival by its own fit in a term's place, and what that leaves; None where the fit gets nowhere.
+def _trial(search: Screen, rival: Candidate, fit: Fit, index: int) -> Fit:
+    """The joint solution with a rival in a term's place."""
+    term = Term(rival.hypothesis, rival.theta, rival.gain.amplitudes)
+    return timed(search, exchanged(fit.problem, fit, index, term), index)
+
+
+def _by_fit(
+    search: Screen, rival: Candidate, own: Candidate, fit: Fit, trial: Fit, index: int, sigma_nt: float
+) -> tuple[Candidate, Array]:
+    """A rival by its own fit in a term's place, and what that leaves.
 
     Both fits are zeros of the score, which leave more than the least sum of squares does; and what is left is counted
     as the sensor's own noise, which errors that shrink the field shrink along.
     """
-    term = Term(rival.hypothesis, rival.theta, rival.gain.amplitudes)
-    trial = timed(search, exchanged(fit.problem, fit, index, term), index)
-    if not trial.converged or not all_within_physics(trial):
-        return None
     before, left = search.white(fit.residual), search.white(with_noise_of(fit, trial))
     gained = float(before @ before - left @ left) / (2.0 * sigma_nt**2)
     nats = own.nats + gained + _cost(own, sigma_nt) - _cost(rival, sigma_nt)

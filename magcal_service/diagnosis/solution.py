@@ -35,6 +35,9 @@ model, or at the edge of what a number may be, none gets anywhere."""
 _CONVERGED: Final = 1e-4
 """Square of the step still to go, in sigmas of the solution: it ends a hundredth of a sigma from the zero."""
 
+ON_THE_WAY: Final = 1e-2
+"""The same of what is only compared with others, or solved again before anything is said of it: a tenth of a sigma."""
+
 _AT_A_KINK: Final = 0.1
 """The same where the model bends sharply with a number, as with the width of a hysteresis, and no step leads nearer: a
 third of a sigma.  Of 18 faint ones two stalled at an eighth and a fourth of one, however they were sought."""
@@ -124,10 +127,10 @@ class _Step:
         return np.asarray(was + np.outer(missed, along) / max(float(step @ along), 1e-300))
 
 
-def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
+def solve(problem: Problem, start: Array, terms: Sequence[Term] = (), enough: float = _CONVERGED) -> Fit:
     """All unknowns jointly, from ``start`` (9,) or (12,); the nonlinear numbers move along inside their searched range.
 
-    ``Fit.converged`` says whether the step still to go was below a hundredth of a sigma at the end.
+    ``Fit.converged`` says whether the square of the step still to go, in sigmas, was below ``enough`` at the end.
     """
     start_fit = evaluate(problem, start, terms)
     here = best = mark = _Step.of(start_fit, _variance(start_fit))
@@ -137,7 +140,7 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
             if not _is_nearer(mark, best):
                 break
             mark = best
-        if here.to_go < _CONVERGED * here.sigma2:
+        if here.to_go < enough * here.sigma2:
             return replace(here.fit, converged=True)
         step = here.damped(damping, bend) / here.scale
         there = _tried(here, step)
@@ -155,7 +158,7 @@ def solve(problem: Problem, start: Array, terms: Sequence[Term] = ()) -> Fit:
             damping = max(damping * _TIGHTENED, _FIRST_DAMPING)
             if damping > _MOST_DAMPING:
                 break
-    return replace(best.fit, converged=best.to_go < _CONVERGED * best.sigma2)
+    return replace(best.fit, converged=best.to_go < enough * best.sigma2)
 
 
 def _tried(here: _Step, step: Array) -> _Step | None:
@@ -167,11 +170,11 @@ def _tried(here: _Step, step: Array) -> _Step | None:
     return _Step.of(fit, here.sigma2) if _has_derivatives(fit) else None
 
 
-def exchanged(problem: Problem, fit: Fit, index: int, term: Term) -> Fit:
-    """The joint solution from where a fit is, with another term in the place of its ``index``-th."""
+def exchanged(problem: Problem, fit: Fit, index: int, term: Term, enough: float = _CONVERGED) -> Fit:
+    """The joint solution from where a fit is, with another term in the place of its ``index``-th; as ``solve``."""
     terms = list(fit.terms)
     terms[index] = term
-    return solve(problem, fit.x, terms)
+    return solve(problem, fit.x, terms, enough)
 
 
 def ended(fit: Fit) -> Fit:

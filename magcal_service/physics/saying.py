@@ -169,7 +169,7 @@ def digits(number: float, sigma: float) -> str:
     if not np.isfinite(sigma) or sigma <= 0.0:
         return f"{number:.5g}"
     places = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 12))
-    if abs(number) < 1e-3 or places > 6:
+    if max(abs(number), sigma) < 1e-3 or places > 6:
         significant = int(np.clip(np.floor(np.log10(max(abs(number), sigma) / sigma)) + 2, 2, 8))
         return f"{number:.{significant - 1}e}"
     return f"{number:.{places}f}"

@@ -309,6 +309,9 @@ def test_beside_a_name_whose_course_is_guessed_a_small_one_is_doubted_earlier(la
         ("inferred:light", "none", 100.0, 6.0, math.exp(4.0)),
         ("inferred:light", "inferred:light", 1000.0, 6.0, math.exp(6.0)),
         ("none", "channel:one", 1000.0, 22.0, math.exp(2.0)),
+        ("channel:one", "none", 1000.0, -22.0, math.exp(-2.0)),
+        ("channel:one", "inferred:light", 1000.0, -22.0, math.exp(-2.0)),
+        ("channel:one", "channel:other", 1000.0, -22.0, math.exp(-22.0)),
         ("inferred:light", "channel:one", 1000.0, 22.0, math.exp(2.0)),
         ("none", "none", 1000.0, 22.0, math.exp(22.0)),
         ("channel:other", "channel:one", 1000.0, 22.0, math.exp(22.0)),
@@ -319,10 +322,12 @@ def test_a_course_that_is_inferred_leaves_more_to_its_rivals(
 ) -> None:
     """It may lose 0.5 % of its evidence by not being the true one: of 1000 nats 5, so 6 behind are 1.
 
-    A rival by the same course loses as much.  One that was recorded may lose 1 % by its own noise and lag.
+    A rival by the same course loses as much.  One that was recorded may lose 1 % by its own noise and lag, as a rival
+    and as a name that one without a record is ahead of.
     """
     named = explained([("bias_drift", own_nats - behind)], own_nats)
-    first, other = named.rivals[0]
+    ranked = {one.hypothesis.effect: one for one in named.rivals[0]}
+    first, other = ranked["bias_step"], ranked["bias_drift"]
     named = replace(named, rivals=((first, replace(other, hypothesis=replace(other.hypothesis, driver=by))),))
     (term,) = named.fit.terms
     driven = replace(term, hypothesis=replace(term.hypothesis, driver=driver))

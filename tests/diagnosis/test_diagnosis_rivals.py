@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -203,6 +204,16 @@ def test_what_was_recorded_has_its_odds_as_a_rival_and_as_a_name(own_driver: str
     equal = nats("none", "none")
     assert nats(own_driver, rival_driver) - equal == pytest.approx(odds * RECORDED_NATS, abs=1e-6)
     assert nats(rival_driver, own_driver) - equal == pytest.approx(-odds * RECORDED_NATS, abs=1e-6)
+
+
+@pytest.mark.parametrize(("most", "is_one"), [(math.inf, True), (10.0, False)])
+def test_what_is_beyond_its_physics_once_it_is_fitted_is_no_rival(most: float, is_one: bool) -> None:
+    """To first order a field of the Sun's direction was 12 nats before recorded panels, and no size it ever has."""
+    mine = body_form("mine", "", along(0, SLOW))
+    near = body_form("near", "", along(0, SLOW + 0.15 * QUICK))
+    first, by_fit, _ = placed(mine, replace(near, blocks=(replace(near.blocks[0], most=most),)))
+    assert first["near"].nats > 0.7 * first["mine"].nats
+    assert ("near" in by_fit) is is_one
 
 
 def test_a_term_is_compared_at_the_numbers_of_its_fit() -> None:

@@ -10,12 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from magcal_service.diagnosis import explain
 from magcal_service.diagnosis.explain import Search
 from magcal_service.diagnosis.linear import BLOCKS, Gain, Workspace
 from magcal_service.diagnosis.plausible import all_within_physics
 from magcal_service.diagnosis.problem import Fit, Problem, Term
 from magcal_service.diagnosis.screen import Candidate, hypotheses_of, with_simpler
 from magcal_service.diagnosis.solution import solve
+from magcal_service.diagnosis.stages import untold
 from magcal_service.model import Array
 from magcal_service.physics.catalogue import effect_named
 from magcal_service.physics.columns import along_axes
@@ -251,6 +253,21 @@ def test_two_causes_are_taken_one_after_the_other_and_nothing_that_is_not_there(
     assert [next(rival.hypothesis.effect for rival in of_term) for of_term in found.rivals] == ["one", "other"]
     worth = [nats * gain.dispersion for nats, gain in zip(found.nats, found.gains, strict=True)]
     assert worth == pytest.approx([found.rivals[0][0].nats, found.rivals[1][0].nats], abs=1e-6)
+
+
+def test_what_a_refit_leads_out_of_its_physics_gives_its_turn_to_the_next_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was found within it, and what was found stood alone: nothing was named where a record explained all."""
+    forms = (body_form("one", "", along(0, SLOW)), body_form("other", "", along(0, SLOW + 0.15 * QUICK)))
+    search, fit = searching(flown(along(0, 300.0 * SLOW)), *forms)
+    allowed = {"other"}
+    monkeypatch.setattr(Search, "_exchanged", lambda _, fit, __: fit)  # it would be tried again there
+    monkeypatch.setattr(explain, "within_physics", lambda at, index: at.terms[index].hypothesis.label in allowed)
+    found = search.selected(fit, FLOOR_NT, untold)
+    assert [term.hypothesis.label for term in found.terms] == ["other"]
+    allowed.clear()
+    stood = search.problem
+    assert not search.selected(fit, FLOOR_NT, untold).terms
+    assert search.problem is stood
 
 
 def test_a_term_that_another_makes_superfluous_is_pruned() -> None:

@@ -118,6 +118,7 @@ def test_what_is_not_named_is_an_axis_or_a_number() -> None:
 def test_sigma_has_as_many_places_as_its_number() -> None:
     assert measured(1234.567, 12.0) == "1235 ± 12"
     assert measured(2.4e-5, 8.8e-5) == "2.4e-05 ± 8.8e-05"
+    assert measured(0.0, 0.6) == measured(2.4e-5, 0.6) == "0.00 ± 0.60"
     assert measured(5.0, 0.0) == measured(5.0, math.nan) == "5"
 
 
