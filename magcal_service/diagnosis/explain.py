@@ -333,6 +333,7 @@ class Search(Screen):
         where the rival keeps it: ``given_up`` are the labels of those that did.
         """
         while True:
+            fit = self._bounded(fit)
             sigma = max(fit.white_rms_nt, floor_nt)
             blocks, after = self.problem.blocks(self.white(fit.residual)), self.workspace(fit).residual
             spaces = [self.workspace(fit, index) for index in range(len(fit.terms))]

@@ -53,8 +53,7 @@ _BENDS: Final = 100.0
 """Square of the way that is left, in sigmas, below which steps tell what the normal matrix leaves out of the score's
 derivative: ten sigma, as ``_MAY_COST``."""
 
-_MOST_STRAYED: Final = 4
-_STRAYS: Final = 10.0
+_MOST_STRAYED, _STRAYS = 4, 10.0
 """Steps by such a derivative one after another that may lead no nearer, and times the way left that they may leave: of
 122 solutions 111 arrived so, in half the steps of 98 by the normal matrix alone; 104 where each had to lead nearer."""
 

@@ -270,6 +270,23 @@ def test_what_a_refit_leads_out_of_its_physics_gives_its_turn_to_the_next_form(m
     assert search.problem is stood
 
 
+def test_no_form_that_its_refit_leads_out_of_its_physics_takes_anothers_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of -31 847 nT, of 20 000 at the most, was named for a quadrotor's compass: its exchange was within it."""
+    forms = (body_form("one", "", along(0, SLOW + 0.3 * QUICK)), body_form("other", "", along(0, SLOW)))
+    search, fit = searching(flown(along(0, 300.0 * SLOW)), *forms)
+    search.close.update(form.label for form in forms)
+    fit = solve(search.problem, fit.x, [Term(forms[0], np.zeros(0), np.zeros(1))])
+    found = search.compared(fit, FLOOR_NT)
+    assert [term.hypothesis.label for term in found.fit.terms] == ["other"]
+    refreshed, beyond = Search.refreshed, []
+    monkeypatch.setattr(Search, "refreshed", lambda of, at: beyond.append(refreshed(of, at)) or beyond[-1])
+    monkeypatch.setattr(explain, "within_physics", lambda at, _: at not in beyond)
+    monkeypatch.setattr(explain, "all_within_physics", lambda at: at not in beyond)
+    found = search.compared(fit, FLOOR_NT)
+    assert len(beyond) == 1
+    assert [term.hypothesis.label for term in found.fit.terms] == ["one"]
+
+
 def test_a_term_that_another_makes_superfluous_is_pruned() -> None:
     """The mixture beside both of its parts is worth nothing and goes; both parts stay."""
     first, second = along(0, SLOW), along(1, QUICK)
