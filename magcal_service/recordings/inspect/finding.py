@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_service.recordings.defects import Code
 from magcal_service.recordings.report import RowCount
 
-__all__ = ["NO_ROWS", "Code", "Finding", "Rows", "Seen", "Spoils", "rows_text"]
+__all__ = ["NO_ROWS", "Code", "Finding", "Rows", "Seen", "Spoils", "rows_text", "rows_that"]
 
 Rows = NDArray[np.intp]
 """Numbers of rows of a recording, rising."""
@@ -92,3 +92,13 @@ NO_ROWS: Rows = np.zeros(0, dtype=np.intp)
 def rows_text(count: int) -> str:
     """``1 row`` or ``12 rows``."""
     return f"{count} row" if count == 1 else f"{count} rows"
+
+
+_OF_ONE = {"have": "has", "reach": "reaches", "stop at": "stops at"}
+"""What a verb is of one row, where that is not the verb with an s."""
+
+
+def rows_that(count: int, verb: str, of: int | None = None) -> str:
+    """``1 row of 20 has``, ``12 rows of 20 have``; without ``of`` the rows alone."""
+    rows = rows_text(count) if of is None else f"{rows_text(count)} of {of}"
+    return f"{rows} {_OF_ONE.get(verb, f'{verb}s') if count == 1 else verb}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM, WGS84_A_KM
-from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text, rows_that
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.inspect.motion import distinct, escape_km_s, placed_rows
 from magcal_service.recordings.report import RowFault
@@ -37,8 +37,9 @@ def position_zero(log: Log) -> Iterator[Seen]:
     for entry in log.recording.report.entries:
         if entry.part == "position" and entry.fault is RowFault.ABSURD:
             shows = f" ({entry.shows})" if entry.shows else ""
+            lie = "lies" if entry.count == 1 else "lie"
             says = (
-                f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}{shows}, lie where no craft is: "
+                f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}{shows}, {lie} where no craft is: "
             )
             says += "in the Earth, far off it, or beyond a latitude of 90 degrees"
             remedy = (
@@ -53,7 +54,7 @@ def position_zero(log: Log) -> Iterator[Seen]:
     heights = np.unique(np.round(x[at] - WGS84_A_KM, 6))
     if not len(at) or (len(at) < 2 and heights[0] != 0.0):
         return
-    says = f"{rows_text(len(at))} of {len(log)} have the place 0, 0, {heights[0]:g} km high: the receiver had no fix"
+    says = f"{rows_that(len(at), 'have', len(log))} the place 0, 0, {heights[0]:g} km high: the receiver had no fix"
     remedy = "their place is not used; where the receiver tells of a fix, leave the cells empty without one"
     yield Seen(Code.POSITION_ZERO, True, log.rows[at], says, remedy, Spoils.PLACE)
 
@@ -81,7 +82,7 @@ def position_jump(log: Log) -> Iterator[Seen]:
     held = np.repeat(good, np.diff(np.concatenate([at, [len(rows)]])))
     bad = rows[~held]
     fastest = float(np.max((np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time_s))[far]))
-    says = f"{rows_text(len(bad))} of {len(log)} have a place {fastest:.3g} km/s from the next: no orbit is so fast"
+    says = f"{rows_that(len(bad), 'have', len(log))} a place {fastest:.3g} km/s from the next: no orbit is so fast"
     remedy = (
         "their place is not used; leave the cells empty where the receiver has no fix; if many jump, check columns "
     )
@@ -139,7 +140,7 @@ def position_still(log: Log) -> Iterator[Seen]:
         return
     bad = np.concatenate([np.arange(a + 1, b + 1) for a, b in zip(first[long], end[long], strict=True)])
     says = (
-        f"{rows_text(len(bad))} of {len(log)} repeat a place for up to {lasting.max():.4g} s, "
+        f"{rows_that(len(bad), 'repeat', len(log))} a place for up to {lasting.max():.4g} s, "
         f"in which the craft flies {float(np.median(speed)) * lasting.max():.0f} km"
     )
     remedy = "their place is not used; leave the cells empty where the receiver has no new fix"

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text, rows_that
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.table import FloatArray
 from magcal_service.residuals import MEDIAN_TO_SIGMA
@@ -50,7 +50,7 @@ def wrapped(log: Log) -> Iterator[Seen]:
                 continue
             says = (
                 f"{_AXES[axis]} jumps by {_WORD * unit:g} {log.recording.descriptor.magnetometer.unit} and back: "
-                f"{rows_text(len(at))} of {len(log)} have wrapped round 16 bits"
+                f"{rows_that(len(at), 'have', len(log))} wrapped round 16 bits"
             )
             remedy = "they are left out; log the sensor's values in a wider number"
             yield Seen(Code.WRAPPED, True, log.rows[at], says, remedy, Spoils.ROW)
@@ -113,7 +113,7 @@ def _left_out(log: Log, stop: Stop, says: str) -> Seen:
 
 def _at(log: Log, stop: Stop, verb: str) -> str:
     at = int(np.count_nonzero(stop.rows))
-    return f"{rows_text(at)} of {len(log)} {verb} {stop.at_nt:g} nT on {_AXES[stop.axis]}"
+    return f"{rows_that(at, verb, len(log))} {stop.at_nt:g} nT on {_AXES[stop.axis]}"
 
 
 def stuck_axis(log: Log) -> Iterator[Seen]:
@@ -167,6 +167,6 @@ def start_transient(log: Log) -> Iterator[Seen]:
     if not 1 <= count <= most or np.count_nonzero(off[count:] > _OUT * sigma) > 0.001 * len(known):
         return
     worst = float(off[:count].max())
-    says = f"the first {rows_text(count)} lie up to {worst:.0f} nT off what the rest agree on to {sigma:.0f} nT"
+    says = f"the first {rows_that(count, 'lie')} up to {worst:.0f} nT off what the rest agree on to {sigma:.0f} nT"
     remedy = "they are left out; begin the log when the sensor has settled"
     yield Seen(Code.START_TRANSIENT, True, log.rows[known[:count]], says, remedy, Spoils.ROW)

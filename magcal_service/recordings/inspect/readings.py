@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Seen, Spoils, rows_text, rows_that
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import FloatArray
@@ -39,8 +39,7 @@ def zero_rows(log: Log) -> Iterator[Seen]:
     """All three components are exactly 0."""
     at = np.flatnonzero(~log.field_nt.any(axis=1))
     if len(at):
-        reads = "reads" if len(at) == 1 else "read"
-        says = f"{rows_text(len(at))} of {len(log)} {reads} (0, 0, 0): a failed read of the sensor"
+        says = f"{rows_that(len(at), 'read', len(log))} (0, 0, 0): a failed read of the sensor"
         remedy = "they are left out; nothing has to be written, but look after the sensor's bus"
         yield Seen(Code.ZERO_ROWS, True, log.rows[at], says, remedy, Spoils.ROW)
 
@@ -58,9 +57,7 @@ def sentinels(log: Log) -> Iterator[Seen]:
         left &= ~at
         unit = log.recording.descriptor.magnetometer.unit
         count = int(np.count_nonzero(at))
-        says = (
-            f"{rows_text(count)} of {len(log)} hold {value:g} {unit}, far from every other value: it means no reading"
-        )
+        says = f"{rows_that(count, 'hold', len(log))} {value:g} {unit}, far from every other value: it means no reading"
         remedy = "they are left out; write nothing, or an empty cell where the recorder writes this value"
         yield Seen(Code.SENTINEL, True, log.rows[at], says, remedy, Spoils.ROW)
 
@@ -70,7 +67,8 @@ def _unreadable(log: Log) -> Iterator[Seen]:
     for entry in log.recording.report.entries:
         if entry.part == "magnetometer" and entry.fault in _NO_VALUE:
             what = "a field beyond 1 mT" if entry.fault is RowFault.ABSURD else f"no number ({entry.fault})"
-            says = f"{rows_text(entry.count)}, the first on {entry.place} {entry.first_line}, hold {what}"
+            hold = "holds" if entry.count == 1 else "hold"
+            says = f"{rows_text(entry.count)}, the first on {entry.place} {entry.first_line}, {hold} {what}"
             remedy = "they are refused; if most are, check magnetometer.columns and magnetometer.unit"
             yield Seen(Code.SENTINEL, True, NO_ROWS, says, remedy, refused=entry)
 
@@ -139,7 +137,7 @@ def held_readings(log: Log) -> Iterator[Seen]:
         return
     each = len(log) / (len(log) - len(repeats))
     says = (
-        f"{rows_text(len(repeats))} of {len(log)} repeat the reading before them to the last digit: "
+        f"{rows_that(len(repeats), 'repeat', len(log))} the reading before them to the last digit: "
         f"the sensor renews it every {each:.1f} rows, every {each * log.step_s:.3g} s"
     )
     remedy = "the first of each reading is used and the repeats are left out; nothing has to be written"

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text, rows_that
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.specs import ConstantReference
 from magcal_service.recordings.table import FloatArray
@@ -73,7 +73,7 @@ def reference_repeats(log: Log) -> Iterator[Seen]:
         return
     each = len(known) / (len(known) - len(repeats))
     says = (
-        f"{rows_text(len(repeats))} of {len(log)} repeat the reference before them: it is renewed every {each:.1f} "
+        f"{rows_that(len(repeats), 'repeat', len(log))} the reference before them: it is renewed every {each:.1f} "
         f"rows and jumps by {float(np.median(moving)):.3g} nT then"
     )
     remedy = "only renewed values are used, and interpolated between; log the reference, or its place, at every row"

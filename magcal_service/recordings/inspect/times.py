@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from magcal_service.recordings.inspect.bursts import burst, is_even
-from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_text
+from magcal_service.recordings.inspect.finding import Code, Seen, Spoils, rows_that
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.time_spec import TimeFormat
 from magcal_service.recordings.timestamps import ns_to_iso8601
@@ -135,7 +135,7 @@ def _clock_not_set(log: Log) -> Iterator[Seen]:
     count = int(jump[0]) + 1
     if count > len(log) // 4 or _year(int(log.time_ns[:count].max())) >= _YEARS[0]:
         return
-    says = f"the first {rows_text(count)} lie around {ns_to_iso8601(int(log.time_ns[0]))[:10]}, the rest years later"
+    says = f"the first {rows_that(count, 'lie')} around {ns_to_iso8601(int(log.time_ns[0]))[:10]}, the rest years later"
     remedy = "they are left out: the clock had not been set yet"
     yield Seen(Code.TIME_EPOCH, True, log.rows[:count], says, remedy, Spoils.ROW)
 
@@ -152,7 +152,9 @@ def time_order(log: Log) -> Iterator[Seen]:
     behind = np.flatnonzero(log.time_ns < np.maximum.accumulate(log.time_ns))
     step_s = float(np.min(np.diff(log.time_ns)[back])) * 1e-9
     name = _counter(-step_s, log.step_s)
-    says = f"time goes back {len(back)} times, by {-step_s:.6g} s at most; {rows_text(len(behind))} lie behind others"
+    says = (
+        f"time goes back {len(back)} times, by {-step_s:.6g} s at most; {rows_that(len(behind), 'lie')} behind others"
+    )
     if name:
         says += f", as where {name} begins anew"
     remedy = (

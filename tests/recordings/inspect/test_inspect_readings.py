@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_service.recordings.inspect.finding import Code
+from magcal_service.recordings.inspect.finding import Code, rows_that
 from tests.recordings.inspect.clean_logs import CleanLog, Kind, clean_log
 
 SOME = np.array([100, 101, 350, 900, 1500])
@@ -27,6 +27,21 @@ def test_rows_of_zeros_are_left_out(rows: np.ndarray, tmp_path: Path) -> None:
     assert (finding.code, finding.certain) == (Code.ZERO_ROWS, True)
     assert (finding.rows, finding.first) == (len(rows), rows[0] + 2)
     assert len(inspection.usable) == 1800 - len(rows)
+
+
+@pytest.mark.parametrize(
+    ("count", "verb", "of", "says"),
+    [
+        (1, "have", 20, "1 row of 20 has"),
+        (2, "have", 20, "2 rows of 20 have"),
+        (1, "reach", 20, "1 row of 20 reaches"),
+        (1, "stop at", 20, "1 row of 20 stops at"),
+        (1, "lie", None, "1 row lies"),
+        (12, "lie", None, "12 rows lie"),
+    ],
+)
+def test_what_is_said_of_one_row_is_said_of_one(count: int, verb: str, of: int | None, says: str) -> None:
+    assert rows_that(count, verb, of) == says
 
 
 @pytest.mark.parametrize(
