@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -23,7 +24,7 @@ _ABSURD: Final = 1e20  # beyond nanoseconds since 1970, the largest number that 
 _MOSTLY: Final = 0.8  # share of cells that are numbers in a column of numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Column:
     """One column.
 
@@ -46,7 +47,7 @@ class Column:
     cells: list[str] = field(repr=False)
     values: FloatArray = field(repr=False)
 
-    @property
+    @cached_property
     def numeric(self) -> bool:
         """Whether most filled cells are numbers, and there are some."""
         filled = sum(1 for cell in self.cells if cell)
@@ -57,7 +58,7 @@ class Column:
         """How the column is called in a sentence."""
         return f"{self.name!r}" if self.name else f"column {self.number}"
 
-    @property
+    @cached_property
     def whole(self) -> bool:
         """Whether all numbers are whole ones."""
         good = self.values[np.isfinite(self.values)]
