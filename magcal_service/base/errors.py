@@ -43,6 +43,8 @@ _LONGEST_VALUE = 500  # characters of a value in a message: some lines on a term
 
 def printable(text: str) -> str:
     """A text with everything that a terminal might obey, control characters and the like, shown as an escape."""
+    if text.isprintable():
+        return text
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
 
 
