@@ -111,12 +111,12 @@ class _Fitted(NamedTuple):
 def _as_bent(orders: Sequence[_Fitted]) -> Sequence[_Fitted]:
     """The polynomial of the least order that the next one gains no evidence over, and that next one; all of a rate that
     goes back and forth by it: they disagree by what none of them is right in."""
+    enough = _LEAST_NATS + math.log(len(orders[0].left))
     scatter = max(1.0, float(np.mean(orders[-1].left ** 2)))
-    for one, more in itertools.pairwise(orders):
-        gain = 0.5 * (float(one.left @ one.left) - float(more.left @ more.left)) / scatter
-        if gain - math.log(len(one.left)) < _LEAST_NATS or more is orders[-1]:
-            return (one, more) if _is_one_way(one) else orders
-    return orders
+    squares = [float(one.left @ one.left) for one in orders]
+    gained = [0.5 * (of_one - of_more) / scatter for of_one, of_more in itertools.pairwise(squares)]
+    at = next((index for index, nats in enumerate(gained) if nats < enough), len(gained) - 1)
+    return orders[at : at + 2] if _is_one_way(orders[at]) else orders
 
 
 def _is_one_way(fitted: _Fitted) -> bool:
