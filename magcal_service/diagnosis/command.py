@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,9 +60,9 @@ class Request:
     @property
     def command(self) -> str:
         """The command line that does this."""
-        parts = ["magcal", "diagnose", str(self.recording), "--out", str(self.out)]
+        parts = ["diagnose", str(self.recording), "--out", str(self.out)]
         parts += ["--simulation", self.simulation] if self.simulation is not None else []
-        return shlex.join(parts + self._which)
+        return command_line(parts + self._which)
 
     @property
     def _which(self) -> list[str]:
@@ -76,15 +76,25 @@ class Request:
         found, physics = diagnosis.verdict is not Verdict.NONE, self.out / PHYSICS
         given = physics if found else self.out / CALIBRATION
         commands = [] if found else [["calibrate", str(self.recording), *self._which, "--json", str(given)]]
-        commands += [["apply", str(self.recording), *self._which, "--with", str(given)]]
-        commands[-1] += ["--out", str(self.out / "vectors.csv")]
+        commands += [applying(self.recording, self._which, given)]
         if diagnosis.fit.terms or diagnosis.modelled is not None:
-            return (*map(_command_line, commands), in_flight(physics))
-        return tuple(map(_command_line, [*commands, ["export", str(given), "--format", "c-header"]]))
+            return (*map(command_line, commands), in_flight(physics))
+        return tuple(map(command_line, [*commands, ["export", str(given), "--format", "c-header"]]))
 
 
-def _command_line(command: list[str]) -> str:
+def applying(recording: Path, which: Sequence[str], given: Path) -> list[str]:
+    """The command that gives a recording's calibrated vectors by a file, beside which they are written."""
+    return ["apply", str(recording), *which, "--with", str(given), "--out", str(given.with_name("vectors.csv"))]
+
+
+def command_line(command: Sequence[str]) -> str:
+    """A command as a shell takes it."""
     return shlex.join(["magcal", *command])
+
+
+def next_lines(onward: Sequence[str]) -> list[str]:
+    """What to do next, at the end of a summary."""
+    return [f"{'      ' if number else 'next: '}{line}" for number, line in enumerate(onward)]
 
 
 def in_flight(physics: Path) -> str:
@@ -130,7 +140,7 @@ def run(request: Request, progress: Callable[[str], None]) -> Outcome:
     made = _made(request, accepted, progress)
     files = tuple(write(request.out / name, content) for name, content in made.contents.items())
     lines = [*made.lines, *summary(made.diagnosis, made.found, held_out_rms(made.diagnosis), files)]
-    lines += [f"{'      ' if number else 'next: '}{line}" for number, line in enumerate(made.onward)]
+    lines += [*next_lines(made.onward)]
     lines += removed_line(request.out, earlier, files)
     return Outcome(made.diagnosis, made.found, files, tuple(lines))
 

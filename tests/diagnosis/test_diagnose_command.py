@@ -19,6 +19,7 @@ import pytest
 from magcal_service.base import progress
 from magcal_service.diagnosis.command import Request
 from magcal_service.diagnosis.diagnose import Verdict
+from magcal_service.diagnosis.joint.command import JointRequest
 from magcal_service.diagnosis.stages import LEFT, READING, RIVALS, SEARCHING, SIMULATING, STEPS, WRITING
 from magcal_service.offline.result_head import DIAGNOSIS, schema
 from magcal_service.recordings.reader import read_recording
@@ -316,3 +317,16 @@ def test_what_compensates_nothing_is_no_file_for_the_flight(terms: tuple[object,
     last = Request(Path("log.toml"), Path("out")).onward(named)[-1]  # type: ignore[arg-type]
     in_flight = bool(terms) or modelled is not None
     assert last.startswith("in flight: physics = " if in_flight else "magcal export out/physics.toml")
+
+
+def test_several_recordings_go_on_with_the_latest() -> None:
+    """Whose nine errors the model begins from."""
+    request = JointRequest((Path("late.toml"), Path("early.toml")), Path("out"), "one")
+    model = SimpleNamespace(terms=(object(),))
+    for trusted, terms, lines in ((True, (object(),), 2), (False, (object(),), 0), (True, (), 0)):
+        model.terms = terms
+        onward = request.onward(SimpleNamespace(trusted=trusted, latest=0), model)  # type: ignore[arg-type]
+        assert len(onward) == lines
+        if onward:
+            assert onward[0] == ("magcal apply late.toml --craft one --with out/physics.toml --out out/vectors.csv")
+            assert onward[1].startswith("in flight: physics = ")

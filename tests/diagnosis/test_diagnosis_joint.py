@@ -148,6 +148,7 @@ def test_summary_and_page_say_what_is_common_and_what_is_not(found: JointDiagnos
         assert said in page
     assert "of its own fit's gain is kept" in text
     assert 'http-equiv="Content-Security-Policy"' in page
+    assert f'<span class="tag {found.verdict}">' in page
 
 
 def test_what_samples_show_is_said_of_each_recording_where_nothing_is_named() -> None:

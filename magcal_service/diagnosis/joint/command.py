@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from magcal_service.diagnosis.command import digest, in_flight, write
+from magcal_service.diagnosis.command import applying, command_line, digest, in_flight, next_lines, write
 from magcal_service.diagnosis.joint.diagnose import JointDiagnosis, diagnose_together
 from magcal_service.diagnosis.joint.gather import Gathered, gather
 from magcal_service.diagnosis.joint.page import report
@@ -26,6 +25,7 @@ from magcal_service.offline.result_files import (
     removed_line,
 )
 from magcal_service.physics.apply.model_file import text_of
+from magcal_service.physics.apply.physics_model import PhysicsModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +46,19 @@ class JointRequest:
     @property
     def command(self) -> str:
         """The command line that does this."""
-        parts = ["magcal", "diagnose", *map(str, self.recordings), "--out", str(self.out)]
-        return shlex.join([*parts, *(["--craft", self.craft] if self.craft is not None else [])])
+        return command_line(["diagnose", *map(str, self.recordings), "--out", str(self.out), *self._which])
+
+    @property
+    def _which(self) -> list[str]:
+        return ["--craft", self.craft] if self.craft is not None else []
+
+    def onward(self, diagnosis: JointDiagnosis, model: PhysicsModel) -> tuple[str, ...]:
+        """What to do with a result that may be acted on, first with the latest recording, whose nine errors the model
+        begins from; none where it may not."""
+        if not (diagnosis.trusted and model.terms):
+            return ()
+        physics = self.out / PHYSICS
+        return command_line(applying(self.recordings[diagnosis.latest], self._which, physics)), in_flight(physics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +85,7 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     diagnosis = diagnose_together(gathered.inspections, gathered.names, progress=progress, assumed=gathered.assumed)
     progress(WRITING)
     model = model_of(diagnosis)
-    onward = (in_flight(request.out / PHYSICS),) if diagnosis.trusted and model.terms else ()
+    onward = request.onward(diagnosis, model)
     contents = {
         DIAGNOSIS: as_json(diagnosis),
         REPORT: report(diagnosis, replace(_origin(request, gathered), onward=onward)),
@@ -88,7 +99,7 @@ def run_together(request: JointRequest, progress: Callable[[str], None]) -> Join
     lines = [
         *said,
         *summary(diagnosis, files),
-        *(f"next: {one}" for one in onward),
+        *next_lines(onward),
         *removed_line(request.out, earlier, files),
     ]
     return JointOutcome(diagnosis, tuple(lines))

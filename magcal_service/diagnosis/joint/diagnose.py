@@ -144,6 +144,12 @@ class JointDiagnosis:
     rest: Rest | None = None
 
     @property
+    def latest(self) -> int:
+        """Which of the recordings begins last: its nine errors and start states a model begins from."""
+        starts = [one.prepared.problem.scene.origin_ns for one in self.recordings]
+        return starts.index(max(starts))
+
+    @property
     def concerned(self) -> Mapping[str, tuple[str, ...]]:
         """The effects that a reason is about, by the reason."""
         return concerned(self.explained, {})

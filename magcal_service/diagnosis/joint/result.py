@@ -208,7 +208,7 @@ def model_of(diagnosis: JointDiagnosis) -> PhysicsModel:
 
     What each recording has its own, and what acts in one of them alone, is no model of the next and is left out.
     """
-    latest = max(diagnosis.recordings, key=lambda one: one.prepared.problem.scene.origin_ns)
+    latest = diagnosis.recordings[diagnosis.latest]
     scene = latest.prepared.problem.scene
     sigma = np.sqrt(np.maximum(np.diagonal(latest.covariance), 0.0))
     terms = [(k, term) for k, term in enumerate(diagnosis.fit.terms) if joint(term).common]
