@@ -30,7 +30,7 @@ from magcal_service.physics.catalogue import catalogue, held_at
 from magcal_service.physics.effects import coloured_noise, nutation, spin_rate
 from magcal_service.physics.held import HeldAt
 from magcal_service.physics.interface import UNLISTED, Effect, Finding
-from magcal_service.physics.scene.steady_spin import SpinSolution, solve_spin
+from magcal_service.physics.scene.steady_spin import SpinSolution, Turn, solve_spin
 from magcal_service.recordings.inspect.inspection import Inspection, inspect
 from magcal_service.recordings.recording import Recording
 from magcal_service.trust.reasons import Reason
@@ -306,8 +306,8 @@ def _other_findings(
             if effect.find is None or effect.acts_on not in wanted:
                 continue
             finding = effect.find(view)
-            if finding is not None and effect.name == NUTATION and spin is not None:
-                finding = _beside_disturbances(finding, prepared, fit, end.left, spin)
+            if finding is not None and effect.name == NUTATION and view.turn is not None:
+                finding = _beside_disturbances(finding, prepared, fit, end.left, view.turn)
             if finding is not None:
                 findings[effect.name] = finding
     if COLOURED_NOISE in findings:
@@ -334,7 +334,7 @@ def _is_coning(findings: Mapping[str, Finding]) -> bool:
 
 
 def _beside_disturbances(
-    nutation: Finding, prepared: Prepared, fit: Fit, left: Sequence[Structure], spin: SpinSolution
+    nutation: Finding, prepared: Prepared, fit: Fit, left: Sequence[Structure], turn: Turn
 ) -> Finding | None:
     """A nutation, doubted by what disturbs the vectors anyway, of which the residual sees one part only; None where it
     is no larger.
@@ -343,7 +343,7 @@ def _beside_disturbances(
     every direction as what the residual has along it is taken for granted, or that of the effects found, or the usual
     error of a field model.  Across it may be larger by chance, hence the doubt: the square of its share.
     """
-    turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(spin.across_nt)
+    turned_nt = np.tan(np.radians(float(nutation.parameters["angle_deg"].value))) * np.mean(turn.across_nt)
     body, _ = disturbances(fit.terms, fit.problem.scene)
     excess_nt2 = max(prepared.baseline.rms_nt**2 - prepared.problem.noise_nt**2, 0.0)
     left_nt2 = max((one.squares / len(fit.residual) for one in left[:1] if significant(one)), default=0.0)

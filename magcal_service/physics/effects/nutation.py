@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magcal_service.model import Array
 from magcal_service.physics.acting import ActsOn
 from magcal_service.physics.interface import Effect, Finding, value_of
-from magcal_service.physics.scene.steady_spin import across
+from magcal_service.physics.scene.steady_spin import Turn, across
 from magcal_service.physics.scene.view import View
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -27,9 +27,6 @@ _LEAST_SIGMAS: Final = 0.1
 
 _STANDS_OUT: Final = 3.0
 """Of its own sigma, what the angle has to have, as all effects' numbers do."""
-
-_STEEPEST: Final = 0.999
-"""Largest sine of twice the angle: beyond 44 degrees both sides of 45 coincide, and the derivative has a pole."""
 
 _SLOWEST_HZ: Final = 2e-3
 """Distance from the spin's lines within which what falls off from them is no nutation [Hz]: eleven times the orbit's
@@ -49,56 +46,77 @@ choice: above the height that a line loses between two places of the transform."
 
 
 def _find(view: View) -> Finding | None:
-    spin, scene = view.spin, view.scene
-    if spin is None or scene.reference_eci_nt is None or len(scene) < 200:
+    turn, scene = view.turn, view.scene
+    if turn is None or len(scene) < 200:
         return None
-    b1, b2 = across(spin.axis_body)
+    b1, b2 = across(turn.axis_body)
     w = scene.calibrated_nt
     turning = w @ b1 + 1j * (w @ b2)
-    i1, i2 = across(spin.axis_eci)
-    tilts = [w @ b1, w @ b2, scene.reference_eci_nt @ i1, scene.reference_eci_nt @ i2, np.ones(len(scene))]
-    steady = np.stack(tilts, axis=1)
-    misfit = spin.axial_misfit_nt - steady @ np.linalg.lstsq(steady, spin.axial_misfit_nt, rcond=1e-10)[0]
-    product = misfit * np.conj(turning)
+    along, steady = _along(view, turn)
+    steady = np.column_stack([w @ b1, w @ b2, steady])
+    misfit = along - steady @ np.linalg.lstsq(steady, along, rcond=1e-10)[0]
+    product: Complex = np.asarray(misfit * np.conj(turning), dtype=np.complex128)
     frequency, line = _spectrum(scene.time_s, product, scene.period_s)
-    turn_hz = spin.rate_rad_s / (2.0 * math.pi)
+    turn_hz = turn.rate_rad_s / (2.0 * math.pi)
     span_hz = 3.0 / max(float(np.ptp(scene.time_s)), 1.0)
     allowed, best = _line_apart(frequency, np.abs(line), turn_hz, span_hz, scene.period_s)
     if best is None:
         return None
-    power_of, elapsed = np.abs(turning) ** 2, scene.time_s - scene.time_s[0]
-    power = float(power_of.sum())
+    power, elapsed = float((np.abs(turning) ** 2).sum()), scene.time_s - scene.time_s[0]
     peak = _peak(scene.time_s, product, float(frequency[best]), span_hz / 6.0)
     if peak is None:
         return None
-    line_hz, height = peak
-    amplitude = 2.0 * height / power  # sin(angle) cos(angle): both sides are taken along and across the mean axis
+    line_hz, _ = peak
+    coning = turning * np.exp(-2j * math.pi * line_hz * elapsed)
+    tangent = _tangent(along, coning, steady)
     around = allowed & (np.abs(np.arange(len(line)) - best) < max(len(line) // 40, 40))
     around &= np.abs(np.arange(len(line)) - best) > 6
     usual = float(np.mean(np.abs(line[around]) ** 2)) if around.any() else math.inf
     nats = float(np.abs(line[best])) ** 2 / max(usual, power * view.noise_nt**2 * 0.5) - math.log(len(scene))
-    strength = amplitude * math.sqrt(power / len(scene) / 2.0)
+    strength = tangent * math.sqrt(power / len(scene) / 2.0)
     if nats < _LEAST_NATS or strength < _LEAST_SIGMAS * view.noise_nt:
         return None
-    before = float(np.mean(misfit**2))
-    explained = amplitude**2 * power / 2.0 / len(scene)
-    excess = max(before - view.noise_nt**2, explained)
-    halves = [
-        2.0 * abs(complex(np.exp(2j * math.pi * line_hz * elapsed[part]) @ product[part])) / float(power_of[part].sum())
+    excess = max(float(np.mean(misfit**2)) - view.noise_nt**2, strength**2)
+    first, last = (
+        _tangent(along[part], coning[part], steady[part])
         for part in (slice(None, len(scene) // 2), slice(len(scene) // 2, None))
-    ]
-    sigma = math.hypot(view.noise_nt * math.sqrt(2.0 / power), 0.5 * (halves[0] - halves[1]))
-    if amplitude < _STANDS_OUT * sigma:
+    )
+    sigma = math.hypot(view.noise_nt * math.hypot(1.0, tangent) * math.sqrt(2.0 / power), 0.5 * (first - last))
+    if tangent < _STANDS_OUT * sigma:
         return None  # a line that one half hardly has is no steady coning
-    angle = 0.5 * math.asin(min(2.0 * amplitude, _STEEPEST))
+    sigma_rad = sigma / (1.0 + tangent**2)
     parameters = {
-        "angle_deg": value_of(math.degrees(angle), math.degrees(sigma / math.cos(2.0 * angle)), "deg"),
-        "rate_rad_s": value_of(
-            2.0 * math.pi * abs(line_hz), 2.0 * math.pi * span_hz / 3.0 * sigma / amplitude, "rad/s"
-        ),
-        "frequency_hz": value_of(abs(line_hz), span_hz / 3.0 * sigma / amplitude, "Hz"),
+        "angle_deg": value_of(math.degrees(math.atan(tangent)), math.degrees(sigma_rad), "deg"),
+        "rate_rad_s": value_of(2.0 * math.pi * abs(line_hz), 2.0 * math.pi * span_hz / 3.0 * sigma / tangent, "rad/s"),
+        "frequency_hz": value_of(abs(line_hz), span_hz / 3.0 * sigma / tangent, "Hz"),
     }
-    return Finding(parameters, nats, min(1.0, explained / excess))
+    return Finding(parameters, nats, min(1.0, strength**2 / excess))
+
+
+def _tangent(along: Array, coning: Complex, steady: Array) -> float:
+    """Tangent of the cone's half angle: what goes along the body's axis (n,) for what lies across it towards the axis
+    that is fixed in space, w . a = H . h / cos(angle) - tan(angle) w . p with p (n,) in ``coning``, beside ``steady``
+    (n, k), which has the first term."""
+    columns = np.column_stack([coning.real, coning.imag, steady])
+    cosine, sine = np.linalg.lstsq(columns, along, rcond=1e-10)[0][:2].tolist()
+    return math.hypot(cosine, sine)
+
+
+def _along(view: View, turn: Turn) -> tuple[Array, Array]:
+    """What the field has along the body's axis (n,), less what it has along an axis in space where that is known, and
+    what a craft without coning may have there (n, k): an axis that is tilted in space, or all that is as slow as the
+    field itself changes along an orbit."""
+    spin, scene = view.spin, view.scene
+    if spin is not None and scene.reference_eci_nt is not None:
+        i1, i2 = across(spin.axis_eci)
+        space = np.stack([i1, i2, spin.axis_eci], axis=1)
+        return spin.axial_misfit_nt, np.column_stack([scene.reference_eci_nt @ space, np.ones(len(scene))])
+    elapsed = scene.time_s - scene.time_s[0]
+    span_s = max(float(elapsed[-1]), 1.0)
+    orders = np.arange(1, math.ceil(span_s * _SIDE_HZ) + 1)
+    waves = np.exp(2j * math.pi * np.outer(elapsed / span_s, orders))
+    slow = np.column_stack([np.vander(elapsed / span_s, 4), waves.real, waves.imag])
+    return scene.calibrated_nt @ turn.axis_body, slow
 
 
 def _line_apart(
