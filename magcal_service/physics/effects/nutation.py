@@ -40,6 +40,10 @@ _SIDE_HZ: Final = 7e-4
 """Distance of side lines from their own [Hz]: four times the orbit's frequency, which a field that goes round twice an
 orbit has in a product of two."""
 
+_MOST_WAVES: Final = 32
+"""Waves that what is slow is made of, at the most, for the cost of long recordings: what is left of it stands beside
+the spin's line, where nothing is nutation."""
+
 _LARGER: Final = 1.5
 """Times a line's height, what stands that near beside it makes it a side line of that;
 choice: above the height that a line loses between two places of the transform."""
@@ -113,7 +117,7 @@ def _along(view: View, turn: Turn) -> tuple[Array, Array]:
         return spin.axial_misfit_nt, np.column_stack([scene.reference_eci_nt @ space, np.ones(len(scene))])
     elapsed = scene.time_s - scene.time_s[0]
     span_s = max(float(elapsed[-1]), 1.0)
-    orders = np.arange(1, math.ceil(span_s * _SIDE_HZ) + 1)
+    orders = np.arange(1, min(math.ceil(span_s * _SIDE_HZ), _MOST_WAVES) + 1)
     waves = np.exp(2j * math.pi * np.outer(elapsed / span_s, orders))
     slow = np.column_stack([np.vander(elapsed / span_s, 4), waves.real, waves.imag])
     return scene.calibrated_nt @ turn.axis_body, slow
