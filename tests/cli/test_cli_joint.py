@@ -64,8 +64,11 @@ def test_two_days_give_three_files_and_end_with_0(
     assert "day0.csv" in page
     assert f"magcal diagnose {days[0]} {days[1]} --out {out}" in page
     told = capsys.readouterr()
-    expected = f'next: in flight: physics = "{out / "physics.toml"}" under [[craft]] of the daemon\'s configuration'
-    assert told.out.splitlines()[-1] == expected
+    onward = [
+        f"next: magcal apply {days[1]} --with {out / 'physics.toml'} --out {out / 'vectors.csv'}",
+        f'      in flight: physics = "{out / "physics.toml"}" under [[craft]] of the daemon\'s configuration',
+    ]
+    assert told.out.splitlines()[-2:] == onward
     assert "have in common a bias that follows the sensor" in told.out
     assert "thermal_bias nt_per_k: shared" in told.out
     assert "day1: rows: 1000 of 1000 rows used\n" in told.out
