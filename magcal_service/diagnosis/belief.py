@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from magcal_service.diagnosis.explain import CLASS_NATS, Explained
-from magcal_service.diagnosis.field_level import is_as_smooth
 from magcal_service.diagnosis.passes import foretells
 from magcal_service.diagnosis.problem import Fit, Term
 from magcal_service.diagnosis.rest import Rest
@@ -112,8 +111,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
 
     What is left without a name beside a term may be the rest of a cause that made the term too.  What lasts in no shape
     of its own has that probability by its share of the two; what has one is rather another cause, unless it is as large
-    as the name, so by that share's square.  What is as smooth as a field model's errors is no rest of a cause that
-    follows a record and is not.
+    as the name, so by that share's square.
 
     How often a cause is met counts for how probable it is, and not for what a recording can tell apart.  What acts as
     well exactly so is as probable, as the name or as a rival of it.
@@ -133,8 +131,7 @@ def posterior(explained: Explained, index: int) -> Posterior:
         weights |= {other: max(weights.get(other, 0.0), weights[rival.effect]) for other in rival.as_well}
     weights[UNLISTED] = weights.get(UNLISTED, 0.0) + _slow_odds(explained, index)
     held = max(explained.gains[index].nats, 0.0)
-    lasts = explained.rough_nats if _is_rougher_than_models(explained.fit, index) else explained.lasting_nats
-    lasting, shaped = _part(lasts, held), _part(explained.shaped_nats, held)
+    lasting, shaped = _part(explained.lasting_nats, held), _part(explained.shaped_nats, held)
     unlisted = min(max(lasting, shaped**2, _least_unlisted(explained, index)), _MOST_UNLISTED)
     total = sum(weights.values()) / (1.0 - unlisted)
     weights[UNLISTED] += unlisted * total
@@ -214,18 +211,6 @@ def _least_unlisted(explained: Explained, index: int) -> float:
         least = max(least, _OF_A_MEMORY)
     is_part = index in _of_one_wave(fit) or _is_each_orbit(fit, index) or _is_along_inferred(fit, index)
     return max(least, _ONE_WAVE) if is_part else least
-
-
-def _is_rougher_than_models(fit: Fit, index: int) -> bool:
-    """Whether a name follows a record, and what it makes of the residual is not as smooth as a field model's errors,
-    wherever it acts: a field that is fixed to a body that turns."""
-    if not is_recorded(fit.terms[index].hypothesis):
-        return False
-    for part, term in fit.problem.acting(fit.terms[index]):
-        rows = None if part.field_error is None else part.rows(term.hypothesis.columns(term.theta), part.scene.unit)
-        if rows is None or is_as_smooth(part, rows @ term.amplitudes):
-            return False
-    return True
 
 
 def _is_within_another(explained: Explained, index: int) -> bool:
@@ -348,12 +333,10 @@ def with_left(explained: Explained, left_nt2: float, rest: Rest | None, floor_nt
     floor_nt: least noise that evidence is counted in [nT].
     """
     share = 0.0 if rest is None else min(rest.likely_share, _MOST_UNLISTED)
-    rough = share if rest is None or rest.rough is None else min(rest.rough, share)
     held = sum(max(gain.nats, 0.0) for gain in explained.gains)  # through the noise's whitening, as shapes are
     return replace(
         explained,
         has_memory=rest is None,
         shaped_nats=left_nt2 / (2.0 * max(explained.fit.white_rms_nt, floor_nt) ** 2),
         lasting_nats=share / (1.0 - share) * held,
-        rough_nats=rough / (1.0 - rough) * held,
     )

@@ -69,7 +69,6 @@ class Explained:
     slower: changes over minutes instead of the terms' jumps; None without terms.
     has_memory: whether the noise that they are held against has one.
     shaped_nats, lasting_nats: what is seen beside all of them and has no name: in a shape of its own, and lasting.
-    rough_nats: of the latter what lasts beyond the field model's errors, however large these are.
     """
 
     fit: Fit
@@ -82,7 +81,6 @@ class Explained:
     has_memory: bool = False
     shaped_nats: float = 0.0
     lasting_nats: float = 0.0
-    rough_nats: float = 0.0
 
     def own_nats(self, index: int) -> float:
         """Evidence for a term beside its rivals [nats]; its own where it is not among them, nearly absorbed."""

@@ -49,8 +49,6 @@ class Rest:
     sigma: 1 sigma of ``after``, were there nothing.
     is_free: whether nothing but its own shape speaks for one of the names.
     excused: what the field model may err by instead of ``after``; another cause may hide in it.
-    rough: of what lasts under the nine errors alone through the whitening of the field model's errors, the share that
-        still does beside the names; None: not told apart.
     """
 
     before: float
@@ -58,17 +56,15 @@ class Rest:
     sigma: float
     is_free: bool = False
     excused: float = 0.0
-    rough: float | None = None
 
     @classmethod
     def of(cls, baseline: Fit, fit: Fit) -> Rest:
         """Of nine errors alone and of a fit with effects."""
-        after, sigma = _mean_and_sigma(_neighbours(fit, fit.held_out_residual))
+        after, sigma = _mean_and_sigma(_neighbours(fit))
         error = fit.problem.field_error
         excused = 0.0 if error is None else min(max(after, 0.0), error.no_larger_than_usual.rms_nt**2)
         is_free = any(term.hypothesis.is_free for term in fit.terms)
-        before = max(_mean_and_sigma(_neighbours(baseline, baseline.held_out_residual))[0], 0.0)
-        return cls(before, after - excused, sigma, is_free, excused, None if error is None else _rough(baseline, fit))
+        return cls(max(_mean_and_sigma(_neighbours(baseline))[0], 0.0), after - excused, sigma, is_free, excused)
 
     @classmethod
     def of_all(cls, pairs: Sequence[tuple[Fit, Fit]]) -> Rest:
@@ -116,17 +112,10 @@ class Rest:
         return self.is_free and self.unsafe_share > _MOST_UNSEEN
 
 
-def _rough(baseline: Fit, fit: Fit) -> float:
-    """As ``Rest.rough``."""
-    before = _mean_and_sigma(_neighbours(baseline, baseline.held_out_white))[0]
-    after, sigma = _mean_and_sigma(_neighbours(fit, fit.held_out_white))
-    return min(after / max(before, after), 1.0) if after > _BEYOND * sigma else 0.0
-
-
-def _neighbours(fit: Fit, held_out: Array) -> Array:
-    """Products (m,) of the held-out residual (n,) or (3 n,) of samples that follow one another [nT^2]."""
+def _neighbours(fit: Fit) -> Array:
+    """Products (m,) of the held-out residual of samples that follow one another [nT^2]."""
     scene = fit.problem.scene
-    rows = held_out.reshape(len(scene), -1)
+    rows = fit.held_out_residual.reshape(len(scene), -1)
     follow = np.diff(scene.time_s) < _NEIGHBOURS * scene.period_s
     return np.asarray((rows[1:] * rows[:-1]).mean(axis=1)[follow])
 

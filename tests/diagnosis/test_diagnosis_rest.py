@@ -156,21 +156,3 @@ def test_rows_on_both_sides_of_a_gap_do_not_follow_one_another() -> None:
     together = Rest.of(alone, replace(fit, residual=jumped)).after
     assert together == pytest.approx(3e4**2 / (len(scene()) - 1), rel=0.05)
     assert abs(Rest.of(alone, replace(fit, residual=jumped, problem=apart)).after) < 0.01 * together
-
-
-@pytest.mark.parametrize(("lasts_nt", "white_nt", "rough"), [(60.0, 0.0, 0.0), (60.0, 40.0, 0.25), (0.0, 0.0, 0.0)])
-def test_what_lasts_is_told_from_errors_of_the_field_model_by_the_whitening(
-    lasts_nt: float, white_nt: float, rough: float
-) -> None:
-    """Of 80 nT rms before, through the whitening, the square that 40 nT are beside the names; that of what it takes
-    none.  Where no field model errs nothing is told apart."""
-    alone, fit = fit_with(nothing())
-    usual = FieldError.of(scene(), NOISE_NT)
-    assert usual is not None
-    course = np.sqrt(2.0) * np.sin(2.0 * np.pi * scene().time_s / 1200.0)
-    noise = 5.0 * np.random.default_rng(72).normal(size=len(course))
-    before, after = (replace(one, problem=replace(one.problem, field_error=usual)) for one in (alone, fit))
-    before.__dict__["_held_out"] = 90.0 * course + noise, 80.0 * course + noise
-    after.__dict__["_held_out"] = lasts_nt * course + noise, white_nt * course + noise
-    assert Rest.of(before, after).rough == pytest.approx(rough, abs=0.01)
-    assert Rest.of(alone, fit).rough is None
