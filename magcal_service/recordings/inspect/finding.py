@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magcal_service.recordings.defects import Code
 from magcal_service.recordings.report import RowCount
 
-__all__ = ["NO_ROWS", "Code", "Finding", "Rows", "Seen", "Spoils", "rows_text", "rows_that"]
+__all__ = ["NO_ROWS", "Code", "Finding", "Rows", "Seen", "Spoils", "rows_text", "rows_that", "verb_of"]
 
 Rows = NDArray[np.intp]
 """Numbers of rows of a recording, rising."""
@@ -98,7 +98,12 @@ _OF_ONE = {"have": "has", "reach": "reaches", "stop at": "stops at"}
 """What a verb is of one row, where that is not the verb with an s."""
 
 
+def verb_of(count: int, verb: str) -> str:
+    """A verb in the plural as so many rows have it: ``lies`` of one, ``lie`` of 12."""
+    return _OF_ONE.get(verb, f"{verb}s") if count == 1 else verb
+
+
 def rows_that(count: int, verb: str, of: int | None = None) -> str:
     """``1 row of 20 has``, ``12 rows of 20 have``; without ``of`` the rows alone."""
     rows = rows_text(count) if of is None else f"{rows_text(count)} of {of}"
-    return f"{rows} {_OF_ONE.get(verb, f'{verb}s') if count == 1 else verb}"
+    return f"{rows} {verb_of(count, verb)}"

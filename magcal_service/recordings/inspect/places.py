@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magcal_service.earth.geomagnetic import LOWEST_ORBIT_KM, WGS84_A_KM
-from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text, rows_that
+from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Rows, Seen, Spoils, rows_text, rows_that, verb_of
 from magcal_service.recordings.inspect.log import Log, runs
 from magcal_service.recordings.inspect.motion import distinct, escape_km_s, placed_rows
 from magcal_service.recordings.report import RowFault
@@ -37,10 +37,8 @@ def position_zero(log: Log) -> Iterator[Seen]:
     for entry in log.recording.report.entries:
         if entry.part == "position" and entry.fault is RowFault.ABSURD:
             shows = f" ({entry.shows})" if entry.shows else ""
-            lie = "lies" if entry.count == 1 else "lie"
-            says = (
-                f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}{shows}, {lie} where no craft is: "
-            )
+            says = f"{rows_text(entry.count)}, first on {entry.place} {entry.first_line}{shows}, "
+            says += f"{verb_of(entry.count, 'lie')} where no craft is: "
             says += "in the Earth, far off it, or beyond a latitude of 90 degrees"
             remedy = (
                 "they have no place; if many have none, check the unit of [position], and its columns: the latitude "

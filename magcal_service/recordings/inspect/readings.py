@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Seen, Spoils, rows_text, rows_that
+from magcal_service.recordings.inspect.finding import NO_ROWS, Code, Seen, Spoils, rows_text, rows_that, verb_of
 from magcal_service.recordings.inspect.log import Log
 from magcal_service.recordings.report import RowFault
 from magcal_service.recordings.table import FloatArray
@@ -67,8 +67,8 @@ def _unreadable(log: Log) -> Iterator[Seen]:
     for entry in log.recording.report.entries:
         if entry.part == "magnetometer" and entry.fault in _NO_VALUE:
             what = "a field beyond 1 mT" if entry.fault is RowFault.ABSURD else f"no number ({entry.fault})"
-            hold = "holds" if entry.count == 1 else "hold"
-            says = f"{rows_text(entry.count)}, the first on {entry.place} {entry.first_line}, {hold} {what}"
+            says = f"{rows_text(entry.count)}, the first on {entry.place} {entry.first_line}, "
+            says += f"{verb_of(entry.count, 'hold')} {what}"
             remedy = "they are refused; if most are, check magnetometer.columns and magnetometer.unit"
             yield Seen(Code.SENTINEL, True, NO_ROWS, says, remedy, refused=entry)
 
